@@ -150,7 +150,7 @@ def engine_from(
             )
         else:
             lost += _restore(generator, kept)
-    engine.intake.remember(each for each in portable.keys if each.stream in there)
+    engine.intake.restore_keys(each for each in portable.keys if each.stream in there)
     for text in lost:
         engine.tell_not_restored(text)
     standing = Standing()

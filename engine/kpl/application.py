@@ -182,7 +182,7 @@ class Application:
             )
         keys = (*dependents, found.key)
         made = {key for key in keys if key in self._units or key in self._own}
-        outside = self._configuration.readers_outside(made, self._is_ours)
+        outside = self._configuration.find_outside_reader(made, self._is_ours)
         if outside:
             stream, reader = outside
             raise Conflict(
@@ -340,7 +340,7 @@ class Application:
             on_event=lambda source, event, text: self._tell_source(ChangeKind(event), source, text),
             runner=self._runner,
             name=self._configuration.unit_name(),
-            on_report=self._configuration.report,
+            on_report=self._configuration.add_report,
         )
         self.sampled[output.name] = source
         self._configuration.system.add(output.name)
@@ -396,7 +396,7 @@ class Application:
 
     def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
         """Whether the streams that a generator reads are there still."""
-        return self._configuration.reads_what_is_there(self._units[declaration.key])
+        return self._configuration.has_current_inputs(self._units[declaration.key])
 
     def stop(self, declaration: CheckedDeclaration) -> None:
         """Stop what runs for a declaration."""
@@ -404,7 +404,7 @@ class Application:
         unit = self._units.pop(key, None)
         if unit is not None:
             output = unit.output
-            read = [self._configuration.life_of(source) for source in unit.inputs]
+            read = [self._configuration.unadapted(source) for source in unit.inputs]
             if any(life.is_void for life in read):
                 output.is_void = True
             if output.ends_at is None:  # with the life of what it read, if that is over
@@ -464,7 +464,7 @@ class Application:
 
     def _tell_source(self, kind: ChangeKind, source: SampledSource, text: str = "") -> None:
         name = source.implementation.name
-        self._configuration.told(
+        self._configuration.report_change(
             Change(kind, source.output.name, source.name, name, (), text, Role.SOURCE)
         )
 
@@ -472,7 +472,7 @@ class Application:
         self, kind: ChangeKind, reader: Sink | ConfigurationProcess, text: str = ""
     ) -> None:
         name = reader.implementation.name if isinstance(reader, Sink) else "foreach"
-        self._configuration.told(
+        self._configuration.report_change(
             Change(
                 kind,
                 "",

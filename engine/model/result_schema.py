@@ -1,4 +1,4 @@
-"""The form of a query's results: fields, types and meaning of its output stream
+"""The form of a query's results: the fields, types and annotation of its output stream
 ([Events14 §V.A], SPEC §4-5)."""
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ...sparql.scope import projected_variables
 from ...streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ...streams.string_pool import StringPool
 from ...templates.patterns import patterns
-from .computed_kinds import kind_of, one_kind
+from .computed_kinds import common_kind, kind_of
 
 _AGGREGATE_KINDS = {"AVG": Kind.DOUBLE, "SUM": Kind.DOUBLE, "COUNT": Kind.INTEGER}
 _KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
@@ -43,18 +43,18 @@ _KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
 
 @dataclass(frozen=True, slots=True)
 class ResultForm:
-    """What a query's output stream looks like. ``predicates`` are those of a CONSTRUCT head,
-    ``naming`` the ones among them whose objects are names and no literals, as the query has it;
-    ``ordered``: solutions keep the order that ORDER BY gives them."""
+    """The form of a query's output stream. ``predicates`` are those of a CONSTRUCT head,
+    ``iri_predicates`` those among them whose objects are always IRIs by the query. ``ordered``:
+    solutions keep the order of ORDER BY."""
 
     schema: Schema
     predicates: tuple[str, ...]
     units: Mapping[str, Unit]
-    naming: frozenset[str] = frozenset()
+    iri_predicates: frozenset[str] = frozenset()
     ordered: bool = False
 
     def converter(self, pools: dict[str, StringPool]) -> ResultConverter:
-        """Converts the query's results to samples of this form."""
+        """Make the converter from the query's results to samples of this form."""
         return ResultConverter(
             self.schema, pools, predicates=self.predicates, keep_order=self.ordered
         )
@@ -62,10 +62,11 @@ class ResultForm:
     def event_annotation(
         self, stream: str, event: str, roles: Sequence[Role]
     ) -> StreamAnnotation | None:
-        """What the stream contains: its *event* over the sorts of its objects, not the head's
-        predicates, for speeds above 100 are no stream of speed (SPEC §5). None for a table.
+        """Return the annotation for matching: the *event* over the sort of its objects, with the
+        object of the head's first predicate as value. None for a table.
 
-        The event's value is the object of the head's first predicate.
+        It does not name the head's predicates: a stream of speeds above 100 is not a stream of
+        speed (SPEC §5).
         """
         if not self.predicates:
             return None
@@ -80,7 +81,7 @@ class ResultForm:
         return StreamAnnotation(stream, (content,), source)
 
     def rdf_annotation(self, stream: str, roles: Sequence[Role]) -> StreamAnnotation | None:
-        """How samples of the stream are written as the triples that the head constructed."""
+        """Return the annotation for writing samples as RDF: as the triples of the head."""
         if not self.predicates:
             return None
         names = field_names(self.predicates)
@@ -93,8 +94,8 @@ class ResultForm:
 
 
 def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
-    """The form of ``query``'s results: types by features' ranges and by aggregates. Cost: found
-    once for all instances of a template."""
+    """Return the form of ``query``'s results; features' ranges and expressions decide the types.
+    Cost: computed once for all instances of a template."""
     return _form(body_tree(query), vocabulary)
 
 
@@ -122,55 +123,59 @@ def _form(tree: ast.Query, vocabulary: Vocabulary) -> ResultForm:
         kinds={name: kind for name, kind in predicates.items() if kind is not None},
         vocabulary=vocabulary,
     )
-    return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
+    return ResultForm(schema, tuple(predicates), units, _iri_predicates(tree, vocabulary))
 
 
 def template_of(query: ContinuousQuery) -> Sequence[ast.Triple]:
-    """The triples of a CONSTRUCT head."""
+    """Return the triples of a CONSTRUCT head."""
     return query.body.template or ()
 
 
 def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
-    """The results of ``query`` make samples, whose fields are known before the first; raises
-    `LanguageError`, which says what to write instead."""
-    told = ""
+    """Check that the head decides the fields of samples before the first result: a stream has fixed
+    fields. Raises `LanguageError` with a hint."""
+    problem = ""
     match query.form:
         case Form.ASK:
             return
         case Form.DESCRIBE:
-            told = "what DESCRIBE gives has no fields that are known beforehand"
-            hint = "write CONSTRUCT { ?o <feature> ?value } with the features that are wanted"
+            problem = "the results of DESCRIBE have no fixed fields, which a stream needs"
+            hint = "write CONSTRUCT { ?o <feature> ?value } with the features that you want"
         case Form.CONSTRUCT:
             predicates = [triple.predicate for triple in template_of(query)]
-            hint = "write the features that are wanted: CONSTRUCT { ?o <feature> ?value }"
+            hint = "write the features that you want: CONSTRUCT { ?o <feature> ?value }"
             if not predicates:
-                told = "the head says nothing"
+                problem = "the head is empty"
             elif not all(isinstance(predicate, NamedNode) for predicate in predicates):
-                told = "a predicate that is a variable gives no fields that are known beforehand"
+                problem = "a variable as predicate gives no fixed fields, which a stream needs"
             else:
-                told = _no_number(query, vocabulary)
-                hint = "write another predicate for it" if told else hint
+                problem = _find_non_number(query, vocabulary)
+                hint = "write another predicate for it" if problem else hint
         case Form.SELECT:
             names = list(projected_variables(query.body))
-            taken = [name for name in names if name in TIME_FIELDS]
+            time_names = [name for name in names if name in TIME_FIELDS]
             if not names:
-                told, hint = "the head has no variable", "write ASK to know whether there is any"
-            elif taken:
-                told = f"a field cannot be called {taken[0]!r}: that is a sample's time"
-                hint = f"rename it: (?{taken[0]} AS ?{taken[0]}Time)"
+                problem, hint = "the head has no variable", "write ASK to test for any solution"
+            elif time_names:
+                name = time_names[0]
+                problem = f"a field cannot have the name {name!r}: that is a sample's time"
+                hint = f"rename it: (?{name} AS ?{name}Time)"
     names = (
-        [field.name for field in result_form(query, vocabulary).schema.fields] if not told else []
+        [field.name for field in result_form(query, vocabulary).schema.fields]
+        if not problem
+        else []
     )
     if any(len(name) > LONGEST_NAME for name in names):
-        told, hint = f"a field's name has at most {LONGEST_NAME} characters", "shorten it"
-    if told:
+        problem, hint = f"a field's name has at most {LONGEST_NAME} characters", "shorten it"
+    if problem:
         start = query.body.span.start
-        raise LanguageError(told, query.source, Span(start, start + len(query.form)), hint)
+        raise LanguageError(problem, query.source, Span(start, start + len(query.form)), hint)
 
 
-def _no_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
-    """What a head says of a feature whose values are numbers, and that can be none."""
-    names = _names(body_tree(query), vocabulary)
+def _find_non_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
+    """Return the message for a head that gives a numeric feature an object that cannot be a number;
+    else an empty text."""
+    names = _iri_places(body_tree(query), vocabulary)
     for triple in template_of(query):
         assert isinstance(triple.predicate, NamedNode)
         predicate, object = triple.predicate.value, triple.object
@@ -179,15 +184,15 @@ def _no_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
             continue
         is_text = isinstance(object, Literal) and object.datatype.value not in NUMBERS
         if is_text or isinstance(object, NamedNode | BlankNode) or object in names:
-            return f"the values of {shorten(predicate)} are numbers, {object} is none"
+            return f"the values of {shorten(predicate)} are numbers, but {object} is not"
     return ""
 
 
 def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Content]) -> Role:
-    """What the subjects of a head are, by what the query itself requires of them: one sort, if it
-    names one for all of them, or if all that it reads of them speaks of one; else any thing.
+    """Return the role of a head's subjects, by the query's own patterns. Their sort is the one that
+    the patterns name, else the only one that the features in ``read`` have, else any thing.
 
-    ``read`` is what the streams contain.
+    ``read`` are the contents of the streams.
     """
     contents = list(read)
     body = patterns(body_tree(query))
@@ -195,24 +200,26 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
     for subject in dict.fromkeys(triple.subject for triple in template_of(query)):
         own = [pattern for pattern in body if pattern.subject == subject]
         classes = {c.value for pattern in own for c in pattern.classes}
-        named = {name for name in classes if vocabulary.is_sort(name)}
+        sorts_named = {name for name in classes if vocabulary.is_sort(name)}
         features = {pattern.predicate.value for pattern in own}
-        told = {
+        sorts_read = {
             role.sort
             for content in contents
             if content.feature in features
             for role in content.roles[:1]
         }
         # The narrower a sort, the more sorts contain it.
-        narrow = max(sorted(named), key=lambda sort: len(vocabulary.supersorts(sort)), default=None)
-        sorts.add(narrow or (told.pop() if len(told) == 1 else None) or THING)
+        narrowest = max(
+            sorted(sorts_named), key=lambda sort: len(vocabulary.supersorts(sort)), default=None
+        )
+        sorts.add(narrowest or (sorts_read.pop() if len(sorts_read) == 1 else None) or THING)
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)
 
 
-def _naming(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
-    """The predicates of a head whose objects are always IRIs: written so, or stand in the body
-    where nothing else can."""
-    names = _names(tree, vocabulary)
+def _iri_predicates(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
+    """Return the predicates of a head whose objects are always IRIs: constants, or variables that
+    the body binds to IRIs only."""
+    names = _iri_places(tree, vocabulary)
     objects: dict[str, set[ast.Place]] = defaultdict(set)
     for triple in tree.template or ():
         if isinstance(triple.predicate, NamedNode):
@@ -224,8 +231,8 @@ def _naming(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
     )
 
 
-def _names(tree: ast.Query, vocabulary: Vocabulary) -> set[ast.Place | None]:
-    """What can only be a name, and no literal, by where it stands in the body."""
+def _iri_places(tree: ast.Query, vocabulary: Vocabulary) -> set[ast.Place | None]:
+    """Return the terms and variables that cannot be literals, by their places in the body."""
     names: set[ast.Place | None] = set()
     for pattern in patterns(tree):
         names.add(pattern.subject)
@@ -240,37 +247,37 @@ def _is_class(range: str | None) -> bool:
 
 
 def _kinds(tree: ast.Query, vocabulary: Vocabulary) -> dict[str, Kind]:
-    """Kinds of the variables that are numbers or booleans: by the range of the feature whose
-    value they are, and by the expression or aggregate that computes them."""
+    """Return the kinds of the variables that are numbers or booleans: by the range of the feature
+    whose value they are, and by the expression or aggregate that computes them."""
     nodes = list(ast.walk(replace(tree, template=None)))
-    said, others = _ranges(nodes, vocabulary)
-    kinds = {name: kind for name, kind in said.items() if kind is not None}
+    ranges, others = _ranges(nodes, vocabulary)
+    kinds = {name: kind for name, kind in ranges.items() if kind is not None}
     aggregates: dict[ast.Aggregate, Variable] = {}
-    named = [(name, _translated(one, aggregates)) for name, one in _computed(nodes)]
-    made: dict[str, dict[int, Kind | None]] = defaultdict(dict)
-    # An alias is known when what it stands for is: once more until nothing new is learnt.
+    aliases = [(name, _translate(one, aggregates)) for name, one in _computed(nodes)]
+    computed: dict[str, dict[int, Kind | None]] = defaultdict(dict)
+    # An alias may depend on another alias, so repeat until there are no new kinds.
     before = -1
     while before < len(kinds):
         before = len(kinds)
         for aggregate, variable in aggregates.items():
-            known = _kind_of_aggregate(aggregate, kinds)
-            if known is not None:
-                kinds[variable.value] = known
-        for number, (name, expression) in enumerate(named):
+            kind = _kind_of_aggregate(aggregate, kinds)
+            if kind is not None:
+                kinds[variable.value] = kind
+        for number, (name, expression) in enumerate(aliases):
             found = None if expression is None else kind_of(expression, kinds, others)
-            made[name][number] = found
-            known = one_kind([*made[name].values()])
-            if known is not None:
-                kinds[name] = known
-    for name, kinds_of in made.items():
-        known = one_kind([*kinds_of.values(), *([said[name]] if name in said else [])])
-        if known is None:
-            # In a UNION the one may hold or the other: text fits both.
+            computed[name][number] = found
+            kind = common_kind([*computed[name].values()])
+            if kind is not None:
+                kinds[name] = kind
+    for name, kinds_of in computed.items():
+        kind = common_kind([*kinds_of.values(), *([ranges[name]] if name in ranges else [])])
+        if kind is None:
+            # The branches of a UNION may bind it to values of several kinds: text fits all.
             kinds.pop(name, None)
         else:
-            kinds[name] = known
-    for place in _names(tree, vocabulary):
-        # A number in one branch of a UNION, a name in another.
+            kinds[name] = kind
+    for place in _iri_places(tree, vocabulary):
+        # One branch of a UNION may bind it to a number, another to an IRI.
         if isinstance(place, Variable):
             kinds.pop(place.value, None)
     return kinds
@@ -279,8 +286,9 @@ def _kinds(tree: ast.Query, vocabulary: Vocabulary) -> dict[str, Kind]:
 def _ranges(
     nodes: Iterable[object], vocabulary: Vocabulary
 ) -> tuple[dict[str, Kind | None], set[str]]:
-    """The kinds of objects by the ranges of features, and the objects that are something else."""
-    said: dict[str, Kind | None] = {}
+    """Return the kinds of object variables by the ranges of features, and the object variables of
+    features with another range."""
+    ranges: dict[str, Kind | None] = {}
     others: set[str] = set()
     for node in nodes:
         if not isinstance(node, ast.Triple) or not isinstance(node.object, Variable):
@@ -290,10 +298,10 @@ def _ranges(
         kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
         if info is not None and info.range is not None and kind is None:
             others.add(name)
-        # In a UNION the one may hold or the other: text fits both.
-        if said.setdefault(name, kind) is not kind:
-            said[name] = None
-    return said, others
+        # The branches of a UNION may bind it to values of several kinds.
+        if ranges.setdefault(name, kind) is not kind:
+            ranges[name] = None
+    return ranges, others
 
 
 def _computed(nodes: Iterable[object]) -> Iterable[tuple[str, ast.Expression]]:
@@ -304,10 +312,11 @@ def _computed(nodes: Iterable[object]) -> Iterable[tuple[str, ast.Expression]]:
             yield node.alias.value, node.expression
 
 
-def _translated(
+def _translate(
     expression: ast.Expression, aggregates: dict[ast.Aggregate, Variable]
 ) -> Expression | None:
-    """An expression with a variable for each aggregate; None for what plans do not have."""
+    """Translate an expression, with a variable for each aggregate; None for an expression that
+    plans do not support."""
 
     def change(node: object) -> Variable | None:
         if not isinstance(node, ast.Aggregate):
@@ -321,10 +330,10 @@ def _translated(
 
 
 def _kind_of_aggregate(one: ast.Aggregate, kinds: Mapping[str, Kind]) -> Kind | None:
-    known = kinds.get(one.argument.value) if isinstance(one.argument, Variable) else None
-    if one.function == "SUM" and known is Kind.INTEGER:
+    kind = kinds.get(one.argument.value) if isinstance(one.argument, Variable) else None
+    if one.function == "SUM" and kind is Kind.INTEGER:
         return Kind.INTEGER
-    return _AGGREGATE_KINDS.get(one.function, known)
+    return _AGGREGATE_KINDS.get(one.function, kind)
 
 
 def _term(term: Variable | NamedNode | Literal) -> Expression:
@@ -335,6 +344,7 @@ _EXPRESSIONS: Final = ExpressionTranslation(_term, lambda _: Const(Literal(True)
 
 
 def _subject(roles: Sequence[Role]) -> Role:
-    """The subject of results: an object of the sort that the inputs speak of, named by ``id``."""
+    """Return the role of the results' subject, which the field ``id`` names: of the inputs' sort if
+    they have a single one."""
     sorts = {role.sort for role in roles if role.sort is not None}
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)

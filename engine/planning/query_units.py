@@ -42,7 +42,7 @@ from ..configuration.configuration import (
     AnyUnit,
     Configuration,
 )
-from ..model.beginning import Beginning, check_kept
+from ..model.beginning import Beginning, check_retained
 from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
@@ -288,7 +288,7 @@ class Queries:
         each with the converter of all that it says."""
         inputs, converters = self._of(read)
         for generator in inputs.values():
-            check_kept(since, generator.stream)
+            check_retained(since, generator.stream)
         form = self.form(query)
         return self._start(query, inputs, converters, form, since, manner, query.source.strip())
 

@@ -26,7 +26,7 @@ from ...streams.sample import (
 from ...streams.single_sample import Sample
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MAX, TIME_MIN
-from ..model.process_reports import OnReport, Report, unheard
+from ..model.process_reports import OnReport, Report, ignore_report
 from .supervision import ProcessError
 
 Row: TypeAlias = tuple[int, int, dict[str, Value]]
@@ -69,7 +69,11 @@ class Answers:
     """
 
     def __init__(
-        self, output: StreamGenerator, on_report: OnReport = unheard, *, is_source: bool = False
+        self,
+        output: StreamGenerator,
+        on_report: OnReport = ignore_report,
+        *,
+        is_source: bool = False,
     ) -> None:
         self._output = output
         self._take: Callable[[SampleBatch], object] = output.offer if is_source else output.emit

@@ -25,7 +25,7 @@ def defaults_of(code: Callable[..., Any]) -> dict[str, str | None]:
     }
 
 
-def bound(code: Callable[..., Any], texts: Mapping[str, str]) -> Callable[..., Any]:
+def bind_parameters(code: Callable[..., Any], texts: Mapping[str, str]) -> Callable[..., Any]:
     """``code`` with the parameters of these texts: a class still to be instantiated, a function.
 
     Raises `BadArguments` for a parameter that it has not, or that is missing or of another type.

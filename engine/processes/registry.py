@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias, TypeVar, cast
 
 from ...streams.time import parse_duration
 from ..model.errors import AlreadyExists, BadArguments, UnknownFeature
-from .parameters import bound, defaults_of
+from .parameters import bind_parameters, defaults_of
 from .supervision import ErrorRule, OnError
 
 Code: TypeAlias = Callable[..., Any]
@@ -46,7 +46,7 @@ class Implementation:
 
         Raises `BadArguments` for parameters that do not fit.
         """
-        code = bound(self.code, parameters or {})
+        code = bind_parameters(self.code, parameters or {})
         if isinstance(self.code, type):
             return cast("Callable[..., Any]", code())
         return code

@@ -226,7 +226,7 @@ def _filter(
 
 def behind(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
     """The names of all streams whose samples reach the unit."""
-    for part in configuration.units_behind(unit):
+    for part in configuration.upstream_units(unit):
         for source in part.inputs:
             yield source.name
 

@@ -12,7 +12,7 @@ from ...streams.generator import StreamGenerator
 from ...streams.inputs import NOTHING_KNOWN
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX, TIME_MIN
-from ..model.object_sets import sets_of
+from ..model.object_sets import read_sets
 from ..processes.supervision import ErrorCounters, ProcessEvent
 
 
@@ -149,7 +149,7 @@ class ConfigurationProcess:
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of the sets."""
         self.known = max(self.known, source.promise_after(batch) - 1)
-        for time, labels in sets_of(batch):
+        for time, labels in read_sets(batch):
             if isinstance(labels, str):
                 self.counters.note(labels, time)
                 self._on_event(self, ProcessEvent.FAILED, labels)

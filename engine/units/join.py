@@ -18,7 +18,7 @@ from ...streams.joins.join import Join, OneByOne
 from ...streams.sample import SampleBatch
 from ...streams.single_sample import Sample
 from ...streams.tuples import TupleBatch
-from ..model.process_reports import OnReport, unheard
+from ..model.process_reports import OnReport, ignore_report
 from ..processes.call_adapter import Answers, Row, samples_of
 from ..processes.registry import UnitImplementation
 from ..processes.supervision import (
@@ -58,7 +58,7 @@ class FunctionProcess(ComputationalUnit):
         *args: Any,
         implementation: UnitImplementation,
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
-        on_report: OnReport = unheard,
+        on_report: OnReport = ignore_report,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)

@@ -10,7 +10,7 @@ from typing import Any
 from ...streams.generator import StreamGenerator
 from ...streams.joins.mediation import Mediation
 from ...streams.sample import SampleBatch
-from ..model.object_sets import sets_of
+from ..model.object_sets import read_sets
 from ..processes.supervision import ProcessEvent
 from .base import ComputationalUnit
 
@@ -88,7 +88,7 @@ class MediationUnit(ComputationalUnit):
 
     def _note_sets(self, batch: SampleBatch) -> None:
         times, sets = [], []
-        for time, labels in sets_of(batch):
+        for time, labels in read_sets(batch):
             if isinstance(labels, str):
                 self.counters.note(labels, time)
                 self._on_event(self, ProcessEvent.FAILED, labels)

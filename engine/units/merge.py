@@ -192,7 +192,7 @@ class MergeUnit(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         now = self._clock()
-        self.arrivals[source].came(now)
+        self.arrivals[source].add(now)
         begun, after = self._begun[source]
         if begun == now:  # the rest of a batch that was cut is judged like what is kept
             batch = batch.take(batch.available > after)

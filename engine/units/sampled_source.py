@@ -8,7 +8,7 @@ from typing import Any
 
 from ...streams.generator import StreamGenerator
 from ...streams.time import TIME_MAX
-from ..model.process_reports import OnReport, unheard
+from ..model.process_reports import OnReport, ignore_report
 from ..processes.call_adapter import Answers, Row
 from ..processes.external_io import Reading, Turn
 from ..processes.registry import SourceImplementation
@@ -51,7 +51,7 @@ class SampledSource:
         behind: int = 100,
         name: str | None = None,
         parameters: Mapping[str, str] | None = None,
-        on_report: OnReport = unheard,
+        on_report: OnReport = ignore_report,
     ) -> None:
         self.implementation = implementation
         self.output = output

@@ -6,7 +6,7 @@ from typing import Any
 
 from ...streams.generator import StreamGenerator
 from ...streams.sample import SampleBatch
-from ..model.process_reports import OnReport, unheard
+from ..model.process_reports import OnReport, ignore_report
 from ..model.status_changes import Role
 from ..processes.registry import SourceImplementation
 from ..processes.supervision import DIRECT, ProcessEvent, Runner, Tell
@@ -28,7 +28,7 @@ class SourceUnit(ComputationalUnit):
         implementation: SourceImplementation,
         parameters: dict[str, str],
         on_event: Tell,
-        on_report: OnReport = unheard,
+        on_report: OnReport = ignore_report,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)

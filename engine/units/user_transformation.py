@@ -25,7 +25,7 @@ from ...streams.sample import (
 )
 from ...streams.single_sample import Sample
 from ...streams.tuples import TupleBatch
-from ..model.process_reports import OnReport, Report, unheard
+from ..model.process_reports import OnReport, Report, ignore_report
 from ..processes.call_adapter import Answers, Row, samples_of
 from ..processes.registry import UnitImplementation
 from ..processes.supervision import (
@@ -66,7 +66,7 @@ class TransformationUnit(ComputationalUnit):
         id_fields: Sequence[str],
         carried: Sequence[tuple[str, str]],
         on_event: Tell,
-        on_report: OnReport = unheard,
+        on_report: OnReport = ignore_report,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
