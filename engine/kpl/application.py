@@ -380,9 +380,9 @@ class Application:
         """Let a generator see nothing that is available later than ``until``."""
         self._units[declaration.key].end_after(until)
 
-    def has_seen(self, declaration: GeneratorDeclaration) -> int:
+    def last_processed(self, declaration: GeneratorDeclaration) -> int:
         """Up to when a generator has seen samples."""
-        return self._units[declaration.key].seen
+        return self._units[declaration.key].last_processed
 
     def void(self, declaration: GeneratorDeclaration) -> None:
         """Take a generator away that another one takes the place of, from its beginning."""
@@ -453,7 +453,7 @@ class Application:
         """What came of calls of a sink, which may be gone by now."""
         for reader in tuple(self._readers.values()):
             if isinstance(reader, Sink) and reader.name == outcome.sink:
-                reader.hear(outcome)
+                reader.apply_outcome(outcome)
 
     def _attach(self, key: str, reader: Sink | ConfigurationProcess, specification: str) -> None:
         self._readers[key] = reader

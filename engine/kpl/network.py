@@ -195,7 +195,7 @@ class Network:
         labels = [str(term.label) for term in process.terms]
 
         def late(samples: Late) -> None:
-            violations.late(samples, labels[samples.input])
+            violations.add_late(samples, labels[samples.input])
 
         # An order of each object by itself is none of the stream.
         monotone = [
@@ -245,7 +245,7 @@ class Network:
             stream_of=stream_of,
             promised=lambda: self._promised(process.pattern.label.feature),
             past_of=past_of,
-            life_of=self._configuration.unadapted,
+            unadapted=self._configuration.unadapted,
             on_inputs=changed,
             on_news=self._on_news,
             on_event=self._told,

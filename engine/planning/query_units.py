@@ -188,7 +188,7 @@ class Queries:
                 enter=partial(evaluator.add, query, kin.constants),
                 evaluation=lambda: evaluator.explain_of(kin.constants, shared.flows()),
                 results=form.converter(output.stream.pools),
-                hear=manner.hear,
+                on_result=manner.hear,
             )
 
         return self._configuration.start_query(form.schema, make, Since.NOW, manner.name)
@@ -318,7 +318,7 @@ class Queries:
                 ),
                 converters=converters,
                 results=form.converter(output.stream.pools),
-                hear=manner.hear,
+                on_result=manner.hear,
             )
 
         return self._configuration.start_query(form.schema, make, since, manner.name)

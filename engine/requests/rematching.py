@@ -216,7 +216,7 @@ class Rematching:
         """Sorts and features may contain each other otherwise: everybody is looked at again."""
         self._choosing.forget()
         for found in self._index.all():
-            found.unit.ask_again()
+            found.unit.refresh_objects()
             if found.supply is not None and not self._choosing.means_the_same(found):
                 self._lost.setdefault(found.id, "the ontology has changed")
             else:

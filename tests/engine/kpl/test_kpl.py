@@ -428,7 +428,7 @@ def test_an_open_stream_that_ends_without_fields_cannot_bring_any_later(engine):
     assert given[:3] == [[], [], [(1, 7.0)]]
     assert given[-1] == given[2]
     (failed,) = [view for view in engine.kpl() if view.failure]
-    assert "'p' has got its fields after it had ended without any" in failed.failure
+    assert "'p' has fields now, but it had ended without any" in failed.failure
 
 
 def test_declarations_survive_a_restart(tmp_path, processes):
