@@ -37,7 +37,7 @@ from .catalog.name_resolution import (
 from .catalog.registered_transformations import (
     check_quality,
 )
-from .model.beginning import beginning_of
+from .model.beginning import parse_beginning
 from .model.errors import (
     BadArguments,
     Conflict,
@@ -136,13 +136,13 @@ class Engine:
     def declare(self, declaration: StreamDeclaration) -> StreamView:
         """Make a stream, or change one; see `DeclaredStreams`. A source of KPL is in use always."""
         declared, application = self._parts.declared, self._parts.application
-        name, is_new = declaration.name, not declared.is_as_declared(declaration)
+        name, is_new = declaration.name, not declared.has(declaration)
         if is_new and (name in application.sampled or not declared.can_extend(declaration)):
             self._refuse_if_source(name)
         generator = declared.declare(declaration)
         if is_new:
             application.release(name)
-        self._parts.idleness.came(generator, self._now)
+        self._parts.idleness.note_samples(generator, self._now)
         return self._view(generator)
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
@@ -194,7 +194,9 @@ class Engine:
     def published(self) -> tuple[StreamGenerator, ...]:
         """The streams that people publish to."""
         there = self._parts.configuration.streams.items()
-        return tuple(each for name, each in there if not self._parts.configuration.is_made(name))
+        return tuple(
+            each for name, each in there if not self._parts.configuration.is_made_by_system(name)
+        )
 
     def generators(self) -> tuple[StreamGenerator, ...]:
         """What is behind all streams: for who wants less of each than a view. Cost: O(streams)."""
@@ -251,7 +253,7 @@ class Engine:
             self._now = before
             raise
         generator = self._parts.configuration.stream(name)
-        self._parts.idleness.came(generator, self._now)
+        self._parts.idleness.note_samples(generator, self._now)
         self._parts.rematching.came(generator.name, self._now)
         self._parts.settle()
         self._parts.collect()
@@ -337,7 +339,7 @@ class Engine:
         with gc_paused(), self._parts.manager.together():
             self._parts.count_subscribers()
             self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
-            self._parts.manager.show_samples(streams)
+            self._parts.manager.mirror_samples(streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
@@ -388,7 +390,7 @@ class Engine:
         `UnknownEvent`, `BadArguments`, `NoPlan`, and `Forgotten` where some of that is not kept;
         then nothing runs that did not run before.
         """
-        begin = beginning_of(since)
+        begin = parse_beginning(since)
         return self._parts.requests.start(
             self._parts.templates.of(request), request, strategy, begin
         )
@@ -423,7 +425,7 @@ class Engine:
         """Subscribe to a stream under a policy; see `Subscriptions.start`. For ``since`` see
         `request_event`."""
         return self._parts.subscriptions.start(
-            stream, policy, unit, beginning_of(since), keyed=keyed
+            stream, policy, unit, parse_beginning(since), keyed=keyed
         )
 
     def subscribe_to_feature(
@@ -450,7 +452,7 @@ class Engine:
         if min(hold_off, hold_off if staleness is None else staleness - 1) < 0:
             raise BadArguments("staleness is longer than nothing, hold_off not less than nothing")
         parsed = parse_policy(policy, unit)
-        begin = beginning_of(since)
+        begin = parse_beginning(since)
         wish = Wish(want, strategy, parsed, begin, staleness, quality, hold_off, keyed)
         with self._parts.manager.together():
             return self._parts.subscriptions.start_adaptive(wish)
@@ -613,7 +615,7 @@ class Engine:
         """No later request, subscription or query without a name is called ``id``."""
         for made, number in self._numbered(id):
             made.number_after(number)
-        self._parts.configuration.pass_over(id)
+        self._parts.configuration.skip_reserved(id)
 
     def _numbered(self, id: str) -> Iterator[tuple[EventRequests | Subscriptions, int]]:
         """Whose id it is, and its number."""
@@ -635,7 +637,9 @@ class Engine:
 
     def tell_unkept(self, process: str, reason: str) -> None:
         """Tell on the status stream that what a user-written process remembers is not kept."""
-        self._parts.changed(Change(ChangeKind.UNKEPT, transformation=process, specification=reason))
+        self._parts.changed(
+            Change(ChangeKind.STATE_LOST, transformation=process, specification=reason)
+        )
 
     def totals(self) -> Totals:
         """How much there is of what people make. Cost: O(ontologies)."""

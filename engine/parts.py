@@ -66,7 +66,7 @@ class Parts:
         self.failures = 0
         """Number of failures on the status stream: while it stays, nothing more has failed."""
         self._status = StatusStream(clock)
-        self.changed = self._status.tell
+        self.changed = self._status.report
         self._make_streams(given)
         self._make_requests(clock, given)
         self._listen()
@@ -180,7 +180,7 @@ class Parts:
     def _listen(self) -> None:
         # What the ontology and matching know of a change comes first: who is told next asks them.
         for listener in (
-            self.manager.changed,
+            self.manager.mirror,
             self._heard,
             self.plans.heard,
             self.rematching.heard,
@@ -191,24 +191,24 @@ class Parts:
     def restore(self, now: int) -> None:
         """Take up again what an earlier run was told, as the ontology keeps it."""
         self._status.open(self.configuration.add_stream(STATUS, SCHEMA, retention=RETENTION))
-        self.transformations.tell_all()
+        self.transformations.report_all()
         for event, reason in self.library.broken.items():
             self.changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
         self.transformations.restore()
         self.templates.tell()
         self.declared.restore_streams()
         for generator in self.configuration.streams.values():
-            self.idleness.came(generator, now)
+            self.idleness.note_samples(generator, now)
         # Policies depend on the annotations of the streams that they read.
         with self.manager.together():
-            self.kpl.restore(self.annotations.restore_of)
+            self.kpl.restore(self.annotations.restore_one)
         # Queries read streams that are declared, annotated, specified, and each other's; what is
         # said of their own streams, and specifications that read these, wait for them.
         self.annotations.restore(later=self.queries.recall())
         with self.manager.together():
-            self.queries.restore(self.annotations.restore_of)
+            self.queries.restore(self.annotations.restore_one)
             self.specifications.restore()
-            self.queries.restore(self.annotations.restore_of)
+            self.queries.restore(self.annotations.restore_one)
         self.queries.tell_lost()
 
     def settle(self) -> None:
@@ -217,7 +217,7 @@ class Parts:
             self.application.settle()
             reports = self.configuration.reports
             while reports:
-                self.annotations.reported(*reports.pop(0))
+                self.annotations.apply_report(*reports.pop(0))
             self.rematching.settle()
 
     def collect(self) -> None:
@@ -237,7 +237,7 @@ class Parts:
         """What is remembered of a stream holds no more."""
         self.failures += change.kind in (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
         if change.kind is ChangeKind.STREAM_REMOVED:
-            self.intake.forget(change.stream)
+            self.intake.forget_keys(change.stream)
         self.rdf.forget(change.stream)
 
     def _subscribers(self, name: str) -> int:

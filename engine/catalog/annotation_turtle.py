@@ -1,8 +1,8 @@
-"""Annotations as Turtle, in the shape of [Introspection15 Listing 3].
+"""Writes annotations as Turtle, in the shape of [Introspection15 Listing 3].
 
-Law (tests/laws/languages/test_annotations.py): `transformation_turtle.read_annotations` of what is
-written here describes the same annotations. Listing 3 has no words for the order of arguments,
-their aliases and id fields: these stand in a list, `:hasArguments`.
+Law (tests/laws/languages/test_annotations.py): `transformation_turtle.read_annotations` reads the
+same annotations from the text. Listing 3 has no terms for the order of arguments, their aliases and
+id fields; a list, `:hasArguments`, holds these.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _PREFIX = f"@prefix : <{STREAM_SPACE}> .\n"
 
 
 def format_annotations(annotations: Iterable[CheckedAnnotation]) -> str:
-    """Annotations of streams, sources and units as one Turtle text."""
-    return _PREFIX + "".join(f"\n{_described(annotation)} .\n" for annotation in annotations)
+    """Return annotations of streams, sources and units as one Turtle text."""
+    return _PREFIX + "".join(f"\n{_format(annotation)} .\n" for annotation in annotations)
 
 
-def _described(annotation: CheckedAnnotation) -> str:
+def _format(annotation: CheckedAnnotation) -> str:
     if isinstance(annotation, StreamAnnotation):
         segments = [
             _segment(
@@ -40,23 +40,24 @@ def _described(annotation: CheckedAnnotation) -> str:
             )
             for content in annotation.contents
         ]
-        said = _chain("hasOutputAnnotation", segments)
-        return f"[] a :Stream ; :hasName {_text(annotation.stream)} ; :hasAnnotation [ {said} ]"
-    said = f":hasOutputAnnotation {_port(annotation.output)}"
+        body = _chain("hasOutputAnnotation", segments)
+        return f"[] a :Stream ; :hasName {_literal(annotation.stream)} ; :hasAnnotation [ {body} ]"
+    body = f":hasOutputAnnotation {_port(annotation.output)}"
     if not isinstance(annotation, SourceAnnotation):
         inputs = [_port(port) for port in annotation.inputs]
-        said += f" ; {_chain('hasInputAnnotation', inputs)}"
-    name = _text(annotation.name)
-    return f"[] a :Transformation ; :hasName {name} ; :hasAnnotation [ {said} ]"
+        body += f" ; {_chain('hasInputAnnotation', inputs)}"
+    name = _literal(annotation.name)
+    return f"[] a :Transformation ; :hasName {name} ; :hasAnnotation [ {body} ]"
 
 
 def _chain(link: str, segments: list[str]) -> str:
-    """Segments in order, each next one by `:nextSegment`."""
-    said = ""
+    """Return the segments in order, linked by `:nextSegment`."""
+    chain = ""
     for segment in reversed(segments):
-        following = f" ; :nextSegment [ {said} ]" if said else ""
-        said = f":{link} {segment[:-2]}{following} ]"
-    return said
+        following = f" ; :nextSegment [ {chain} ]" if chain else ""
+        # The link goes inside the segment's own brackets: `segment` ends with " ]".
+        chain = f":{link} {segment[:-2]}{following} ]"
+    return chain
 
 
 def _port(port: PortAnnotation) -> str:
@@ -67,22 +68,22 @@ def _port(port: PortAnnotation) -> str:
 
 
 def _segment(feature: str, field: str, unit: Unit, arguments: list[str]) -> str:
-    said = f":describesFeature <{feature}> ; :hasName {_text(field)}"
-    said += f" ; :hasUnit {_text(format_unit(unit))}"
+    body = f":describesFeature <{feature}> ; :hasName {_literal(field)}"
+    body += f" ; :hasUnit {_literal(format_unit(unit))}"
     if arguments:
-        said += f" ; :hasArguments ( {' '.join(arguments)} )"
-    return f"[ {said} ]"
+        body += f" ; :hasArguments ( {' '.join(arguments)} )"
+    return f"[ {body} ]"
 
 
 def _argument(object: str | None, sort: str | None, id: str | None, variable: str | None) -> str:
     link = "describesSort" if object is None else "describesObject"
-    said = f":{link} <{object or sort or SELF}>"
+    body = f":{link} <{object or sort or SELF}>"
     if id is not None:
-        said += f" ; :hasIdField {_text(id)}"
+        body += f" ; :hasIdField {_literal(id)}"
     if variable is not None:
-        said += f" ; :hasName {_text(variable)}"
-    return f"[ {said} ]"
+        body += f" ; :hasName {_literal(variable)}"
+    return f"[ {body} ]"
 
 
-def _text(text: str) -> str:
+def _literal(text: str) -> str:
     return str(Literal(text))

@@ -1,4 +1,4 @@
-"""Annotations in SSL: what streams, sources and units mean ([Events14 §III.A], SPEC §3)."""
+"""Annotations in SSL: the meaning of streams, sources and units ([Events14 §III.A], SPEC §3)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .transformation_library import Transformations
 
 
 class Annotations:
-    """SSL texts, and what they say of streams and of transformations."""
+    """Checks annotations and applies them to streams and transformations."""
 
     def __init__(
         self,
@@ -45,15 +45,15 @@ class Annotations:
         self._registered = registered
         self._transformations = transformations
         self._changed = changed
-        self._left = dict(ontology.registered.annotations)
-        """Those that an earlier run was told and that are still to be restored."""
+        self._unrestored = dict(ontology.registered.annotations)
+        """Texts of an earlier run that are not restored yet, by name."""
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; all of it or nothing.
 
-        A stream's annotation says all that the stream contains: a new one replaces the old. A
-        stream that does not exist comes into being, its fields typed by the features' ranges.
-        Raises `LanguageError`, `Conflict` (a field that the stream lacks or of another type).
+        A new annotation of a stream replaces the old one. For a stream that does not exist the
+        engine makes one, with fields typed by the features' ranges. Raises `LanguageError`, and
+        `Conflict` for a field that the stream lacks or that has another type.
         """
         checked = check_ssl(parse_ssl(ssl), ssl, self._ontology.vocabulary)
         for annotation in checked:
@@ -67,8 +67,8 @@ class Annotations:
         described: Sequence[DescribedStream],
         transformations: Sequence[DescribedTransformation] = (),
     ) -> tuple[CheckedAnnotation, ...]:
-        """Annotate streams and transformations by descriptions in names, all of them or none; as
-        `annotate` does by SSL. Raises what `Describer` raises, and `Conflict`."""
+        """Annotate streams and transformations by descriptions, all of them or none, as `annotate`
+        does by SSL. Raises the errors of `Describer`, and `Conflict`."""
         describer = Describer(self._ontology.vocabulary)
         annotations = (
             *(describer.stream(each) for each in described),
@@ -79,7 +79,7 @@ class Annotations:
             if number > 1:
                 raise BadArguments(
                     f"{kind} {name!r} is described twice",
-                    "one description says all that a stream contains",
+                    "put all contents of a stream into one description",
                 )
         for annotation in annotations:
             self._check(annotation)
@@ -88,16 +88,16 @@ class Annotations:
         return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
-        """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""
+        """Set the quality of a stream, 0 to 1. Raises `UnknownStream` and `BadArguments`."""
         check_quality(quality)
         name = self._streams.name_of(stream)
         text = f"quality {quality:g}"
         change = Change(ChangeKind.QUALITY_CHANGED, name, specification=text, quality=quality)
         self._changed(change)
 
-    def reported(self, stream: str, report: Report) -> None:
-        """A process has said something of the stream that it makes ([Introspection15 §4.4]). What
-        makes no sense is told on the status stream."""
+    def apply_report(self, stream: str, report: Report) -> None:
+        """Apply a process's report about its own stream ([Introspection15 §4.4]). The status stream
+        reports an invalid one: the process cannot handle an error here."""
         try:
             if report.quality is not None:
                 self.set_quality(stream, report.quality)
@@ -107,12 +107,13 @@ class Annotations:
             self._changed(Change(ChangeKind.REFUSED, stream, specification=str(error)))
 
     def _annotate_own(self, stream: str, contains: str) -> None:
-        """The meaning of a stream that the system makes, as its maker says. Not remembered: the
-        process says it again after a restart."""
+        """Annotate a stream as the process that makes it reports. The registrations do not keep it,
+        since the process reports it again after a restart."""
+        # A name such as `pos[car1]` is not an SSL name, so check the text with another one.
         text = f"stream s contains {contains}"
-        (said,) = check_ssl(parse_ssl(text), text, self._ontology.vocabulary)
-        assert isinstance(said, StreamAnnotation)
-        annotation = replace(said, stream=stream, source=f"stream {stream} contains {contains}")
+        (checked,) = check_ssl(parse_ssl(text), text, self._ontology.vocabulary)
+        assert isinstance(checked, StreamAnnotation)
+        annotation = replace(checked, stream=stream, source=f"stream {stream} contains {contains}")
         self._streams.check_fields(annotation)
         self._changed(
             Change(
@@ -124,22 +125,23 @@ class Annotations:
         )
 
     def all(self) -> tuple[CheckedAnnotation, ...]:
-        """Every annotation in force: streams first, then transformations."""
-        known = (transformation.annotation for transformation in self._transformations.values())
-        return (*self._streams.annotations(), *known)
+        """Return every annotation in force: streams first, then transformations."""
+        others = (transformation.annotation for transformation in self._transformations.values())
+        return (*self._streams.annotations(), *others)
 
     def restore(self, later: Collection[str] = ()) -> None:
-        """The annotations that an earlier run was told, but for those ``later``.
+        """Restore the annotations of an earlier run, except those ``later``: their streams do not
+        exist yet.
 
-        What does not hold any more (the ontology has changed since) is told on the status stream
-        and left out; its text is kept.
+        If one is no longer valid because the ontology has changed, the status stream reports it and
+        the registrations keep its text.
         """
-        for name in [name for name in self._left if name not in later]:
-            self.restore_of(name)
+        for name in [name for name in self._unrestored if name not in later]:
+            self.restore_one(name)
 
-    def restore_of(self, name: str) -> None:
-        """The same for stream ``name``, unless it is done."""
-        source = self._left.pop(name, None)
+    def restore_one(self, name: str) -> None:
+        """Restore the annotation of stream ``name``, if it has one that is not restored yet."""
+        source = self._unrestored.pop(name, None)
         if source is not None:
             self._restore(name, source)
 
@@ -156,7 +158,8 @@ class Annotations:
             self._apply(annotation, kept=source)
 
     def _read(self, name: str, kept: str) -> tuple[CheckedAnnotation, ...]:
-        """SSL, or the JSON of earlier versions; raises `ValueError` and `KeyError` for neither."""
+        """Read SSL, or the JSON of earlier versions. Raises `ValueError` or `KeyError` for anything
+        else."""
         if kept.startswith("{"):
             return (_of_json(name, kept, self._ontology.vocabulary),)
         return check_ssl(parse_ssl(kept), kept, self._ontology.vocabulary)
@@ -181,7 +184,7 @@ def _key(annotation: CheckedAnnotation) -> tuple[str, str]:
 
 
 def _of_json(stream: str, kept: str, vocabulary: Vocabulary) -> StreamAnnotation:
-    """An annotation as directories of earlier versions have it, where SSL had no names for it."""
+    """Read the JSON that earlier versions wrote for terms without a name in SSL."""
     contents = tuple(
         Content(
             content["feature"],

@@ -1,6 +1,6 @@
-"""Streams that people declare and annotate ([Introspection15 §4.2], SPEC §3).
+"""Streams that users declare and annotate ([Introspection15 §4.2], SPEC §3).
 
-What a stream is to be, what it contains, and what of it is remembered over a restart.
+The declarations and annotations are registered in the ontology, so they survive a restart.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from .semantics_manager import term
 from .transformation_library import IMPLEMENTATIONS
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-_SYSTEM = (STATUS, SELECT_OBJECT, SELECT_INSTANCE, SYNCHRONIZE, MERGE, C_SPARQL, *BUILT_IN)
-SYSTEMS_OWN = "dyknow_"
-"""Names of streams and units that the system invents begin so."""
+_SYSTEM_NAMES = (STATUS, SELECT_OBJECT, SELECT_INSTANCE, SYNCHRONIZE, MERGE, C_SPARQL, *BUILT_IN)
+_SYSTEM_PREFIX = "dyknow_"
+"""The prefix of the names that the system gives to streams and units."""
 
 
 class DeclaredStreams:
-    """The streams that people declared, and their annotations."""
+    """The streams that users declared, and their annotations."""
 
     def __init__(
         self,
@@ -66,13 +66,12 @@ class DeclaredStreams:
         self._annotations: dict[str, StreamAnnotation] = {}
 
     def declare(self, declaration: StreamDeclaration) -> StreamGenerator:
-        """Make a stream, or change one; its annotation stays.
+        """Make or change a stream; its annotation stays.
 
-        The same declaration again changes nothing. While a stream is in use, it can get further
-        fields, and another lateness, idle time, bound ahead and retention. Raises `Conflict` when
-        anything else of a stream with samples or subscribers would change, `Refused` for a name
-        that is not the user's to give, `BadArguments` for a namespace that is no IRI and for an
-        ``idle`` of 0.
+        Repeating a declaration changes nothing. A stream in use accepts further fields, and another
+        lateness, idle time, bound ahead and retention. Raises `Conflict` if anything else of a
+        stream with samples or subscribers would change, `Refused` for a name of the system, and
+        `BadArguments` for a namespace that is not an IRI and for an ``idle`` of 0.
         """
         self.check_stream_name(declaration.name)
         schema = Schema(declaration.fields)
@@ -80,23 +79,23 @@ class DeclaredStreams:
             raise Refused("a stream has at least one field", 'give "fields": [{"name", "type"}]')
         for name in schema.names:
             if name in TIME_FIELDS:
-                raise Refused(f"a field cannot be called {name!r}: that is a sample's time")
+                raise Refused(f"a field cannot have the name {name!r}: that is a sample's time")
         try:
             NamedNode(declaration.namespace)
         except ValueError as error:
             raise BadArguments(
-                f"the namespace {declaration.namespace!r} is no IRI: {error}",
-                f"objects of an id field are named in it, for example {DYKNOW}",
+                f"the namespace {declaration.namespace!r} is not an IRI: {error}",
+                f"the objects of id fields get their names in it, for example {DYKNOW}",
             ) from error
         if declaration.idle is not None and declaration.idle <= 0:
             raise BadArguments(
-                "a stream is idle after longer than nothing",
-                'give "idle" a time such as "10s", or leave it out: then it is always waited for',
+                '"idle" must be more than 0',
+                'give a time such as "10s", or leave it out: then readers always wait for it',
             )
         if declaration.name in self._configuration.units or (
             declaration.name in self._configuration.late
         ):
-            raise Refused(f"stream {declaration.name!r} is made by the system")
+            raise Refused(f"the system makes stream {declaration.name!r}", "choose another name")
         existing = self._configuration.streams.get(declaration.name)
         if existing is None:
             existing = self._add(declaration)
@@ -110,8 +109,8 @@ class DeclaredStreams:
         return existing
 
     def can_extend(self, declaration: StreamDeclaration) -> bool:
-        """Whether the stream of that name can become what the declaration says while it is in use.
-        False where there is none. An open stream is one without fields yet."""
+        """Whether the stream of that name can change to ``declaration`` while it is in use. False
+        if there is none. An open stream counts as one without fields."""
         existing = self._configuration.streams.get(declaration.name)
         return (
             existing is not None
@@ -120,7 +119,7 @@ class DeclaredStreams:
         )
 
     def _extend(self, existing: StreamGenerator, declaration: StreamDeclaration) -> None:
-        """Give the stream what `can_extend` allows."""
+        """Make the changes that `can_extend` allows."""
         schema = Schema(declaration.fields)
         if existing.is_open:
             self._adopt(existing, schema)
@@ -129,7 +128,7 @@ class DeclaredStreams:
         existing.lateness, existing.ahead = declaration.lateness, declaration.ahead
         if existing.idle != declaration.idle:
             existing.idle = declaration.idle
-            existing.wake()  # whether it is idle now is judged anew
+            existing.wake()  # `Idleness` decides anew whether it is idle
         for each in (existing, existing.late_stream):
             if each is not None and each.stream.retention != declaration.retention:
                 each.stream.retention = declaration.retention
@@ -143,19 +142,19 @@ class DeclaredStreams:
     def _replace(
         self, existing: StreamGenerator, declaration: StreamDeclaration
     ) -> StreamGenerator:
-        """A stream without samples and subscribers is made anew; its annotation stays."""
+        """Replace a stream that has no samples and subscribers; its annotation stays."""
         self._refuse_if_in_use(existing, declaration)
         annotation = self.annotation_of(declaration.name)
         if annotation is not None:
             self._check_fields(annotation, Schema(declaration.fields))
         self._configuration.remove_stream(declaration.name)
-        made = self._add(declaration)
+        replacement = self._add(declaration)
         if annotation is not None:
-            self._tell_annotation(annotation)
-        return made
+            self._report_annotation(annotation)
+        return replacement
 
     def remove(self, name: str) -> None:
-        """Forget a stream, its annotation and what is kept of both; raises `Conflict` while a unit
+        """Remove a stream with its annotation and registrations. Raises `Conflict` while a unit
         reads it."""
         readers = self._configuration.readers_of(name)
         if readers:
@@ -168,25 +167,24 @@ class DeclaredStreams:
         self._configuration.remove_stream(name)
 
     def forget_annotation(self, name: str) -> None:
-        """A stream is no more, and so is what it meant."""
+        """Forget the annotation of a removed stream."""
         if self._annotations.pop(name, None) is not None:
             del self._ontology.registered.annotations[name]
 
     def annotate(self, annotation: StreamAnnotation, kept: str | None = None) -> None:
-        """Say what a stream contains; one that does not exist comes into being. ``kept`` is the
-        text that is remembered, where it is not the annotation's own. Contract:
-        `check_annotation` has passed."""
+        """Annotate a stream, and make it if it does not exist. ``kept``: the text to register, if
+        not the annotation's own. Contract: `check_annotation` has passed."""
         self._annotations[annotation.stream] = annotation
         existing = self._configuration.streams.get(annotation.stream)
-        inferred = self._inferred(annotation)
+        inferred = self._infer_fields(annotation)
         if existing is None:
             self._add(StreamDeclaration(annotation.stream, inferred, retention=RETENTION))
         elif existing.is_open:
             self._adopt(existing, Schema(inferred))
         self._ontology.registered.annotations[annotation.stream] = kept or annotation.source
-        self._tell_annotation(annotation)
+        self._report_annotation(annotation)
 
-    def _tell_annotation(self, annotation: StreamAnnotation) -> None:
+    def _report_annotation(self, annotation: StreamAnnotation) -> None:
         self._changed(
             Change(
                 ChangeKind.STREAM_ANNOTATED,
@@ -197,22 +195,22 @@ class DeclaredStreams:
         )
 
     def name_of(self, stream: str) -> str:
-        """The stream's own name, of an alias too; raises `UnknownStream`."""
+        """Return the stream's own name, also for an alias. Raises `UnknownStream`."""
         return self._configuration.stream(stream).name
 
     def annotations(self) -> tuple[StreamAnnotation, ...]:
-        """What people said of streams, in order."""
+        """Return the annotations by users, in the order of the streams' first ones."""
         return tuple(self._annotations.values())
 
     def annotation_of(self, name: str) -> StreamAnnotation | None:
-        """What stream ``name`` contains; None where nobody has said."""
+        """Return the annotation of stream ``name``; None if no user has annotated it."""
         return self._annotations.get(name)
 
     def compile(
         self, annotation: StreamAnnotation, schema: Schema, namespace: str
     ) -> SampleConverter:
-        """The converter of a stream's samples to triples, whose values are in the unit of their
-        feature, as queries see them; raises `ConversionError`."""
+        """Make the converter from a stream's samples to triples. It converts values to the units of
+        their features, which queries expect. Raises `ConversionError`."""
         vocabulary = self._ontology.vocabulary
         units: dict[str, Unit] = {}
         for content in annotation.contents:
@@ -224,10 +222,10 @@ class DeclaredStreams:
         )
 
     def restore_streams(self) -> None:
-        """The streams that an earlier run was told of.
+        """Make the registered streams of an earlier run.
 
-        What cannot be read or does not hold any more (the ontology has changed since) is told on
-        the status stream and left out; its text is kept.
+        The status stream reports a declaration that cannot be read; the registrations keep its
+        text.
         """
         for name, text in [*self._ontology.registered.streams.items()]:
             try:
@@ -250,41 +248,43 @@ class DeclaredStreams:
         )
 
     def check_stream_name(self, name: str) -> None:
-        """Raises `Refused` for what is no name of a stream that people may declare."""
+        """Raise `Refused` if users may not declare a stream of this name."""
         if not _NAME.match(name):
             raise Refused(
-                f"{name!r} is no stream name", "letters, digits and _; the first is a letter"
+                f"{name!r} is not a valid stream name",
+                "use letters, digits and _, with a letter first",
             )
         self.check_name(name)
 
     def check_name(self, name: str) -> None:
-        """Raises `Refused` for names that are the system's own."""
+        """Raise `Refused` for a name that the system uses."""
         if (
-            name in _SYSTEM
-            or name.startswith(SYSTEMS_OWN)
+            name in _SYSTEM_NAMES
+            or name.startswith(_SYSTEM_PREFIX)
             or name.endswith(SUFFIX)
             or (name.endswith(LATE) and name not in self._ontology.registered.streams)
             or name in IMPLEMENTATIONS
             or self._is_term(name)
         ):
-            raise Refused(f"{name!r} is the system's own name", "choose another name")
+            raise Refused(f"the system uses the name {name!r}", "choose another name")
 
-    def is_as_declared(self, declaration: StreamDeclaration) -> bool:
-        """Whether there is the very stream of the declaration."""
+    def has(self, declaration: StreamDeclaration) -> bool:
+        """Whether a stream with exactly this declaration exists."""
         existing = self._configuration.streams.get(declaration.name)
         return existing is not None and self._declaration(existing) == declaration
 
     def _is_term(self, name: str) -> bool:
-        """Streams, units and transformations are individuals beside the terms of the ontology."""
-        said = self._ontology.static_store.quads_for_pattern(
+        """Whether the stream-space ontology has a term of this name. The individuals for streams,
+        units and transformations share its namespace."""
+        quads = self._ontology.static_store.quads_for_pattern(
             term(name), None, None, STREAM_SPACE_ONTOLOGY
         )
-        return next(said, None) is not None
+        return next(quads, None) is not None
 
     def _refuse_if_in_use(self, generator: StreamGenerator, declaration: StreamDeclaration) -> None:
         late = self._configuration.late.belonging_to(generator.name)
-        served = [generator, *(self._configuration.streams[name] for name in late)]
-        subscribers = sum(each.subscribers for each in served)
+        streams = [generator, *(self._configuration.streams[name] for name in late)]
+        subscribers = sum(each.subscribers for each in streams)
         if not generator.counters.accepted and not subscribers:
             return
         found, hint = self._contradiction(generator, declaration)
@@ -297,15 +297,15 @@ class DeclaredStreams:
     def _contradiction(
         self, generator: StreamGenerator, declaration: StreamDeclaration
     ) -> tuple[str, str]:
-        """Why a declaration cannot be that of a stream in use, and what to do."""
-        said = Schema(declaration.fields)
+        """Return why a stream in use cannot change to ``declaration``, and a hint."""
+        schema = Schema(declaration.fields)
         for field in generator.schema.fields:
-            other = said.get(field.name)
+            other = schema.get(field.name)
             if other is None:
                 return (
                     f"the declaration lacks its field {field.name!r}",
-                    "declare all of its fields (a sample may have null in any of them) and new "
-                    "ones as you like, or choose another stream name",
+                    "declare all of its fields (a sample may have null in any of them) and any new "
+                    "ones, or choose another stream name",
                 )
             if other.type is not field.type:
                 return (
@@ -330,36 +330,37 @@ class DeclaredStreams:
         )
 
     def check_annotation(self, annotation: StreamAnnotation) -> None:
-        """Whether the stream may be annotated so; raises `Refused` and `Conflict`."""
+        """Check that the stream may have this annotation. Raises `Refused` and `Conflict`."""
         self.check_stream_name(annotation.stream)
         name = annotation.stream
         other = self._configuration.aliases.get(name)
         if other is not None:
-            raise Refused(f"{name!r} is another name of {other!r}", "annotate that")
+            raise Refused(f"{name!r} is another name of {other!r}", f"annotate {other!r}")
         if name in self._configuration.named:
             raise Refused(
-                f"stream {name!r} is made by a specification",
-                "annotate its transformation: that says what its streams contain",
+                f"a specification made stream {name!r}",
+                "annotate its transformation, which describes the contents of its streams",
             )
         existing = self._configuration.streams.get(name)
         if existing is not None and existing.is_open and name in self._configuration.units:
             raise Conflict(
-                f"the fields of stream {name!r} are not known before its first sample",
+                f"stream {name!r} has no fields before its first sample",
                 "declare the sort of its values, or annotate it later",
             )
         if existing is None or existing.is_open:
-            schema = Schema(self._inferred(annotation))
+            schema = Schema(self._infer_fields(annotation))
         else:
             schema = existing.schema
         self._check_fields(annotation, schema)
 
     def check_fields(self, annotation: StreamAnnotation) -> None:
-        """Whether a stream that is there has the fields that its annotation speaks of; raises
-        `UnknownStream` and `Conflict`."""
+        """Check that an existing stream has the fields of its annotation. Raises `UnknownStream`
+        and `Conflict`."""
         self._check_fields(annotation, self._configuration.stream(annotation.stream).schema)
 
     def _check_fields(self, annotation: StreamAnnotation, schema: Schema) -> None:
-        """The annotation's fields must exist, its id fields must be text or integers."""
+        """Check that the fields exist, that id fields are strings or integers, and that a converter
+        can be made: that raises `ConversionError`."""
         for name, role in _fields_of(annotation):
             field = schema.get(name)
             if field is None:
@@ -370,13 +371,13 @@ class DeclaredStreams:
             if role is not None and field.type not in (FieldType.STRING, FieldType.INTEGER):
                 raise Conflict(
                     f"field {name!r} of stream {annotation.stream!r} is {field.type}, "
-                    "it cannot name objects",
+                    "so it cannot name objects",
                     "an id field is a string or an integer",
                 )
         self.compile(annotation, schema, DYKNOW)
 
-    def _inferred(self, annotation: StreamAnnotation) -> tuple[Field, ...]:
-        """Fields for a stream that only its annotation describes: id fields are text, the others
+    def _infer_fields(self, annotation: StreamAnnotation) -> tuple[Field, ...]:
+        """Infer the fields of a stream without a declaration: id fields are strings, the others
         have the type of their feature's range."""
         types: dict[str, FieldType] = {}
         features = {content.field: content.feature for content in annotation.contents}
@@ -390,7 +391,7 @@ class DeclaredStreams:
 
 
 def _fields_of(annotation: StreamAnnotation) -> Iterator[tuple[str, Role | None]]:
-    """The fields an annotation speaks of, with the role of those that name objects."""
+    """Return the fields of an annotation; id fields come with their role."""
     for content in annotation.contents:
         for role in content.roles:
             if role.id_field is not None:
@@ -415,7 +416,7 @@ def _declaration_json(declaration: StreamDeclaration) -> str:
 def _declaration_of(name: str, text: str) -> StreamDeclaration:
     stored: Mapping[str, object] = json.loads(text)
     fields, retention = stored["fields"], stored["retention"]
-    # What was kept before there were these has none of them.
+    # Declarations of earlier versions have neither.
     idle, ahead = stored.get("idle"), stored.get("ahead", HOUR)
     assert isinstance(fields, list)
     assert isinstance(retention, list)

@@ -1,7 +1,7 @@
-"""Annotations in IRIs: what SSL says, for terms that SSL has no names for ([Introspection15 §4.3]).
+"""Annotations by IRIs, for terms that SSL cannot name ([Introspection15 §4.3]).
 
-JSON and Turtle descriptions are read into `Described` values; `Describer` checks them against the
-ontology and makes the annotations that SSL texts make.
+The readers of JSON and Turtle descriptions return `Described…` values. `Describer` checks these
+against the ontology and makes the same annotations as SSL texts.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ from .name_resolution import did_you_mean, iri_of
 from .transformation_library import Transformation
 
 MOST_INPUTS = 100
-"""A transformation has at most so many inputs."""
+"""The greatest number of inputs of a transformation."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 
 @dataclass(frozen=True, slots=True)
 class DescribedArgument:
-    """A sort, an object or ``self``, as a name; ``alias`` tells two of a sort apart, ``id`` is the
-    field that names the object.
+    """The name of a sort, of an object or ``self``. ``alias`` distinguishes two arguments of one
+    sort; ``id`` is the field that names the object.
 
-    ``every`` says that the name is that of a sort (True) or of an object (False). Without it the
-    ontology decides: a name that it does not know is that of an object, or an error where the name
-    ``must_be_known``. Descriptions in journals of earlier versions say neither.
+    ``every``: the name is that of a sort (True) or of an object (False). If it is None, the
+    ontology decides. A name that the ontology does not know is then that of an object, or an error
+    if the name ``must_be_known``. Descriptions in journals of earlier versions have neither.
     """
 
     name: str
@@ -61,7 +61,7 @@ class DescribedArgument:
 
 @dataclass(frozen=True, slots=True)
 class DescribedPort:
-    """A field with the feature in it; ``unit`` None: the feature's own."""
+    """A field and the feature that it holds; ``unit`` None: the feature's own."""
 
     feature: str
     field: str | None = None
@@ -71,7 +71,7 @@ class DescribedPort:
 
 @dataclass(frozen=True, slots=True)
 class DescribedTransformation:
-    """A transformation in names; a source has no ``inputs``. Without ``implementation`` the code
+    """A transformation by names; a source has no ``inputs``. Without ``implementation`` the code
     has the name of the transformation."""
 
     name: str
@@ -85,7 +85,7 @@ class DescribedTransformation:
 
 @dataclass(frozen=True, slots=True)
 class DescribedStream:
-    """What a stream contains, in names."""
+    """The contents of a stream, by names."""
 
     stream: str
     contents: tuple[DescribedPort, ...]
@@ -94,31 +94,30 @@ class DescribedStream:
 class Describer:
     """Checks descriptions against a vocabulary.
 
-    Its methods raise `UnknownFeature` for names that the ontology does not know, `BadArguments`
-    for units that contradict it and for descriptions that do not hold together.
+    Its methods raise `UnknownFeature` for names that the ontology does not know, and `BadArguments`
+    for units that contradict it and for inconsistent descriptions.
     """
 
     def __init__(self, vocabulary: Vocabulary) -> None:
         self._vocabulary = vocabulary
 
     def transformation(self, described: DescribedTransformation) -> Transformation:
-        """The transformation that is described."""
+        """Return the transformation that ``described`` describes."""
         if not _NAME.match(described.name):
             raise BadArguments(
-                f"{described.name!r} is no name of a transformation",
-                "letters, digits and _; the first is a letter",
+                f"{described.name!r} is not a valid name of a transformation",
+                "use letters, digits and _, with a letter first",
             )
         check_inputs(len(described.inputs))
         inputs = self._inputs(described.inputs)
-        given = {argument.variable for port in inputs for argument in port.arguments}
+        bound = {argument.variable for port in inputs for argument in port.arguments}
         if any(not port.arguments for port in inputs):
-            # Such an input speaks of what the output speaks of.
-            given |= {variable_name(argument.name) for argument in described.output.arguments}
-        output = self._output(described.output, given)
+            # An input without arguments is about the objects of the output.
+            bound |= {variable_name(argument.name) for argument in described.output.arguments}
+        output = self._output(described.output, bound)
         annotation: TransformationAnnotation | SourceAnnotation
         if inputs:
-            taken = TransformationAnnotation(described.name, inputs, output, "")
-            annotation = self._checked(taken)
+            annotation = self._checked(TransformationAnnotation(described.name, inputs, output, ""))
         else:
             annotation = self._checked(SourceAnnotation(described.name, output, ""))
         return Transformation(
@@ -130,14 +129,15 @@ class Describer:
         )
 
     def stream(self, described: DescribedStream) -> StreamAnnotation:
-        """The annotation of a stream that is described."""
+        """Return the annotation that ``described`` describes."""
         contents = tuple(self._content(content) for content in described.contents)
         if not contents:
-            raise BadArguments("an annotation says of at least one field what it contains")
+            raise BadArguments("an annotation describes at least one field")
         return self._checked(StreamAnnotation(described.stream, contents, ""))
 
     def _checked(self, annotation: Annotation) -> Annotation:
-        """The annotation with its SSL, which is held to the rules of SSL."""
+        """Return the annotation with its SSL text, after the checks of SSL: both forms obey the
+        same rules."""
         written = with_ssl_source(annotation, self._vocabulary)
         try:
             check_ssl([declaration_of(annotation, self._vocabulary)], "", self._vocabulary)
@@ -158,7 +158,7 @@ class Describer:
         if sort is not None and argument.id is None:
             raise BadArguments(
                 f"{described.feature} of every {argument.name}: no field names the object",
-                'give "id", the field that names it',
+                'set "id" to the field that names it',
             )
         return Role(sort, object, argument.id)
 
@@ -170,18 +170,19 @@ class Describer:
                 raise BadArguments(f"two inputs are called {name!r}", 'give each its own "field"')
         return tuple(ports)
 
-    def _output(self, described: DescribedPort, given: set[str]) -> PortAnnotation:
+    def _output(self, described: DescribedPort, bound: set[str]) -> PortAnnotation:
+        """``bound``: the variables of the inputs' arguments. Only the others need an id field."""
         port = self._port(described)
         arguments = tuple(
             replace(argument, id_field=None)
-            if argument.object is not None or argument.variable in given
+            if argument.object is not None or argument.variable in bound
             else Argument(argument.variable, argument.sort, None, argument.id_field or "id")
             for argument in port.arguments
         )
         fields = [port.field, *(a.id_field for a in arguments if a.id_field is not None)]
         if len(fields) > len(set(fields)):
             raise BadArguments(
-                f"the output of {described.feature} has two fields of one name",
+                f"the output of {described.feature} has two fields with the same name",
                 'give its arguments another "id"',
             )
         return PortAnnotation(port.field, port.feature, port.unit, arguments)
@@ -191,54 +192,55 @@ class Describer:
         arguments = []
         for argument in described.arguments:
             sort, object = self._named(argument)
-            usual = variable_name(argument.name)
-            name = argument.alias or usual
-            if name != usual and not _NAME.match(name):
+            default = variable_name(argument.name)
+            name = argument.alias or default
+            if name != default and not _NAME.match(name):
                 raise BadArguments(
-                    f"{name!r} cannot tell two arguments apart",
-                    '"as" has letters, digits and _; the first is a letter',
+                    f'{name!r} is not a valid "as" of an argument',
+                    "use letters, digits and _, with a letter first",
                 )
             id_field = argument.id if sort and not is_input else None
             arguments.append(Argument(name, sort, object, id_field))
         variables = [argument.variable for argument in arguments]
         if len(variables) > len(set(variables)):
             raise BadArguments(
-                f"two arguments of {described.feature} have one name", 'give each an "as"'
+                f"two arguments of {described.feature} have the same name", 'give each an "as"'
             )
         unit = self._unit(feature, described.unit)
         return PortAnnotation(_field(described), feature, unit, tuple(arguments))
 
     def _named(self, argument: DescribedArgument) -> tuple[str | None, str | None]:
-        """A name as a sort or as an object."""
-        name, known = argument.name, self._vocabulary
+        """Return the IRI that ``argument`` names, as (sort, None) or as (None, object)."""
+        name, vocabulary = argument.name, self._vocabulary
         iri = SELF if name == "self" else iri_of(name)
-        is_sort = known.is_sort(iri)
+        is_sort = vocabulary.is_sort(iri)
         if argument.every and not is_sort:
             raise BadArguments(
-                f"{shorten(iri)} is no sort of the ontology, and `every` needs one",
-                did_you_mean(known.suggest(name, "sort")) or 'write "every": false for an object',
+                f"{shorten(iri)} is not a sort of the ontology, and `every` needs one",
+                did_you_mean(vocabulary.suggest(name, "sort"))
+                or 'write "every": false for an object',
             )
         if is_sort and argument.every is False:
             raise BadArguments(
-                f"{shorten(iri)} is a sort, so one field value cannot be it",
+                f"{shorten(iri)} is a sort, not a single object",
                 'leave "every" out, or write "every": true',
             )
-        is_known = is_sort or known.is_object(iri) or iri == SELF
+        is_known = is_sort or vocabulary.is_object(iri) or iri == SELF
         if argument.every is None and argument.must_be_known and not is_known:
             raise BadArguments(
                 f"the ontology knows neither a sort nor an object {shorten(iri)}",
-                did_you_mean(known.suggest(name, "sort"))
+                did_you_mean(vocabulary.suggest(name, "sort"))
                 or 'write "every": false if it names one object',
             )
         return (iri, None) if is_sort else (None, iri)
 
     def _feature(self, name: str) -> str:
         iri = iri_of(name)
-        known = self._vocabulary
-        if not (known.is_feature(iri) or known.is_event(iri)):
+        vocabulary = self._vocabulary
+        if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
             raise UnknownFeature(
                 f"the ontology knows no feature {shorten(iri)}",
-                did_you_mean(known.suggest(name, "feature"))
+                did_you_mean(vocabulary.suggest(name, "feature"))
                 or "declare it in the ontology as a :Feature first",
             )
         return iri
@@ -250,25 +252,24 @@ class Describer:
             return own or ()
         try:
             unit = parse_unit(text)
-            measures = DIMENSIONLESS if own is None else dimension(own)
-            same = dimension(unit) == measures
+            expected = DIMENSIONLESS if own is None else dimension(own)
+            found = dimension(unit)
         except UnitError as error:
             raise BadArguments(f"the unit of {shorten(feature)}: {error}") from error
-        if not same:
+        if found != expected:
             raise BadArguments(
-                f"{shorten(feature)} measures {measures}, but {format_unit(unit)} is "
-                f"{dimension(unit)}",
-                f"it is in {format_unit(own or ())}: write that or another unit of {measures}",
+                f"{shorten(feature)} measures {expected}, but {format_unit(unit)} is {found}",
+                f"its unit is {format_unit(own or ())}: write that or another unit of {expected}",
             )
         return unit
 
 
 def check_inputs(number: int) -> None:
-    """Raises `BadArguments` for more inputs than a transformation may have."""
+    """Raise `BadArguments` if there are more than `MOST_INPUTS` inputs."""
     if number > MOST_INPUTS:
         raise BadArguments(
             f"a transformation has at most {MOST_INPUTS} inputs, not {number}",
-            "let a transformation of some of them stand before it",
+            "combine some of them in another transformation first",
         )
 
 
@@ -277,7 +278,7 @@ def _field(described: DescribedPort) -> str:
     for each in (name, *(argument.id for argument in described.arguments)):
         if each in TIME_FIELDS:
             raise BadArguments(
-                f"a field cannot be called {each!r}: that is a sample's time",
-                "give the field another name",
+                f"a field cannot have the name {each!r}: that is a sample's time",
+                "choose another name for the field",
             )
     return name

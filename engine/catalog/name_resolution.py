@@ -1,4 +1,4 @@
-"""What people say, in the terms of the ontology: features, sorts, objects, strategies."""
+"""Resolves the names in requests to features, sorts and objects of the ontology, and strategies."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from ..model.errors import BadArguments, UnknownFeature
 def checked_want(
     vocabulary: Vocabulary, feature: str, sort: str | None, objects: Sequence[str]
 ) -> Want:
-    """A want from names; raises `UnknownFeature` for a feature or sort that is not known.
+    """Return the want that these names describe. Raises `UnknownFeature` for an unknown feature or
+    sort.
 
-    Of several objects the second and later are further arguments of an n-ary feature.
+    The second and later objects are further arguments of an n-ary feature.
     """
     iri = iri_of(feature)
     if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
@@ -42,7 +43,7 @@ def checked_want(
 
 
 def checked_strategy(text: str) -> Strategy:
-    """The strategy that a text names; raises `BadArguments`."""
+    """Return the strategy that a text names. Raises `BadArguments`."""
     try:
         return Strategy.parse(text)
     except UnknownStrategy as error:
@@ -50,22 +51,23 @@ def checked_strategy(text: str) -> Strategy:
 
 
 def iri_of(text: str) -> str:
-    """A name as people write it: an IRI, ``<iri>``, a prefixed name, or a local name."""
+    """Return the IRI that a user's name means: an IRI, ``<iri>``, a prefixed name, or a local name.
+    Raises `UnknownFeature`."""
     if re.fullmatch(r"[A-Za-z_][\w\-]*", text):
         return DYKNOW + text
     if re.match(r"(https?|urn|tag):", text):
         text = f"<{text}>"
     argument = parse_argument(text)
     if not isinstance(argument, NamedNode):
-        raise UnknownFeature(f"{text!r} is no name of a term", "write dyknow:speed or an IRI")
+        raise UnknownFeature(f"{text!r} does not name a term", "write dyknow:speed or an IRI")
     return argument.value
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """A hint that names what is spelt alike."""
+    """Return a hint with similarly spelt names."""
     return f"did you mean {', '.join(_short(name) for name in names)}?" if names else ""
 
 
 def _short(name: str) -> str:
-    """A name as people write it, whether it is an IRI or short already."""
+    """Shorten ``name`` if it is an IRI."""
     return shorten(name) if "://" in name else name

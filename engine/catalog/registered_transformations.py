@@ -1,7 +1,7 @@
-"""Transformations that people register and annotate ([Introspection15 §3.1, §4.2]).
+"""Transformations that users register and annotate ([Introspection15 §3.1, §4.2]).
 
-What a transformation takes and gives, what code with which parameters is behind it, what a unit of
-it costs and how good its output is; and what of it is remembered over a restart.
+A registration has the annotation of inputs and output, the implementation with its parameters, and
+the cost and quality. The ontology keeps it over a restart.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from ...languages.ssl.annotation import (
     TransformationAnnotation,
 )
 from ...matching.plan_text import transformation_text
+from ...matching.space import TransformationDescription
 from ...ontology.ontology import Ontology
 from ...ontology.units import format_unit, parse_unit
 from ..configuration.configuration import Configuration
@@ -39,7 +40,8 @@ from .transformation_library import LIBRARY_NAMES, Transformation, Transformatio
 
 @dataclass(frozen=True, slots=True)
 class TransformationView:
-    """A transformation as the service shows it; ``lacks`` says why no unit can be made of it."""
+    """A transformation as the service shows it; ``lacks`` is the reason why the system cannot make
+    units of it, or empty."""
 
     name: str
     text: str
@@ -53,8 +55,8 @@ class TransformationView:
 
 
 class RegisteredTransformations:
-    """Registers, annotates, keeps and forgets transformations; every change is told, several of
-    them ``together``."""
+    """Registers, annotates and removes transformations, and reports each change. Changes that the
+    ontology should mirror in one write are made within ``together``."""
 
     def __init__(
         self,
@@ -73,72 +75,78 @@ class RegisteredTransformations:
         self._together = together
 
     def views(self) -> tuple[TransformationView, ...]:
-        """All transformations, in the order of registration."""
+        """Return all transformations, in the order of registration."""
         return self._views(self._transformations)
 
     def view(self, name: str) -> TransformationView:
-        """One transformation; raises `UnknownTransformation`."""
+        """Return one transformation. Raises `UnknownTransformation`."""
         units = self._configuration.units.values()
         return self._view(name, [unit.name for unit in units if unit.transformation == name])
 
     def _views(self, names: Iterable[str]) -> tuple[TransformationView, ...]:
-        """Cost: one look at all units."""
+        # One pass over all units, rather than one for each transformation.
         units: dict[str, list[str]] = {}
         for unit in self._configuration.units.values():
             units.setdefault(unit.transformation, []).append(unit.name)
         return tuple(self._view(name, units.get(name, ())) for name in names)
 
     def _view(self, name: str, units: Sequence[str]) -> TransformationView:
-        known = self.get(name)
-        description = self._transformations.describe(known)
-        parameters = known.parameters
-        if not description.lacks:
-            parameters = self._transformations.parameters_of(known)
+        transformation = self.get(name)
+        description, parameters = self._describe(transformation)
         return TransformationView(
-            name=known.name,
+            name=transformation.name,
             text=transformation_text(description),
-            annotation=known.annotation,
-            implementation=known.implementation,
+            annotation=transformation.annotation,
+            implementation=transformation.implementation,
             parameters=dict(parameters),
-            cost=known.cost,
-            quality=known.quality,
+            cost=transformation.cost,
+            quality=transformation.quality,
             lacks=description.lacks,
             units=tuple(units),
         )
 
+    def _describe(
+        self, transformation: Transformation
+    ) -> tuple[TransformationDescription, Mapping[str, str]]:
+        """Return the description for matching, and the parameters: with the defaults, if the
+        implementation, which has them, exists."""
+        description = self._transformations.describe(transformation)
+        if description.lacks:
+            return description, transformation.parameters
+        return description, self._transformations.parameters_of(transformation)
+
     def get(self, name: str) -> Transformation:
-        """A transformation by name; raises `UnknownTransformation`."""
+        """Return a transformation by name. Raises `UnknownTransformation`."""
         found = self._transformations.get(name)
         if found is None:
-            known = ", ".join(self._transformations)
+            names = ", ".join(self._transformations)
             raise UnknownTransformation(
-                f"there is no transformation called {name!r}", f"there are: {known}"
+                f"there is no transformation called {name!r}", f"there are: {names}"
             )
         return found
 
     def register_described(
         self, described: DescribedTransformation, *, replace: bool = False
     ) -> TransformationView:
-        """Make a transformation known that is described in names; see `register`."""
+        """Register a described transformation; see `register`."""
         (view,) = self.register_all([described], replace=replace)
         return view
 
     def register_all(
         self, described: Sequence[DescribedTransformation], *, replace: bool = False
     ) -> tuple[TransformationView, ...]:
-        """Make transformations known that are described in names, all of them or none; see
-        `register`."""
+        """Register described transformations, all of them or none; see `register`."""
         describer = Describer(self._ontology.vocabulary)
-        made = [describer.transformation(each) for each in described]
-        names = [each.name for each in made]
+        transformations = [describer.transformation(each) for each in described]
+        names = [each.name for each in transformations]
         for name, number in Counter(names).items():
             if number > 1:
                 raise BadArguments(f"{name!r} is described twice", "give each its own name")
-        for each in made:
-            self._admit(each, replace)
+        for each in transformations:
+            self._check_registration(each, replace)
         with self._together():
-            for each in made:
-                self._keep(each)
+            for each in transformations:
+                self._store(each)
         return self._views(names)
 
     def register_annotated(
@@ -151,8 +159,8 @@ class RegisteredTransformations:
         quality: float = 1.0,
         replace: bool = False,
     ) -> TransformationView:
-        """Make the source or unit known that an SSL text annotates; see `register`. Raises
-        `LanguageError`, and `BadArguments` where the text annotates anything else."""
+        """Register the source or unit that an SSL text annotates; see `register`. Raises
+        `LanguageError`, and `BadArguments` if the text annotates anything else."""
         checked = check_ssl(parse_ssl(ssl), ssl, self._ontology.vocabulary)
         annotation = checked[0] if len(checked) == 1 else None
         if annotation is None or isinstance(annotation, StreamAnnotation):
@@ -161,27 +169,27 @@ class RegisteredTransformations:
                 "write `compunit NAME transforms … to …`, or `source NAME provides …`",
             )
         code = implementation or annotation.name
-        known = Transformation(annotation, code, dict(parameters or {}), cost, quality)
-        self.register(known, replace=replace)
-        return self.view(known.name)
+        transformation = Transformation(annotation, code, dict(parameters or {}), cost, quality)
+        self.register(transformation, replace=replace)
+        return self.view(transformation.name)
 
     def register(self, transformation: Transformation, *, replace: bool = False) -> None:
-        """Make a transformation known; matching uses it from now on.
+        """Register a transformation; matching uses it from now on.
 
-        Raises `AlreadyExists` unless ``replace``, `Refused` for a name that is the system's own,
-        `BadArguments`, `Conflict` and `UnknownFeature` where annotation, code and parameters do
-        not fit together. Units that run already are left as they are.
+        Raises `AlreadyExists` unless ``replace``, and `Refused` for a name of the system. Raises
+        `BadArguments`, `Conflict` or `UnknownFeature` if annotation, code and parameters do not fit
+        together. Running units stay as they are.
         """
-        self._admit(transformation, replace)
-        self._keep(transformation)
+        self._check_registration(transformation, replace)
+        self._store(transformation)
 
-    def _admit(self, transformation: Transformation, replace: bool) -> None:
-        """Whether it may be registered; raises as `register` does."""
+    def _check_registration(self, transformation: Transformation, replace: bool) -> None:
+        """Raise the errors of `register`."""
         name = transformation.name
-        known = self._transformations.get(name)
-        if known == transformation:
+        existing = self._transformations.get(name)
+        if existing == transformation:
             return
-        if known is None:
+        if existing is None:
             self._check_name(name)
         elif not replace:
             raise AlreadyExists(
@@ -189,14 +197,15 @@ class RegisteredTransformations:
             )
         self._check(transformation)
 
-    def _keep(self, transformation: Transformation) -> None:
+    def _store(self, transformation: Transformation) -> None:
         name = transformation.name
         if self._transformations.get(name) != transformation:
             self._ontology.registered.transformations[name] = _json_of(transformation)
             self._put(transformation)
 
     def check(self, annotation: TransformationAnnotation | SourceAnnotation) -> None:
-        """Whether the transformation may be annotated so; raises as `register` does."""
+        """Check that the transformation may have this annotation. Raises the errors of
+        `register`."""
         try:
             self._check(self._annotated(annotation))
         except UnknownFeature as error:
@@ -209,42 +218,42 @@ class RegisteredTransformations:
             ) from error
 
     def annotate(self, annotation: TransformationAnnotation | SourceAnnotation) -> None:
-        """Say of a transformation what it takes and gives. One that nobody registered is
-        registered with the implementation of its name. Contract: `check` has passed."""
-        known = self._annotated(annotation)
+        """Annotate a transformation. If none is registered, register one with the implementation
+        of the same name. Contract: `check` has passed."""
+        transformation = self._annotated(annotation)
         if annotation.name in self._ontology.registered.transformations:
-            self._ontology.registered.transformations[annotation.name] = _json_of(known)
+            self._ontology.registered.transformations[annotation.name] = _json_of(transformation)
         else:
             self._ontology.registered.annotations[annotation.name] = annotation.source
-        self._put(known)
+        self._put(transformation)
 
     def change(
         self, name: str, *, cost: float | None = None, quality: float | None = None
     ) -> Transformation:
-        """The cost or quality of a transformation has changed; raises `UnknownTransformation`
-        and `BadArguments`."""
-        known = self.get(name)
+        """Change the cost or quality of a transformation. Raises `UnknownTransformation` and
+        `BadArguments`."""
+        existing = self.get(name)
         changed = replace(
-            known,
-            cost=known.cost if cost is None else cost,
-            quality=known.quality if quality is None else quality,
+            existing,
+            cost=existing.cost if cost is None else cost,
+            quality=existing.quality if quality is None else quality,
         )
-        if changed != known:
+        if changed != existing:
             self._check(changed)
             self._ontology.registered.transformations[name] = _json_of(changed)
             self._put(changed, ChangeKind.QUALITY_CHANGED)
         return changed
 
     def remove(self, name: str) -> None:
-        """Forget a transformation; raises `UnknownTransformation`, and `Conflict` while a unit of
-        it runs or where it comes with the system."""
+        """Remove a transformation. Raises `UnknownTransformation`, and `Conflict` while a unit of
+        it runs or if it is built in."""
         self.get(name)
         if name in LIBRARY_NAMES:
-            raise Conflict(f"transformation {name!r} comes with the system", "")
+            raise Conflict(f"transformation {name!r} is built in, so it cannot be removed", "")
         units = self.view(name).units
         if units:
             raise Conflict(
-                f"transformation {name!r} is used by {', '.join(units)}",
+                f"transformation {name!r} has units: {', '.join(units)}",
                 "cancel the requests and subscriptions that need it first",
             )
         self._ontology.registered.transformations.pop(name, None)
@@ -252,35 +261,35 @@ class RegisteredTransformations:
         self._transformations.discard(name)
         self._changed(Change(ChangeKind.TRANSFORMATION_REMOVED, transformation=name))
 
-    def tell_all(self) -> None:
-        """Tell of those that come with the system."""
-        for known in self._transformations.values():
-            self._tell(known, ChangeKind.TRANSFORMATION_ANNOTATED)
+    def report_all(self) -> None:
+        """Report the transformations that exist: at the start, the built-in ones."""
+        for transformation in self._transformations.values():
+            self._report(transformation, ChangeKind.TRANSFORMATION_ANNOTATED)
 
     def restore(self) -> None:
-        """The transformations that an earlier run was told of. One whose code is gone is there and
-        cannot be used; what cannot be read is told on the status stream and left out."""
+        """Restore the registered transformations of an earlier run. One whose code is missing
+        exists but has no units. The status stream reports both these and unreadable texts."""
         for name, text in [*self._ontology.registered.transformations.items()]:
             try:
-                known = _of_json(name, text)
+                transformation = _of_json(name, text)
             except (KeyError, TypeError, ValueError) as error:
                 reason = f"{type(error).__name__}: {error}\n{text}"
                 self._changed(
                     Change(ChangeKind.NOT_RESTORED, transformation=name, specification=reason)
                 )
                 continue
-            self._put(known)
-            lacks = self._transformations.describe(known).lacks
+            self._put(transformation)
+            lacks = self._transformations.describe(transformation).lacks
             if lacks:
                 self._changed(
                     Change(ChangeKind.NOT_RESTORED, transformation=name, specification=lacks)
                 )
 
     def _annotated(self, annotation: TransformationAnnotation | SourceAnnotation) -> Transformation:
-        known = self._transformations.get(annotation.name)
-        if known is None:
+        existing = self._transformations.get(annotation.name)
+        if existing is None:
             return Transformation(annotation, annotation.name)
-        return replace(known, annotation=annotation)
+        return replace(existing, annotation=annotation)
 
     def _check(self, transformation: Transformation) -> None:
         if not (math.isfinite(transformation.cost) and transformation.cost >= 0):
@@ -296,46 +305,43 @@ class RegisteredTransformations:
         kind: ChangeKind = ChangeKind.TRANSFORMATION_ANNOTATED,
     ) -> None:
         self._transformations.put(transformation)
-        self._tell(transformation, kind)
+        self._report(transformation, kind)
 
-    def _tell(self, known: Transformation, kind: ChangeKind) -> None:
-        description = self._transformations.describe(known)
-        parameters = known.parameters
-        if not description.lacks:
-            parameters = self._transformations.parameters_of(known)
+    def _report(self, transformation: Transformation, kind: ChangeKind) -> None:
+        description, parameters = self._describe(transformation)
         self._changed(
             Change(
                 kind,
-                transformation=known.name,
-                specification=known.annotation.source,
+                transformation=transformation.name,
+                specification=transformation.annotation.source,
                 described=KnownTransformation(
-                    description, known.implementation, tuple(sorted(parameters.items()))
+                    description, transformation.implementation, tuple(sorted(parameters.items()))
                 ),
             )
         )
 
 
 def check_quality(quality: float) -> None:
-    """Raises `BadArguments` for what is no quality."""
+    """Raise `BadArguments` unless ``quality`` is in [0, 1]."""
     if not 0 <= quality <= 1:
         raise BadArguments(f"a quality is a number from 0 to 1, not {quality}")
 
 
-# -- what is kept ----------------------------------------------------------------------------
+# -- the registered text ---------------------------------------------------------------------
 
 
-def _json_of(known: Transformation) -> str:
-    annotation = known.annotation
+def _json_of(transformation: Transformation) -> str:
+    annotation = transformation.annotation
     inputs = annotation.inputs if isinstance(annotation, TransformationAnnotation) else None
     return json.dumps(
         {
             "inputs": None if inputs is None else [_port_json(port) for port in inputs],
             "output": _port_json(annotation.output),
             "source": annotation.source,
-            "implementation": known.implementation,
-            "parameters": dict(known.parameters),
-            "cost": known.cost,
-            "quality": known.quality,
+            "implementation": transformation.implementation,
+            "parameters": dict(transformation.parameters),
+            "cost": transformation.cost,
+            "quality": transformation.quality,
         }
     )
 

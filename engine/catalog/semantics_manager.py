@@ -1,9 +1,9 @@
 """The semantics manager: keeps the ontology equal to the running system
 ([Introspection15 §4.2]).
 
-It listens to the status stream and mirrors each `Change` into the stream-space graph, and into the
-`StreamSpace` that semantic matching looks at; both are updated from nowhere else. What it asserts
-is exactly what `assertions` gives for the current configuration: a test compares.
+It listens to the status stream. It mirrors each `Change` to the stream-space graph of the ontology
+and to the `StreamSpace` of semantic matching; no other code writes to either. A test compares
+`assertions` with the configuration.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from ..model.status_changes import Change, ChangeKind, KnownTransformation
 from ..model.status_stream import STATUS
 
 
-# Enough for the terms of the ontology and of what comes and goes just now: names come without end.
+# Bounded, since names come without end; large enough for the ontology and the present changes.
 @lru_cache(maxsize=4096)
 def term(name: str) -> NamedNode:
-    """A term of the stream space: of the ontology, or an individual by its name, of which what an
-    IRI cannot have is percent-encoded (``speed%5Bcar1%5D``)."""
+    """Return a term of the stream space: a term of its ontology, or an individual by its name.
+    Characters that an IRI cannot have are percent-encoded (``speed%5Bcar1%5D``)."""
     return NamedNode(STREAM_SPACE + quote(name, safe=""))
 
 
@@ -49,8 +49,8 @@ _HAS_SUBSCRIBER_COUNT = term("hasSubscriberCount")
 class SemanticsManager:
     """Mirrors the stream space into the ontology, and into ``space``.
 
-    ``annotations`` says what each stream contains of which anybody has said it. ``subscribers``
-    tells for `space` how many readers a stream has now.
+    ``annotations`` has the annotations of streams by name. ``subscribers`` returns the present
+    number of a stream's readers for `space`.
     """
 
     def __init__(self, ontology: Ontology, subscribers: Callable[[str], int]) -> None:
@@ -60,35 +60,36 @@ class SemanticsManager:
         self._makers: dict[str, str] = {}
         self._qualities: dict[str, float] = {}
         self._asserted: dict[tuple[str, str], frozenset[Triple]] = {}
-        # Several units may say the same of their transformation: a triple goes with its last one.
+        # Several units may assert the same triple of their transformation. Its count says when the
+        # last of them is gone.
         self._supported: Counter[Triple] = Counter()
-        self._held: dict[Triple, bool] | None = None
+        self._deferred: dict[Triple, bool] | None = None
         self._subscribers: dict[str, int] = {}
         self._rates: dict[str, float] = {}
         self._sampled: dict[str, tuple[bool, bool]] = {}
 
     @contextmanager
     def together(self) -> Iterator[None]:
-        """Changes told meanwhile are mirrored in one piece at the end: it is cheaper."""
-        if self._held is not None:
+        """Mirror the changes within this context in one write at its end, which is cheaper."""
+        if self._deferred is not None:
             yield
             return
-        held = self._held = {}
+        deferred = self._deferred = {}
         try:
             yield
         finally:
-            self._held = None
-            if held:
+            self._deferred = None
+            if deferred:
                 self._ontology.mirror(
-                    {triple for triple, there in held.items() if there},
-                    {triple for triple, there in held.items() if not there},
+                    {triple for triple, is_added in deferred.items() if is_added},
+                    {triple for triple, is_added in deferred.items() if not is_added},
                 )
 
-    def changed(self, change: Change) -> None:
+    def mirror(self, change: Change) -> None:
         """Mirror one change."""
         match change.kind:
             case ChangeKind.STREAM_ADDED:
-                self._know(change.stream)
+                self._mirror_stream(change.stream)
                 if change.stream == STATUS:
                     self._assert(("engine", STATUS), engine_triples())
             case ChangeKind.STREAM_ANNOTATED:
@@ -96,11 +97,11 @@ class SemanticsManager:
             case ChangeKind.QUALITY_CHANGED if change.stream:
                 assert change.quality is not None
                 self._qualities[change.stream] = change.quality
-                self._know(change.stream)
+                self._mirror_stream(change.stream)
             case ChangeKind.STREAM_NAMED:
                 self._assert(("aliases", change.stream), alias_triples(change))
             case ChangeKind.STREAM_REMOVED:
-                self._forget(change.stream)
+                self._forget_stream(change.stream)
             case ChangeKind.UNIT_STARTED | ChangeKind.INPUTS_CHANGED:
                 self._makers[change.stream] = change.transformation
                 self._assert(("unit", change.unit), unit_triples(change))
@@ -122,36 +123,35 @@ class SemanticsManager:
                 | ChangeKind.UNIT_RESTARTED
                 | ChangeKind.UNIT_STOPPED_BY_RULE
                 | ChangeKind.NOT_RESTORED
-                | ChangeKind.UNKEPT
+                | ChangeKind.STATE_LOST
                 | ChangeKind.REFUSED
             ):
-                pass  # the structure of the stream space is as it was
+                pass  # these do not change the structure of the stream space
 
     def _annotate(self, change: Change) -> None:
-        """A stream contains something else from now on, or nobody says any more what."""
         if change.annotation is None:
             self.annotations.pop(change.stream, None)
         else:
             self.annotations[change.stream] = change.annotation
-        self._know(change.stream)
+        self._mirror_stream(change.stream)
 
-    def _know(self, stream: str) -> None:
-        """What there is to know of a stream has changed."""
+    def _mirror_stream(self, stream: str) -> None:
+        """Mirror a stream with its annotation and quality."""
         annotation = self.annotations.get(stream)
         quality = self._qualities.get(stream)
         if annotation is None:
             self.space.discard_stream(stream)
         else:
-            known = StreamDescription(
+            description = StreamDescription(
                 stream,
                 annotation.contents,
                 1.0 if quality is None else quality,
                 maker=self._makers.get(stream, ""),
             )
-            self.space.put_stream(known)
+            self.space.put_stream(description)
         self._assert(("stream", stream), stream_triples(stream, annotation, quality))
 
-    def _forget(self, stream: str) -> None:
+    def _forget_stream(self, stream: str) -> None:
         self.annotations.pop(stream, None)
         self._qualities.pop(stream, None)
         self._makers.pop(stream, None)
@@ -166,48 +166,48 @@ class SemanticsManager:
         self._assert(("sample", stream), ())
 
     def measure_rates(self, rates: Iterable[tuple[str, float]]) -> None:
-        """Mirror how many samples a second each stream has, to two digits.
+        """Mirror the rate of each stream, in samples a second, to two digits.
 
-        A rate that has moved by less than one in twenty stays as it is: what differs by chance
-        alone would be written again and again.
+        A change by less than a twentieth is ignored. Otherwise chance alone would cause writes all
+        the time.
         """
-        changed = [(name, rate) for name, rate in rates if self._has_moved(name, rate)]
+        changed = [(name, rate) for name, rate in rates if self._has_changed(name, rate)]
         with self.together():
             for name, rate in changed:
                 self._rates[name] = rate
-                measured = Triple(term(name), _HAS_RATE, Literal(float(f"{rate:.2g}")))
-                self._assert(("rate", name), (measured,))
+                triple = Triple(term(name), _HAS_RATE, Literal(float(f"{rate:.2g}")))
+                self._assert(("rate", name), (triple,))
 
-    def show_samples(self, streams: Iterable[tuple[str, StreamGenerator]]) -> None:
-        """Mirror which streams have a sample, and the one of each constant stream: one that has
-        ended with a single sample ([Introspection15 §3.1]). Cost: a look at each, and what changed.
-        """
+    def mirror_samples(self, streams: Iterable[tuple[str, StreamGenerator]]) -> None:
+        """Mirror whether each stream has a sample, and the sample of each constant stream: one that
+        ended with a single sample ([Introspection15 §3.1]). Cost: O(streams), and the changes."""
         with self.together():
             for name, generator in streams:
                 is_constant = generator.is_ended and generator.counters.used == 1
-                shown = generator.counters.used > 0, is_constant
-                if self._sampled.get(name, (False, False)) != shown:
-                    self._sampled[name] = shown
+                state = generator.counters.used > 0, is_constant
+                if self._sampled.get(name, (False, False)) != state:
+                    self._sampled[name] = state
                     self._assert(("sample", name), sample_triples(name, generator, is_constant))
 
-    def _has_moved(self, stream: str, rate: float) -> bool:
+    def _has_changed(self, stream: str, rate: float) -> bool:
         before = self._rates.get(stream)
         return before is None or abs(rate - before) > before / 20
 
     def count_subscribers(self, counts: Iterable[tuple[str, int]]) -> None:
-        """Mirror how many subscribers each stream has. Cost: a look at each, and what changed."""
+        """Mirror the number of each stream's subscribers. Cost: O(streams), and the changes."""
         changed = [(n, count) for n, count in counts if self._subscribers.get(n) != count]
         with self.together():
             for name, count in changed:
                 self._subscribers[name] = count
-                counted = Triple(term(name), _HAS_SUBSCRIBER_COUNT, Literal(count))
-                self._assert(("subscribers", name), (counted,))
+                triple = Triple(term(name), _HAS_SUBSCRIBER_COUNT, Literal(count))
+                self._assert(("subscribers", name), (triple,))
 
     def assertions(self) -> frozenset[Triple]:
-        """All that is asserted now."""
+        """Return all triples that it asserts now."""
         return frozenset(self._supported)
 
     def _assert(self, key: tuple[str, str], triples: Iterable[Triple]) -> None:
+        """Replace the triples asserted under ``key``."""
         before = self._asserted.pop(key, frozenset())
         after = frozenset(triples)
         if after:
@@ -218,16 +218,16 @@ class SemanticsManager:
         removed = {triple for triple in before - after if not self._supported[triple]}
         for triple in removed:
             del self._supported[triple]
-        if self._held is None:
+        if self._deferred is None:
             self._ontology.mirror(added, removed)
         else:
-            self._held.update(dict.fromkeys(removed, False) | dict.fromkeys(added, True))
+            self._deferred.update(dict.fromkeys(removed, False) | dict.fromkeys(added, True))
 
 
 def stream_triples(
     name: str, annotation: StreamAnnotation | None, quality: float | None = None
 ) -> Iterable[Triple]:
-    """A stream and its annotation, in the shape of [Introspection15 Listing 3]."""
+    """Return a stream and its annotation, in the shape of [Introspection15 Listing 3]."""
     stream = term(name)
     yield Triple(stream, RDF_TYPE, term("Stream"))
     yield Triple(stream, term("hasName"), Literal(name))
@@ -247,7 +247,8 @@ def stream_triples(
 
 
 def engine_triples() -> Iterable[Triple]:
-    """The stream processing engine, the first computational unit ([Introspection15 §4.2])."""
+    """Return the stream processing engine, the first computational unit
+    ([Introspection15 §4.2])."""
     engine = term("dyknow_engine")
     yield Triple(engine, RDF_TYPE, term("StreamProcessingEngine"))
     yield Triple(engine, term("hasName"), Literal("dyknow_engine"))
@@ -255,33 +256,33 @@ def engine_triples() -> Iterable[Triple]:
 
 
 def sample_triples(name: str, generator: StreamGenerator, is_constant: bool) -> Iterable[Triple]:
-    """That a stream has a sample; of a constant stream its times, too."""
+    """Return that a stream has a sample; for a constant stream with the sample's times."""
     if not generator.counters.used:
         return
     stream, sample = term(name), term(f"{name}_sample")
     yield Triple(stream, term("hasSample"), sample)
     yield Triple(sample, RDF_TYPE, term("Sample"))
-    whole = generator.stream.all()
-    if not is_constant or not len(whole):
+    samples = generator.stream.all()
+    if not is_constant or not len(samples):
         return
     yield Triple(stream, RDF_TYPE, term("ConstantStream"))
-    for link, times in (("hasAvailableTime", whole.available), ("hasValidTime", whole.valid)):
+    for link, times in (("hasAvailableTime", samples.available), ("hasValidTime", samples.valid)):
         time = Literal(format_time(int(times[0])), datatype=_DATE_TIME)
         yield Triple(sample, term(link), time)
 
 
 def alias_triples(change: Change) -> Iterable[Triple]:
-    """The further names of a stream."""
+    """Return the further names of a stream."""
     for alias in change.aliases:
         yield Triple(term(change.stream), term("hasAlias"), Literal(alias))
 
 
 def unit_triples(change: Change) -> Iterable[Triple]:
-    """A computational unit, in the shape of [Introspection15 Listing 2]."""
+    """Return a computational unit, in the shape of [Introspection15 Listing 2]."""
     unit = term(change.unit)
     yield Triple(unit, RDF_TYPE, term(change.role))
     yield Triple(unit, term("hasName"), Literal(change.unit))
-    for source in change.fed or change.inputs:
+    for source in change.unsynchronized or change.inputs:
         yield Triple(unit, term("hasInput"), term(source))
     if change.synchronization:
         yield Triple(unit, term("hasSynchronization"), term(change.synchronization))
@@ -301,29 +302,29 @@ def unit_triples(change: Change) -> Iterable[Triple]:
 
 
 def transformation_triples(described: KnownTransformation) -> Iterable[Triple]:
-    """A transformation with its annotation, in the shape of [Introspection15 Listing 3]."""
-    known = described.description
-    name = known.name
+    """Return a transformation and its annotation, in the shape of [Introspection15 Listing 3]."""
+    description = described.description
+    name = description.name
     label = term(name)
     yield Triple(label, RDF_TYPE, term("Transformation"))
     yield Triple(label, term("hasName"), Literal(name))
-    yield Triple(label, term("hasCost"), Literal(known.cost))
-    yield Triple(label, term("hasQuality"), Literal(known.quality))
+    yield Triple(label, term("hasCost"), Literal(description.cost))
+    yield Triple(label, term("hasQuality"), Literal(description.quality))
     yield from _implementation(label, described)
     node = term(f"{name}_annotation")
     yield Triple(label, term("hasAnnotation"), node)
     yield Triple(node, RDF_TYPE, term("Annotation"))
     output = term(f"{name}_annotation_output")
     yield Triple(node, term("hasOutputAnnotation"), output)
-    yield from _port(output, "OutputAnnotation", known.output, known.arguments)
+    yield from _port(output, "OutputAnnotation", description.output, description.arguments)
     holder, link = node, term("hasInputAnnotation")
-    for i, port in enumerate(known.inputs, start=1):
-        # The order of inputs is kept by a chain of segments.
+    for i, port in enumerate(description.inputs, start=1):
+        # Triples have no order, so a chain of segments keeps that of the inputs.
         segment = term(f"{name}_annotation_input{i}")
         yield Triple(holder, link, segment)
         yield from _port(segment, "InputAnnotation", port, port.arguments)
         holder = term(f"{name}_annotation_segment{i}")
-        if i < len(known.inputs):
+        if i < len(description.inputs):
             yield Triple(segment, term("nextSegment"), holder)
 
 
@@ -346,11 +347,11 @@ def _port(
     yield Triple(node, RDF_TYPE, term(kind))
     yield from _describes(node, port.feature, format_unit(port.unit))
     for argument in arguments:
-        # Listing 3 writes :self where a sort stands.
-        named = argument.object or argument.sort or THING
+        # Listing 3 writes `:describesSort :self`.
+        iri = argument.object or argument.sort or THING
         is_object = argument.object is not None and argument.object != SELF
         link = "describesObject" if is_object else "describesSort"
-        yield Triple(node, term(link), NamedNode(named))
+        yield Triple(node, term(link), NamedNode(iri))
     if not arguments:
         yield Triple(node, term("describesSort"), NamedNode(THING))
 

@@ -1,9 +1,9 @@
 """The library of transformations: labels for implementations with parameters
 ([Introspection15 §3.1]).
 
-An implementation is built in (`IMPLEMENTATIONS`: a vectorized function of one stream's samples)
-or user-written (`registry`: a computational unit or a source). The same implementation with
-other parameters is another transformation.
+An implementation is built in (`IMPLEMENTATIONS`: vectorized functions) or user-written (`registry`:
+a computational unit or a source). The same implementation with other parameters is another
+transformation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ...ontology.vocabulary import Vocabulary
 from ...streams.time import format_duration, parse_duration
 from ..model.errors import BadArguments, Conflict, DyknowError, UnknownFeature
 from ..processes.geodesy import SpeedFromCoordinates
-from ..processes.parameters import bound
+from ..processes.parameters import bind_parameters
 from ..processes.registry import (
     PROCESSES,
     Processes,
@@ -34,7 +34,7 @@ Parameters: TypeAlias = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class BuiltIn:
-    """A factory of unit functions: ``make(parameters)`` gives a fresh one, with its own state.
+    """A factory of unit functions: ``make(parameters)`` returns a new one, with its own state.
 
     ``arity`` is the number of inputs, in the order of the annotation; ``parameters`` names every
     parameter with its default, as text.
@@ -51,9 +51,9 @@ Implementation: TypeAlias = BuiltIn | UnitImplementation | SourceImplementation
 
 @dataclass(frozen=True, slots=True)
 class Transformation:
-    """A label for an implementation and its parameters, with what it takes and gives.
+    """A label for an implementation and its parameters, with the annotation of inputs and output.
 
-    ``parameters`` are those that were given; the others have their defaults.
+    ``parameters`` without a value here have their defaults.
     """
 
     annotation: TransformationAnnotation | SourceAnnotation
@@ -91,20 +91,20 @@ IMPLEMENTATIONS: Mapping[str, BuiltIn] = MappingProxyType(
         )
     }
 )
-"""What can be instantiated without anybody having written it, by name."""
+"""The built-in implementations, by name."""
 
 LIBRARY = """\
 compunit coordinatesToSpeed
   transforms latitude:latitude [deg], longitude:longitude [deg]
   to speed:speed [m.s-1]
 """
-"""The transformations that every engine knows from the start, in SSL."""
+"""The transformations that every engine has from the start, in SSL."""
 LIBRARY_NAMES = frozenset({"coordinatesToSpeed"})
-"""Their names."""
+"""The names of these transformations."""
 
 
 class Transformations(Mapping[str, Transformation]):
-    """The transformations that are known, by name, and the code behind them."""
+    """The registered transformations by name, and their implementations."""
 
     def __init__(self, vocabulary: Vocabulary, processes: Processes = PROCESSES) -> None:
         self._processes = processes
@@ -124,31 +124,32 @@ class Transformations(Mapping[str, Transformation]):
         return len(self._by_name)
 
     def put(self, transformation: Transformation) -> None:
-        """A transformation is known from now on, or known otherwise."""
+        """Add or replace a transformation."""
         self._by_name[transformation.name] = transformation
 
     def discard(self, name: str) -> None:
-        """Forget a transformation."""
+        """Remove a transformation."""
         del self._by_name[name]
 
     def implementation(self, name: str) -> Implementation:
-        """The code called ``name``; raises `UnknownFeature`."""
+        """Return the implementation called ``name``. Raises `UnknownFeature`."""
         processes = self._processes
         found = (
             IMPLEMENTATIONS.get(name) or processes.units.get(name) or processes.sources.get(name)
         )
         if found is None:
-            known = (*IMPLEMENTATIONS, *processes.units, *processes.sources)
+            names = (*IMPLEMENTATIONS, *processes.units, *processes.sources)
             raise UnknownFeature(
                 f"there is no implementation called {name!r}",
-                f"known implementations: {', '.join(known)}; write one with "
+                f"known implementations: {', '.join(names)}; write one with "
                 "@dyknow.computational_unit or @dyknow.source and load its module with --processes",
             )
         return found
 
     def check(self, transformation: Transformation) -> None:
-        """Raises `UnknownFeature` without the implementation, `Conflict` where it takes or gives
-        otherwise than the annotation says, `BadArguments` for parameters that do not fit."""
+        """Check that units of ``transformation`` can be made. Raises `UnknownFeature` if there is
+        no implementation, `Conflict` if its number of inputs differs from the annotation's, and
+        `BadArguments` for wrong parameters."""
         implementation = self.implementation(transformation.implementation)
         inputs = _inputs(transformation)
         match implementation:
@@ -165,38 +166,39 @@ class Transformations(Mapping[str, Transformation]):
                 else f"{_arity(implementation)} inputs"
             )
             raise Conflict(
-                f"{implementation.name} takes {takes}, the annotation of {transformation.name} "
-                f"gives {inputs}",
-                "one input of the code for each of the annotation, or one for all together",
+                f"{implementation.name} takes {takes}, but the annotation of {transformation.name} "
+                f"has {inputs}",
+                "the code takes one input for each of the annotation, or a single one for all",
             )
         self._check_parameters(transformation, implementation)
 
     def _check_parameters(
         self, transformation: Transformation, implementation: Implementation
     ) -> None:
-        given = transformation.parameters
+        texts = transformation.parameters
         if not isinstance(implementation, BuiltIn):
-            bound(implementation.code, given)
+            bind_parameters(implementation.code, texts)
             return
-        for name in given:
+        for name in texts:
             if name not in implementation.parameters:
                 raise BadArguments(
                     f"there is no parameter {name!r}",
                     f"its parameters are: {', '.join(implementation.parameters)}",
                 )
         try:
-            implementation.make({**implementation.parameters, **given})
+            implementation.make({**implementation.parameters, **texts})
         except (TypeError, ValueError) as error:
             raise BadArguments(f"the parameters of {implementation.name}: {error}") from error
 
     def parameters_of(self, transformation: Transformation) -> Parameters:
-        """All parameters of its units, as text: those given and the defaults of the others."""
+        """Return all parameters of its units as text, the defaults included."""
         declared = self.implementation(transformation.implementation).parameters
         texts = {name: text for name, text in declared.items() if text is not None}
         return {**texts, **transformation.parameters}
 
     def describe(self, transformation: Transformation) -> TransformationDescription:
-        """What semantic matching sees, and why no unit can be made of it if so."""
+        """Return the description for semantic matching. Its ``lacks`` is the error of `check`, or
+        empty."""
         lacks = ""
         try:
             self.check(transformation)

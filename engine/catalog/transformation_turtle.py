@@ -1,4 +1,4 @@
-"""Transformations in Turtle, as [Introspection15 Listing 3] prints one."""
+"""Reads annotations and transformations in Turtle, in the form of [Introspection15 Listing 3]."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _LISTING = (
 def read_transformations(
     text: str, reasoning: Reasoning = DIRECT
 ) -> tuple[DescribedTransformation, ...]:
-    """Each ``:Transformation`` of a Turtle text, by name.
+    """Return each ``:Transformation`` of a Turtle text, in the order of their nodes.
 
-    Inputs are in the order of ``:nextSegment``; a field is called by ``:hasName``, or like its
-    feature. Raises `OntologyError` with line and column, and `BadArguments` for a description
-    that lacks something. ``reasoning`` reads the text.
+    Inputs are in the order of ``:nextSegment``. The name of a field is its ``:hasName``, or that of
+    its feature. ``reasoning`` parses the text. Raises `OntologyError` with line and column, and
+    `BadArguments` for an incomplete description.
     """
     graph = _Graph(reasoning.read(text, "turtle", NamedNode(STREAM_SPACE.rstrip("#"))))
     found = graph.subjects(_TYPE, STREAM_SPACE + "Transformation")
@@ -45,8 +45,8 @@ def read_transformations(
 def read_annotations(
     text: str, reasoning: Reasoning = DIRECT
 ) -> tuple[DescribedStream | DescribedTransformation, ...]:
-    """Each ``:Stream`` with an annotation and each ``:Transformation`` of a Turtle text, by name;
-    see `read_transformations`. What a stream contains is in the order of ``:nextSegment``."""
+    """Return each ``:Stream`` with an annotation and each ``:Transformation`` of a Turtle text, by
+    name; see `read_transformations`. A stream's contents are in the order of ``:nextSegment``."""
     graph = _Graph(reasoning.read(text, "turtle", NamedNode(STREAM_SPACE.rstrip("#"))))
     streams = [
         graph.stream(node)
@@ -65,6 +65,8 @@ def read_annotations(
 
 
 class _Graph:
+    """The triples of a text, indexed for look-ups from a node along a predicate."""
+
     def __init__(self, triples: Sequence[Triple] | frozenset[Triple]) -> None:
         self._objects: dict[tuple[object, str], list[NamedNode | BlankNode | Literal]]
         self._objects = defaultdict(list)
@@ -100,7 +102,7 @@ class _Graph:
         annotation = self._one(node, "hasAnnotation", name)
         output = None if annotation is None else self._one(annotation, "hasOutputAnnotation", name)
         if annotation is None or output is None:
-            raise BadArguments(f"{name} says not what it gives", f"write {_LISTING}")
+            raise BadArguments(f"{name} has no :hasOutputAnnotation", f"write {_LISTING}")
         inputs = self._sequence(annotation, "hasInputAnnotation", name)
         code = self._one(node, "hasImplementation", name)
         implementation = None
@@ -119,16 +121,16 @@ class _Graph:
     def _sequence(
         self, holder: NamedNode | BlankNode | None, link: str, name: str
     ) -> list[DescribedPort]:
-        """The ports that a description says, each next one by ``:nextSegment``."""
+        """Return the ports of a description, in the order of ``:nextSegment``."""
         ports: list[DescribedPort] = []
-        seen = set()
+        visited = set()
         while holder is not None:
-            if holder in seen:
+            if holder in visited:
                 raise BadArguments(
-                    f"the :nextSegment of {name} comes back to itself",
-                    "the last one has no :nextSegment",
+                    f"the :nextSegment of {name} forms a cycle",
+                    "leave out the :nextSegment of the last segment",
                 )
-            seen.add(holder)
+            visited.add(holder)
             segment = self._one(holder, link, name)
             if segment is None:
                 break
@@ -137,33 +139,33 @@ class _Graph:
         return ports
 
     def _arguments(self, node: NamedNode | BlankNode, name: str) -> Iterator[DescribedArgument]:
-        """The arguments of a list, in order."""
-        place = self._one(node, "hasArguments", name)
-        seen = set()
-        while place is not None and place not in seen and place != _NIL:
-            seen.add(place)
-            one = next(iter(self._objects[place, RDF + "first"]), None)
-            named = [
+        """Return the arguments of an RDF list, in order."""
+        cell = self._one(node, "hasArguments", name)
+        visited = set()
+        while cell is not None and cell not in visited and cell != _NIL:
+            visited.add(cell)
+            argument = next(iter(self._objects[cell, RDF + "first"]), None)
+            described = [
                 (is_sort, found)
                 for is_sort, link in ((True, "describesSort"), (False, "describesObject"))
-                for found in self._objects[one, STREAM_SPACE + link]
+                for found in self._objects[argument, STREAM_SPACE + link]
             ]
-            if len(named) != 1 or not isinstance(named[0][1], NamedNode):
+            if len(described) != 1 or not isinstance(described[0][1], NamedNode):
                 raise BadArguments(
-                    f"an argument of {name} describes no sort or object",
-                    '[ :describesSort dyknow:UAV ; :hasIdField "id" ]',
+                    f"an argument of {name} does not describe exactly one sort or object",
+                    'write for example [ :describesSort dyknow:UAV ; :hasIdField "id" ]',
                 )
-            is_sort, iri = named[0][0], named[0][1].value
+            is_sort, iri = described[0][0], described[0][1].value
             is_self = iri == STREAM_SPACE + "self"
             yield DescribedArgument(
                 "self" if is_self else shorten(iri),
-                self._text(one, "hasName") or None,
-                self._text(one, "hasIdField") or None,
+                self._text(argument, "hasName") or None,
+                self._text(argument, "hasIdField") or None,
                 is_sort and not is_self,
                 True,
             )
-            rest = next(iter(self._objects[place, RDF + "rest"]), None)
-            place = None if isinstance(rest, Literal) else rest
+            rest = next(iter(self._objects[cell, RDF + "rest"]), None)
+            cell = None if isinstance(rest, Literal) else rest
 
     def _port(self, node: NamedNode | BlankNode, name: str) -> DescribedPort:
         feature = self._one(node, "describesFeature", name)
@@ -171,31 +173,23 @@ class _Graph:
             raise BadArguments(f"an annotation of {name} describes no feature", f"write {_LISTING}")
         if self._objects[node, STREAM_SPACE + "hasArguments"]:
             arguments = tuple(self._arguments(node, name))
-            return self._described_port(node, feature, arguments)
-        links = ("describesSort", "describesObject")
-        named = [n for link in links for n in self._objects[node, STREAM_SPACE + link]]
-        arguments = tuple(
-            DescribedArgument(
-                "self" if n.value == STREAM_SPACE + "self" else shorten(n.value),
-                id=self._text(node, "hasIdField") or None,
-            )
-            for n in named
-            if isinstance(n, NamedNode)
-        )
-        return self._described_port(node, feature, arguments)
-
-    def _described_port(
-        self,
-        node: NamedNode | BlankNode,
-        feature: NamedNode,
-        arguments: tuple[DescribedArgument, ...],
-    ) -> DescribedPort:
+        else:
+            arguments = tuple(self._unordered_arguments(node))
         return DescribedPort(
             shorten(feature.value),
             self._text(node, "hasName") or None,
             self._text(node, "hasUnit") or None,
             arguments,
         )
+
+    def _unordered_arguments(self, node: NamedNode | BlankNode) -> Iterator[DescribedArgument]:
+        """Return the arguments in the paper's form, which has no list."""
+        for link in ("describesSort", "describesObject"):
+            for found in self._objects[node, STREAM_SPACE + link]:
+                if isinstance(found, NamedNode):
+                    is_self = found.value == STREAM_SPACE + "self"
+                    name = "self" if is_self else shorten(found.value)
+                    yield DescribedArgument(name, id=self._text(node, "hasIdField") or None)
 
     def _parameters(self, node: NamedNode | BlankNode, name: str) -> dict[str, str]:
         parameters = {}
@@ -212,9 +206,9 @@ class _Graph:
     def _one(self, node: object, link: str, name: str) -> NamedNode | BlankNode | None:
         found = self._objects[node, STREAM_SPACE + link]
         if len(found) > 1:
-            raise BadArguments(f"{name} has {len(found)} :{link} where one is expected", "")
+            raise BadArguments(f"{name} has {len(found)} :{link}, but may have one", "")
         if found and isinstance(found[0], Literal):
-            raise BadArguments(f":{link} of {name} is a text", f"write {_LISTING}")
+            raise BadArguments(f":{link} of {name} is a literal, not a node", f"write {_LISTING}")
         return found[0] if found else None  # type: ignore[return-value]
 
     def _text(self, node: object, link: str) -> str:
@@ -226,7 +220,7 @@ class _Graph:
         try:
             return float(text) if text else 1.0
         except ValueError as error:
-            raise BadArguments(f":{link} of {name} is a number, not {text!r}") from error
+            raise BadArguments(f":{link} of {name} must be a number, not {text!r}") from error
 
 
 def _is_named(node: NamedNode | BlankNode) -> bool:

@@ -1,8 +1,8 @@
-"""The configuration: which streams and units there are, and how they are connected
+"""The configuration: the existing streams and units, and their connections
 ([Introspection15 §3.2]).
 
-The one owner of generators and units. Equal plan nodes are one unit: whoever needs it next
-shares it, and it stops when the last user leaves. Every change is told to one listener.
+It is the only owner of generators and units. Equal plan nodes share one unit, which stops when it
+has no users any more. It reports every change to one listener.
 """
 
 from __future__ import annotations
@@ -39,54 +39,54 @@ from ..units.work_time import BusyTime
 POLICY = "policy"
 """The transformation of a subscription with a policy ([DyKnow10 Def. 5.35])."""
 BUILT_IN = (POLICY, *PROCESSES)
-"""Transformations of KPL; nothing else is called so."""
+"""Transformations of KPL; users cannot take their names."""
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
 SYNCHRONIZE = "synchronize"
-"""The transformation that brings several streams' values of an object together."""
+"""The transformation that joins the values of an object from several streams."""
 MERGE = "merge"
-"""The transformation that brings what several streams hold of a feature into one."""
+"""The transformation that merges several streams of one feature."""
 C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
 SELECT_INSTANCE = "selectInstance"
-"""The transformation that selects a query's results from those of the queries that share one."""
+"""The transformation that selects one query's results from those of a shared evaluation."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 RETENTION = Retention(bytes=256 << 20)
-"""What a stream keeps of which nobody has said how much: units and annotations made it."""
-_NAMED = 20
-"""So many streams are listed when an unknown one is asked for."""
-_REMEMBERED = 10_000
-"""Of so many removed streams it is known how far their numbers went."""
+"""The retention of streams that units and annotations make: they declare none."""
+_MOST_LISTED = 20
+"""The number of streams that an error about an unknown one lists."""
+_MOST_REMOVED = 10_000
+"""The number of removed streams whose last sequence number is kept."""
 
 
 class Reader(Protocol):
-    """A process that reads streams and makes none: a sink, a configuration process."""
+    """A process without an output stream: a sink, a configuration process."""
 
     @property
     def name(self) -> str:
-        """What it is called in the stream space."""
+        """Its name in the stream space."""
 
     @property
     def inputs(self) -> tuple[StreamGenerator, ...]:
         """The streams that it reads."""
 
     def stop(self) -> None:
-        """Leave the inputs."""
+        """Unsubscribe from the inputs."""
 
 
 def after_reserved(names: Iterable[str]) -> int:
-    """The first N after all ``dyknow_reserved<N>`` among ``names``."""
+    """Return the first N after all ``dyknow_reserved<N>`` among ``names``."""
     numbers = (int(name.removeprefix(RESERVED)) for name in names if is_reserved(name))
     return 1 + max(numbers, default=0)
 
 
 class Configuration:
-    """Streams by name, units by the stream they make, readers (units without output) by name.
+    """Streams by name, units by the name of their output, readers (units without output) by name.
 
-    ``aliases`` are further names of streams. ``annotations`` say what streams contain; the
-    semantics manager keeps them. ``namespaces`` says for a stream in which namespace its id fields
-    name objects. ``system`` names streams that the system makes without a unit, ``named`` those
-    that were specified by name.
+    ``aliases`` maps further names to streams. ``annotations`` are those of the semantics manager.
+    ``namespaces`` has for each stream the namespace of the objects that its id fields name.
+    ``system`` are the streams that the system makes without a unit, ``named`` those that have
+    their name from a specification.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Configuration:
         backlog: Backlog | None = None,
     ) -> None:
         self.rules = Rules()
-        """Those of all its streams."""
+        """The version of the semantics, for all streams: replay of an old log needs the old one."""
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
         self.readers: dict[str, Reader] = {}
@@ -106,54 +106,57 @@ class Configuration:
         self.namespaces: dict[str, str] = {}
         self.system: set[str] = set()
         self.reports: list[tuple[str, Report]] = []
-        """What processes have said of their streams, and nobody has read yet."""
+        """Pending reports of processes, with the names of their streams."""
         self.named: set[str] = set()
-        self.late = LateStreams(self._there, self.units, self._add_late)
-        """The streams of late samples that somebody asked for."""
-        self.before_demand: Callable[[], None] = _no_objection
-        """Called before a stream is made because somebody asks for it; may raise."""
-        self.on_opened: Callable[[str], None] = _unheard
-        """Told of a stream that came into being by being asked for."""
+        self.late = LateStreams(self._get, self.units, self._add_late)
+        """The streams of late samples that were requested."""
+        self.before_demand: Callable[[], None] = _allow
+        """Called before a stream is made on first request; may raise to refuse it."""
+        self.on_opened: Callable[[str], None] = _ignore
+        """Called with the name of a stream that was made on first request."""
         self._on_change = on_change
         self._busy_time = busy_time
         self._backlog = Backlog() if backlog is None else backlog
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._removed: OrderedDict[str, int] = OrderedDict()
-        """The last numbers of streams that were removed: one of the same name continues there."""
+        """The last sequence numbers of removed streams: a new stream of the same name continues
+        after it, so that a client's position never means other samples."""
         self._shared: dict[Hashable, ComputationalUnit] = {}
         self._keys: dict[ComputationalUnit, Hashable] = {}
         self._specified: tuple[str | None, str] = (None, "")
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "on_opened": _unheard, "before_demand": _no_objection}
+        # The callbacks belong to the process, so a restored engine gets them anew.
+        return {**self.__dict__, "on_opened": _ignore, "before_demand": _allow}
 
     def stream(self, name: str) -> StreamGenerator:
-        """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
+        """Return the generator of ``name``, a stream or an alias. Raises `UnknownStream`."""
         found = self.find(name)
         if found is None:
             names = sorted(self.streams)
-            known = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
-            known = known or "none yet"
+            listed = ", ".join(names[:_MOST_LISTED]) + (", …" if len(names) > _MOST_LISTED else "")
             raise UnknownStream(
                 f"there is no stream called {name!r}",
-                f"declare it with PUT /streams/{name} or annotate it; there are: {known}",
+                f"declare it with PUT /streams/{name} or annotate it; "
+                f"there are: {listed or 'none yet'}",
             )
         return found
 
     def find(self, name: str) -> StreamGenerator | None:
-        """The same; None if there is no such stream. One of violations or of late samples comes
-        into being by being asked for, if ``before_demand`` does not object."""
-        found = self._there(name)
+        """Return the generator of ``name``; None if there is none. A stream of violations or late
+        samples is made on first request, unless ``before_demand`` raises."""
+        found = self._get(name)
         if found is None:
-            if self._violating(name) is not None or self.late.is_name(name):
+            violations = self._violations_named(name)
+            if violations is not None or self.late.is_name(name):
                 self.before_demand()
-            found = self._violations_of(name) or self.late.open(name)
+            found = self.late.open(name) if violations is None else violations.stream
             if found is not None:
                 self.on_opened(found.name)
         return found
 
-    def _there(self, name: str) -> StreamGenerator | None:
+    def _get(self, name: str) -> StreamGenerator | None:
         return self.streams.get(self.aliases.get(name, name))
 
     def _add_late(self, name: str, source: StreamGenerator) -> StreamGenerator:
@@ -166,18 +169,13 @@ class Configuration:
             pools=source.stream.pools,
         )
 
-    def _violations_of(self, name: str) -> StreamGenerator | None:
-        """Somebody asks for the violations of a policy that has none yet."""
-        violations = self._violating(name)
-        return None if violations is None else violations.stream
-
-    def _violating(self, name: str) -> Violations | None:
-        """Whose stream would be called ``name``, if that of violations is meant."""
+    def _violations_named(self, name: str) -> Violations | None:
+        """Return the violations whose stream has or would have the name ``name``, if any."""
         unit = self.units.get(name.removesuffix(SUFFIX)) if name.endswith(SUFFIX) else None
         return unit.violations if isinstance(unit, PolicyUnit) else None
 
     def violations(self, name: str, retention: Retention | None) -> Violations:
-        """Where the unit that makes stream ``name`` tells what its policy refused."""
+        """Make the violations of the policy whose output is stream ``name``."""
 
         def open() -> StreamGenerator:
             self.system.add(name + SUFFIX)
@@ -198,8 +196,9 @@ class Configuration:
         pools: dict[str, StringPool] | None = None,
         specification: str = "",
     ) -> StreamGenerator:
-        """A new stream; raises `AlreadyExists`. Text fields get string pools of their own. A
-        schema without fields makes an *open* stream, whose first samples decide its fields."""
+        """Add a stream. Raises `AlreadyExists`. String fields without a pool in ``pools`` get a new
+        one. A schema without fields makes an *open* stream, whose first samples decide its fields.
+        """
         if self.has(name):
             raise AlreadyExists(f"there is a stream called {name!r}", "choose another name")
         pools = dict(pools or {})
@@ -223,7 +222,7 @@ class Configuration:
         return generator
 
     def remove_stream(self, name: str) -> None:
-        """Forget a stream that no unit makes and none reads, and what came too late for it."""
+        """Remove a stream that no unit makes or reads, with its streams of late samples."""
         for late in self.late.belonging_to(name):
             self.remove_stream(late)
         if name in self.late:
@@ -233,34 +232,35 @@ class Configuration:
         self.named.discard(name)
         del self.namespaces[name]
         if not generator.is_ended:
-            generator.end()  # whoever follows it hears that nothing more comes
+            generator.end()  # tells its followers that there are no more samples
         generator.close()
         if generator.stream.last_number and not name.startswith(RESERVED):
             self._removed[name] = generator.stream.last_number
-            if len(self._removed) > _REMEMBERED:
+            if len(self._removed) > _MOST_REMOVED:
                 self._removed.popitem(last=False)
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
 
     def has(self, name: str) -> bool:
-        """Whether there is a stream of this name, or an alias."""
+        """Whether there is a stream or an alias of this name."""
         return name in self.streams or name in self.aliases
 
-    def is_made(self, name: str) -> bool:
-        """Whether the system makes stream ``name``: nobody publishes to it."""
+    def is_made_by_system(self, name: str) -> bool:
+        """Whether the system makes stream ``name``, so that users cannot publish to it."""
         return name in self.units or name in self.system or name == STATUS
 
     def readers_of(self, name: str) -> tuple[str, ...]:
-        """The names of the units and readers that read stream ``name``, or what came too late for
-        it."""
+        """Return the names of the units and readers that read stream ``name`` or its streams of
+        late samples."""
         streams = {self.streams[each] for each in (name, *self.late.belonging_to(name))}
-        everybody = (*self.units.values(), *self.readers.values())
-        return tuple(one.name for one in everybody if not streams.isdisjoint(one.inputs))
+        processes = (*self.units.values(), *self.readers.values())
+        return tuple(one.name for one in processes if not streams.isdisjoint(one.inputs))
 
-    def readers_outside(
-        self, streams: AbstractSet[str], are_ours: Callable[[ComputationalUnit], bool]
+    def find_outside_reader(
+        self, streams: AbstractSet[str], is_inside: Callable[[ComputationalUnit], bool]
     ) -> tuple[str, str] | None:
-        """A unit that reads one of ``streams``, makes none of them and is not ours, after the
-        stream; None if there is none. A policy's unit is its readers'. Cost: O(units)."""
+        """Find a unit that reads one of ``streams``, makes none of them and is not ``is_inside``;
+        return the stream and the unit, None if there is none. The unit of a policy belongs to its
+        readers. Cost: O(units)."""
         readers: dict[StreamGenerator, list[ComputationalUnit]] = defaultdict(list)
         for unit in self.units.values():
             for source in unit.sources:
@@ -269,7 +269,7 @@ class Configuration:
             todo = [self.streams[name]]
             while todo:
                 for unit in readers.get(todo.pop(), ()):
-                    if unit.output.name in streams or are_ours(unit):
+                    if unit.output.name in streams or is_inside(unit):
                         continue
                     if unit.transformation != POLICY:
                         return name, unit.name
@@ -278,8 +278,8 @@ class Configuration:
 
     @contextmanager
     def as_specified(self, name: str | None, specification: str) -> Iterator[None]:
-        """What starts or stops meanwhile does so by this text; the first stream that the system
-        makes is called ``name``, if it is given."""
+        """Report the changes within this context with this text. The first stream that the system
+        makes within it gets ``name``, if not None."""
         self._specified = (name, specification)
         try:
             yield
@@ -287,20 +287,20 @@ class Configuration:
             self._specified = (None, "")
 
     def reserved_name(self) -> str:
-        """The next free ``dyknow_reserved<N>``, or the name that somebody specified."""
-        given, specification = self._specified
-        if given is not None:
+        """Take the next free ``dyknow_reserved<N>``, or the name of `as_specified`."""
+        specified, specification = self._specified
+        if specified is not None:
             self._specified = (None, specification)
-            self.named.add(given)
-            return given
+            self.named.add(specified)
+            return specified
         while True:
             name = f"{RESERVED}{self._next_reserved}"
             self._next_reserved += 1
             if name not in self.streams:
                 return name
 
-    def pass_over(self, name: str) -> None:
-        """``name`` is given to somebody: if it is the next free one, another is from now on."""
+    def skip_reserved(self, name: str) -> None:
+        """Never return ``name`` as the next free one, since a query or request has it."""
         if self.next_reserved == name:
             self._next_reserved = int(name.removeprefix(RESERVED)) + 1
 
@@ -313,29 +313,30 @@ class Configuration:
         return f"{RESERVED}{number}"
 
     def share(self, key: Hashable, build: Callable[[], ComputationalUnit]) -> ComputationalUnit:
-        """The running unit that was built for ``key``, or a new one: who wants the same shares it.
+        """Return the running unit for ``key``, or a new one from ``build``, which starts it.
 
-        ``build`` starts the unit; it is forgotten when it stops, and not shared once it failed or
-        one of its inputs was removed.
+        A unit is no longer shared when it stops or fails, or when one of its inputs is removed.
         """
-        unit = self.shared(key)
+        unit = self.find_shared(key)
         if unit is None:
             unit = build()
             self._shared[key] = unit
             self._keys[unit] = key
         return unit
 
-    def life_of(self, generator: StreamGenerator) -> StreamGenerator:
-        """The stream itself, or the one behind a policy."""
+    def unadapted(self, generator: StreamGenerator) -> StreamGenerator:
+        """Return the stream before policies adapt it: the input of the first policy on its way, or
+        the stream itself."""
         unit = self.units.get(generator.name)
         while unit is not None and unit.output is generator and unit.transformation == POLICY:
             generator = unit.inputs[0]
             unit = self.units.get(generator.name)
         return generator
 
-    def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
-        """Whether its inputs are the streams of their names still, behind policies too, and behind
-        a query that it shares; and a unit that copies its input has all of its fields."""
+    def has_current_inputs(self, unit: ComputationalUnit) -> bool:
+        """Whether the inputs of a unit still exist and were not replaced, also the inputs of
+        policies and of a shared query before it. A unit that copies its input must also have all
+        fields of the input, which may have got more."""
         copies = unit.transformation in (POLICY, SELECT_OBJECT)
         for source in unit.inputs:
             if self.streams.get(source.name) is not source:
@@ -343,10 +344,10 @@ class Configuration:
             if copies and source.is_narrow_for(unit):
                 return False
             producer = self.units.get(source.name)
-            is_part = unit.transformation == SELECT_INSTANCE
-            if producer is None or not (is_part or producer.transformation == POLICY):
+            selects = unit.transformation == SELECT_INSTANCE
+            if producer is None or not (selects or producer.transformation == POLICY):
                 continue
-            if not self.reads_what_is_there(producer):
+            if not self.has_current_inputs(producer):
                 return False
         return True
 
@@ -357,11 +358,11 @@ class Configuration:
         since: Beginning = Since.NOW,
         name: str | None = None,
     ) -> AnyUnit:
-        """A unit of a continuous query with a new output stream of ``schema``, called ``name`` or
-        by the next reserved one.
+        """Start a unit of a continuous query with a new output stream of ``schema``, which gets
+        ``name`` or the next reserved one.
 
-        ``make`` is called with the output's generator, for its name and string pools; it gives the
-        unit, whose parameter ``query`` is the query's text.
+        ``make`` returns the unit for the generator of the output, whose name and string pools it
+        uses. The unit's parameter ``query`` is the query's text.
         """
         output = self.add_stream(name or self.reserved_name(), schema)
         try:
@@ -373,13 +374,14 @@ class Configuration:
         return unit
 
     def release(self, unit: ComputationalUnit) -> None:
-        """One user less; the unit stops with its last one, and so do its inputs in turn."""
+        """Remove one user of a unit. The unit stops without users, and then releases the units of
+        its inputs."""
         unit.users -= 1
         if unit.users <= 0:
             self.remove_unit(unit)
 
     def remove_unit(self, unit: ComputationalUnit) -> None:
-        """Stop a unit, whoever reads it: its readers are told that their input has ended."""
+        """Stop a unit even if it has readers: for these their input ends."""
         unit.users = 0
         unit.stop()
         violations = unit.violations if isinstance(unit, PolicyUnit) else None
@@ -390,50 +392,51 @@ class Configuration:
         key = self._keys.pop(unit, None)
         if key is not None and self._shared.get(key) is unit:
             del self._shared[key]
-        self.tell(ChangeKind.UNIT_STOPPED, unit, self._specified[1])
+        self.report_unit(ChangeKind.UNIT_STOPPED, unit, self._specified[1])
         self.remove_stream(unit.output.name)
-        self._leave(unit.inputs)
+        self._release_inputs(unit.inputs)
 
     def attach(self, reader: Reader) -> None:
-        """A process without output begins: the units that make its inputs have one user more."""
+        """Add a process without output as a user of the units that make its inputs."""
         self.readers[reader.name] = reader
-        self._use(reader.inputs)
+        self._use_inputs(reader.inputs)
 
     def detach(self, reader: Reader) -> None:
-        """A process without output ends, and with it what nobody else needs."""
+        """Stop a process without output, and release the units of its inputs."""
         reader.stop()
         del self.readers[reader.name]
-        self._leave(reader.inputs)
+        self._release_inputs(reader.inputs)
 
-    def units_behind(self, unit: ComputationalUnit) -> tuple[ComputationalUnit, ...]:
-        """The units whose samples reach ``unit``, inputs first, and ``unit`` itself, each once."""
+    def upstream_units(self, unit: ComputationalUnit) -> tuple[ComputationalUnit, ...]:
+        """Return the units whose samples reach ``unit``, inputs first, then ``unit`` itself; each
+        once."""
         found: dict[ComputationalUnit, None] = {}
-        self._gather(unit, found, set())
+        self._gather_upstream(unit, found, set())
         return tuple(found)
 
-    def _gather(
+    def _gather_upstream(
         self,
         unit: ComputationalUnit,
         found: dict[ComputationalUnit, None],
-        seen: set[ComputationalUnit],
+        visited: set[ComputationalUnit],
     ) -> None:
-        if unit in seen:
+        if unit in visited:
             return
-        seen.add(unit)
+        visited.add(unit)
         for source in unit.inputs:
             producer = self.units.get(source.name)
             if producer is not None:
-                self._gather(producer, found, seen)
+                self._gather_upstream(producer, found, visited)
         found[unit] = None
 
     def is_stamped(self, generator: StreamGenerator) -> bool | None:
-        """Whether the samples were stamped on arrival, here or where they come from; None before
-        the first one."""
+        """Whether the samples, or those that they were computed from, were all stamped on arrival;
+        None before the first one."""
         unit = self.units.get(generator.name)
-        made = () if unit is None else self.units_behind(unit)
-        read = {source for part in made for source in part.inputs} or {generator}
-        known = {self._is_stamped(source) for source in read if source.name not in self.units}
-        return False if False in known else (True if True in known else None)
+        upstream = () if unit is None else self.upstream_units(unit)
+        read = {source for part in upstream for source in part.inputs} or {generator}
+        stamped = {self._is_stamped(source) for source in read if source.name not in self.units}
+        return False if False in stamped else (True if True in stamped else None)
 
     def _is_stamped(self, generator: StreamGenerator) -> bool | None:
         if generator.name in self.system and generator.name not in self.late:
@@ -441,29 +444,29 @@ class Configuration:
         return generator.stamped
 
     def is_broken(self, unit: ComputationalUnit) -> bool:
-        """``unit``, or one whose samples reach it, has failed: nothing more comes of it."""
-        return any(part.failure is not None for part in self.units_behind(unit))
+        """Whether ``unit``, or a unit whose samples reach it, has failed."""
+        return any(part.failure is not None for part in self.upstream_units(unit))
 
     def failure_of(self, unit: ComputationalUnit) -> str | None:
-        """Why nothing more comes of ``unit``: the name and the failure of the nearest unit that has
-        failed, itself or one whose samples reach it; None while something may come.
+        """Return the name and failure of the nearest failed unit, of ``unit`` and the units whose
+        samples reach it; None if there is none, so that ``unit`` may have further samples.
 
-        An adaptive subscription does not fail with its sources: it looks for others. Cost: O(units
-        behind it).
+        Failures before a merge do not count: an adaptive subscription looks for other sources.
+        Cost: O(upstream units).
         """
-        todo, seen = [unit], {unit}
+        todo, visited = [unit], {unit}
         for part in todo:
             if part.failure is not None:
                 return f"{part.name}: {part.failure}"
             if part.transformation != MERGE:
-                made = (self.units.get(source.name) for source in part.inputs)
-                found = [one for one in made if one is not None and one not in seen]
-                seen.update(found)
+                producers = (self.units.get(source.name) for source in part.inputs)
+                found = [one for one in producers if one is not None and one not in visited]
+                visited.update(found)
                 todo += found
         return None
 
     def release_unused(self) -> None:
-        """Stop units that were built for a request that then failed."""
+        """Stop units without users: those of a request that failed while it started."""
         for unit in list(self.units.values()):
             if unit.users == 0 and self.units.get(unit.output.name) is unit:
                 self.remove_unit(unit)
@@ -475,11 +478,11 @@ class Configuration:
         output: StreamGenerator,
         parameters: Mapping[str, str],
     ) -> tuple[object, ...]:
-        """What every `ComputationalUnit` begins with; it gets the next free name."""
-        return (self.unit_name(), transformation, inputs, output, parameters, self._failed)
+        """Return the first arguments of every `ComputationalUnit`, with the next free name."""
+        return (self.unit_name(), transformation, inputs, output, parameters, self._report_failure)
 
     def unit_name(self) -> str:
-        """The next free ``dyknow_cu<N>``."""
+        """Take the next free ``dyknow_cu<N>``."""
         name = f"dyknow_cu{self._next_unit}"
         self._next_unit += 1
         return name
@@ -492,13 +495,14 @@ class Configuration:
         after: int | None = None,
         until: int | None = None,
     ) -> None:
-        """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
+        """Connect a unit to its inputs, and report it; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
         unit.busy_time, unit.backlog = self._busy_time, self._backlog
-        self._use(unit.inputs)
+        self._use_inputs(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         specification = self._specified[1] or specification or f"{unit.transformation}({text})"
-        self.tell(ChangeKind.UNIT_STARTED, unit, specification)
+        # Before the start, since the unit may emit or fail at once.
+        self.report_unit(ChangeKind.UNIT_STARTED, unit, specification)
         unit.start(since, after, until)
 
     def change_inputs(
@@ -508,23 +512,25 @@ class Configuration:
         lost: Sequence[StreamGenerator],
         specification: str,
     ) -> None:
-        """A unit that chooses its inputs itself has changed them ([DyKnow10 Def. 4.7])."""
-        self._use(gained)
-        self.tell(ChangeKind.INPUTS_CHANGED, unit, specification)
-        self._leave(lost)
+        """Note the changed inputs of a unit that chooses them itself ([DyKnow10 Def. 4.7])."""
+        self._use_inputs(gained)
+        self.report_unit(ChangeKind.INPUTS_CHANGED, unit, specification)
+        self._release_inputs(lost)
 
-    def report(self, stream: str, report: Report) -> None:
-        """A process has said something of the stream that it makes; acted upon later, when all
-        that the sample causes has happened."""
+    def add_report(self, stream: str, report: Report) -> None:
+        """Add a report of a process to `reports`. The engine applies it later, when all effects of
+        the present sample have happened."""
         self.reports.append((stream, report))
 
-    def told(self, change: Change) -> None:
-        """Pass on a change of a process that is no unit."""
+    def report_change(self, change: Change) -> None:
+        """Report a change of a process that is not a unit."""
         self._on_change(change)
 
-    def tell(self, kind: ChangeKind, unit: ComputationalUnit, specification: str = "") -> None:
-        """Tell a change of a unit."""
-        together = unit.synchronization
+    def report_unit(
+        self, kind: ChangeKind, unit: ComputationalUnit, specification: str = ""
+    ) -> None:
+        """Report a change of a unit."""
+        synchronization = unit.synchronization
         self._on_change(
             Change(
                 kind,
@@ -535,18 +541,20 @@ class Configuration:
                 specification,
                 unit.role,
                 policy=format_policy(unit.policy) if isinstance(unit, AdaptationUnit) else "",
-                synchronization="" if together is None else together.name,
-                fed=() if together is None else tuple(one.name for one in together.inputs),
+                synchronization="" if synchronization is None else synchronization.name,
+                unsynchronized=tuple(
+                    source.name for source in (synchronization.inputs if synchronization else ())
+                ),
             )
         )
 
-    def _use(self, inputs: Sequence[StreamGenerator]) -> None:
+    def _use_inputs(self, inputs: Sequence[StreamGenerator]) -> None:
         for source in inputs:
             producer = self.units.get(source.name)
             if producer is not None:
                 producer.users += 1
 
-    def _leave(self, inputs: Sequence[StreamGenerator]) -> None:
+    def _release_inputs(self, inputs: Sequence[StreamGenerator]) -> None:
         for source in inputs:
             producer = self.units.get(source.name)
             if producer is not None and producer.output is source:
@@ -555,45 +563,45 @@ class Configuration:
     def reserved_stream(
         self, schema: Schema, namespace: str, pools: dict[str, StringPool]
     ) -> StreamGenerator:
-        """A new stream with the next free ``dyknow_reserved<N>``."""
+        """Add a stream with the next free ``dyknow_reserved<N>``."""
         return self.add_stream(self.reserved_name(), schema, namespace=namespace, pools=pools)
 
     def is_shared(self, key: Hashable) -> bool:
         """Whether there is a running unit for ``key``; see `share`."""
-        return self.shared(key) is not None
+        return self.find_shared(key) is not None
 
-    def shared(self, key: Hashable) -> ComputationalUnit | None:
-        """The running unit that whoever wants ``key`` gets, if there is one; see `share`."""
+    def find_shared(self, key: Hashable) -> ComputationalUnit | None:
+        """Return the running unit that `share` returns for ``key``, if there is one."""
         unit = self._shared.get(key)
-        if unit is None or self.is_broken(unit) or not self.reads_what_is_there(unit):
+        if unit is None or self.is_broken(unit) or not self.has_current_inputs(unit):
             return None
         return unit
 
     def key_of(self, unit: ComputationalUnit) -> Hashable | None:
-        """What a running unit was built for; None if it is not shared. See `share`."""
+        """Return the key of a running unit; None if it was not made by `share`."""
         return self._keys.get(unit)
 
     def unshare(self, unit: ComputationalUnit) -> None:
-        """Whoever wants the same from now on gets another unit; `share_again` undoes it."""
+        """Make `share` start another unit for the same key from now on; `share_again` undoes it."""
         key = self._keys.get(unit)
         if key is not None and self._shared.get(key) is unit:
             del self._shared[key]
 
     def share_again(self, unit: ComputationalUnit) -> None:
-        """Undo `unshare`. Contract: nobody has got another unit since."""
+        """Undo `unshare`. Contract: `share` has not made another unit for the key since."""
         key = self._keys.get(unit)
         if key is not None:
             self._shared.setdefault(key, unit)
 
-    def _failed(self, unit: ComputationalUnit) -> None:
-        # What goes on has no `failure`: a single window was not evaluated.
+    def _report_failure(self, unit: ComputationalUnit) -> None:
+        # A unit that goes on after a window without result has no `failure`.
         reason = unit.failure or unit.counters.last_error or ""
-        self.tell(ChangeKind.UNIT_FAILED, unit, reason)
+        self.report_unit(ChangeKind.UNIT_FAILED, unit, reason)
 
 
-def _no_objection() -> None:
-    """Streams come into being whenever they are asked for."""
+def _allow() -> None:
+    """Allow every stream on first request."""
 
 
-def _unheard(_name: str) -> None:
-    """Nobody wants to know."""
+def _ignore(_name: str) -> None:
+    """Do nothing."""

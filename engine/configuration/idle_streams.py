@@ -1,9 +1,8 @@
-"""Which streams have fallen idle, by the clock of the engine (docs/explanation/semantics.md, "Idle
-streams").
+"""Idle streams, by the clock of the engine (docs/explanation/semantics.md, "Idle streams").
 
-Nobody waits for a stream that was declared with ``idle`` and has brought nothing for so long: the
-windows of whoever reads others too go on without it. (`silent_objects` asks another thing: whether
-an adaptive subscription has something better to read.)
+A stream declared with ``idle`` is idle when it has had no samples for that time. Its readers then
+close windows without waiting for it. (`silent_streams` answers another question: whether an
+adaptive subscription should look for a better source.)
 """
 
 from __future__ import annotations
@@ -14,29 +13,30 @@ from ...streams.generator import StreamGenerator
 
 
 class Idleness:
-    """When streams last brought something. Cost: O(streams) a `tick`. Memory: two numbers each.
+    """The times of streams' last samples. Cost: O(streams) a `tick`. Memory: two numbers each.
 
-    Samples that are late or duplicates are something, too: the stream is not idle.
+    Late samples and duplicates count: a stream that has them is not idle.
     """
 
     def __init__(self) -> None:
         self._last: dict[StreamGenerator, tuple[int, int]] = {}
-        """How many samples a stream had brought, and when (ns) it was seen to bring the last."""
+        """The number of accepted samples, and the time (ns) when it last changed."""
 
-    def came(self, generator: StreamGenerator, now: int) -> None:
-        """The stream has been declared, or may have brought something."""
-        brought = generator.counters.accepted
-        known = self._last.get(generator)
-        if generator.idle is not None and (known is None or known[0] != brought):
-            self._last[generator] = brought, now
+    def note_samples(self, generator: StreamGenerator, now: int) -> None:
+        """Note the time if the stream is new or has new samples."""
+        accepted = generator.counters.accepted
+        last = self._last.get(generator)
+        if generator.idle is not None and (last is None or last[0] != accepted):
+            self._last[generator] = accepted, now
 
     def tick(self, streams: Iterable[StreamGenerator], now: int) -> None:
-        """The time is ``now``. A stream that nobody has told of begins to be silent now."""
+        """Let streams fall idle that have had no samples for long enough at time ``now``. For a
+        stream that is new here the silence begins now."""
         watched = [generator for generator in streams if generator.idle is not None]
         for generator in watched:
-            self.came(generator, now)
+            self.note_samples(generator, now)
             _, last = self._last[generator]
-            # Those that are stamped on arrival are as far as the clock.
+            # The watermark of a stream stamped on arrival follows the clock, so readers never wait.
             if not (generator.is_ended or generator.is_idle or generator.stamped):
                 assert generator.idle is not None
                 if now - last >= generator.idle:

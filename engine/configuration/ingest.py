@@ -1,4 +1,4 @@
-"""Taking samples in: which streams accept them, each batch once ([DyKnow10 Def. 4.4])."""
+"""Publishes batches to the streams that accept samples, each batch once ([DyKnow10 Def. 4.4])."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _KEYS_KEPT = 10_000
 
 
 class UsedKey(NamedTuple):
-    """An idempotency key: of which stream, what was sent, and what was answered."""
+    """An idempotency key with its stream, the digest of the samples, and the answer."""
 
     stream: str
     key: str
@@ -32,22 +32,22 @@ class Intake:
         self._keyed: set[str] = set()
 
     def accepting(self, name: str) -> StreamGenerator:
-        """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
-        a stream that the system makes."""
+        """Return the generator of a stream that users publish to. Raises `UnknownStream`, and
+        `Refused` for a stream that the system makes."""
         generator = self._configuration.stream(name)
-        if self._configuration.is_made(generator.name):
+        if self._configuration.is_made_by_system(generator.name):
             raise Refused(
-                f"stream {name!r} is made by the system", "publish to a stream that you declared"
+                f"the system makes stream {name!r}", "publish to a stream that you declared"
             )
         return generator
 
     def is_used(self, name: str, key: str | None) -> bool:
-        """Whether ``key`` was used for this stream before: it has no second effect then."""
+        """Whether ``key`` was used for this stream before. If so, publishing has no effect."""
         return key is not None and (self.accepting(name).name, key) in self._keys
 
-    def refuse_ahead(self, name: str) -> None:
-        """Count a batch for stream ``name`` that `Publish.check_ahead` has refused, and forget its
-        texts."""
+    def count_ahead(self, name: str) -> None:
+        """Count a batch for stream ``name`` that `Publish.check_ahead` has refused, and drop its
+        texts from the string pools."""
         generator = self.accepting(name)
         generator.counters.ahead += 1
         generator.forget_texts()
@@ -60,7 +60,7 @@ class Intake:
         try:
             return self._publish(generator, incoming, now, idempotency_key, digest)
         finally:
-            # Its texts are in the pools of the stream, also where nothing comes of the batch.
+            # Decoding has put the texts into the stream's pools, even if the batch is refused.
             generator.forget_texts()
 
     def _publish(
@@ -74,22 +74,22 @@ class Intake:
         name = generator.name
         key = (name, idempotency_key or "")
         if idempotency_key is not None and key in self._keys:
-            sent, accepted = self._keys[key]
-            if sent != digest:
+            used_digest, accepted = self._keys[key]
+            if used_digest != digest:
                 raise Conflict(
                     f"key {idempotency_key!r} was used for other samples of stream {name!r}",
-                    "use a key once; the same samples may be sent under it again",
+                    "use a new key; a key may be used again only for the same samples",
                 )
             return accepted
         if len(incoming.batch) and generator.stamped not in (None, incoming.stamped):
-            has, lacks = (
-                ("are stamped on arrival", "bring")
+            earlier, these = (
+                ("were stamped on arrival", "have available times")
                 if generator.stamped
-                else ("bring their own available times", "lack")
+                else ("have available times", "have none")
             )
             raise Conflict(
-                f"the samples of stream {name!r} {has}; these {lacks} them",
-                "a stream is one or the other, from its first sample on",
+                f"the earlier samples of stream {name!r} {earlier}; these {these}",
+                "the first sample decides for the whole stream: send all like it",
             )
         accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
         if idempotency_key is not None:
@@ -101,17 +101,17 @@ class Intake:
 
     @property
     def keys(self) -> tuple[UsedKey, ...]:
-        """Those that are remembered, oldest first."""
-        return tuple(UsedKey(*key, *sent) for key, sent in self._keys.items())
+        """The remembered keys, oldest first."""
+        return tuple(UsedKey(*key, *use) for key, use in self._keys.items())
 
-    def remember(self, keys: Iterable[UsedKey]) -> None:
-        """An earlier run has used these."""
+    def restore_keys(self, keys: Iterable[UsedKey]) -> None:
+        """Remember the keys of an earlier run."""
         for each in keys:
             self._keys[each.stream, each.key] = (each.digest, each.accepted)
             self._keyed.add(each.stream)
 
-    def forget(self, name: str) -> None:
-        """A stream was removed, and with it the keys that were used for it."""
+    def forget_keys(self, name: str) -> None:
+        """Forget the keys of a removed stream."""
         if name in self._keyed:
             self._keyed.discard(name)
             for key in [key for key in self._keys if key[0] == name]:

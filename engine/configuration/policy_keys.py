@@ -1,7 +1,7 @@
-"""The fields by which a policy tells objects apart (SPEC §1, Policies).
+"""The key fields of a policy, by which it treats objects separately (SPEC §1, Policies).
 
-The one place that decides it, for subscriptions, KPL and specifications. A unit that keeps a policy
-asks once, when it is made: a later annotation does not change what it keeps of each object.
+Subscriptions, KPL and specifications all decide it here. A policy's unit asks once, when it is
+made: a later annotation does not change the state that the unit has for each object.
 """
 
 from __future__ import annotations
@@ -12,20 +12,19 @@ from .configuration import POLICY, Configuration
 
 
 def annotated_contents(configuration: Configuration, stream: str) -> tuple[Content, ...]:
-    """What a stream contains by its annotation; one of late samples by that of their stream."""
+    """Return the contents of a stream by its annotation. A stream of late samples has the
+    annotation of its source."""
     source = configuration.late.source_of(stream)
     annotation = configuration.annotations.get(stream if source is None else source)
     return () if annotation is None else annotation.contents
 
 
 def policy_keys(configuration: Configuration, source: StreamGenerator) -> tuple[str, ...]:
-    """The id fields for each of whose objects a policy on ``source`` holds by itself; none where it
-    holds for the whole stream.
-
-    They are those of the stream's annotation. What a policy makes contains what its input does.
-    """
+    """Return the id fields of ``source`` by its annotation: a policy holds for each of their
+    objects. Without any it holds for the whole stream."""
     if not configuration.rules.separates_objects:
         return ()
+    # The output of a policy has the contents of its input, so look there for the annotation.
     while True:
         contents = annotated_contents(configuration, source.name)
         unit = configuration.units.get(source.name)

@@ -22,7 +22,7 @@ from ...languages.errors import LanguageError
 from ...languages.ssl import ast, parse_ssl
 from ...rdf.namespaces import local_name, shorten
 from ..engine import Engine
-from ..model.beginning import Beginning, as_far_as_kept, beginning_of
+from ..model.beginning import Beginning, parse_beginning, start_from_retained
 from ..model.errors import UNKNOWN
 from ..model.views import QueryView
 from ..planning.registrations import Asked as AskedQuery
@@ -237,7 +237,7 @@ def _done_again(command: Command, engine: Engine) -> Any:
             def begun(since: Beginning) -> Any:
                 return msgspec.structs.replace(command, since=str(since)).apply(engine)
 
-            return as_far_as_kept(beginning_of(command.since), begun)
+            return start_from_retained(parse_beginning(command.since), begun)
         case _:
             return command.apply(engine)
 
@@ -261,7 +261,9 @@ def query_view(waiting: Waiting) -> QueryView:
     dialect = Dialect.C_SPARQL if query is None else query.dialect
     semantics = command.semantics or usual_semantics(dialect)
     options = Options(semantics, command.bounds, command.origin, command.report)
-    asked = AskedQuery(command.text.strip(), options, command.strategy, beginning_of(command.since))
+    asked = AskedQuery(
+        command.text.strip(), options, command.strategy, parse_beginning(command.since)
+    )
     registration = (
         Registration(0, asked, "", "", "") if query is None else Registration.of(0, asked, query)
     )

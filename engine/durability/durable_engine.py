@@ -179,7 +179,7 @@ class RecordedEngine:
                 begun = len(entry.payload) + READINGS
                 self._runner.tape.record(lambda size: entry.has_room(begun + size))
                 found = self._standing.do(self.engine, command, known)
-                readings = self._runner.tape.taken()
+                readings = self._runner.tape.readings()
                 if readings and isinstance(command, Tick):
                     entry.payload = written(Tick(command.now, readings))
         except JournalError:

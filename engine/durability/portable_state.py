@@ -156,7 +156,7 @@ def engine_from(
             )
         else:
             lost += _restore(generator, kept)
-    engine.intake.remember(each for each in portable.keys if each.stream in there)
+    engine.intake.restore_keys(each for each in portable.keys if each.stream in there)
     again = set(_query_streams(engine))
     for kept in portable.results:
         # A query whose results are there already reads what happens as the engine begins.

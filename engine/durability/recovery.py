@@ -104,13 +104,13 @@ class Recovering:
             found = self._from_nothing(now)
         engine, done = found
         count = self._log.position - done
-        self._tape.is_playing = True
+        self._tape.is_replaying = True
         for position, data in self._log.read(done):
             self._again(engine, position, data)
             self.found.replayed += 1
             if progress is not None and self.found.replayed % 1000 == 0:
                 progress(self.found.replayed, count)
-        self._tape.is_playing = False
+        self._tape.is_replaying = False
         self._check_writer()
         for reason, times in self._unplaced.items():
             note = f"{times} batches could not be taken again: {reason}"
@@ -242,7 +242,7 @@ class Recovering:
         else:
             self._check_writer()
         if isinstance(command, Tick):
-            self._tape.play(command.readings)
+            self._tape.replay(command.readings)
         if isinstance(command, Refused) and not self.found.is_continued:
             # It need not be refused here, and nobody was promised what would come of it.
             return

@@ -186,7 +186,7 @@ class Application:
             )
         keys = (*dependents, found.key)
         made = {key for key in keys if key in self._units or key in self._own}
-        outside = self._configuration.readers_outside(made, self._is_ours)
+        outside = self._configuration.find_outside_reader(made, self._is_ours)
         if outside:
             stream, reader = outside
             raise Conflict(
@@ -344,7 +344,7 @@ class Application:
             on_event=lambda source, event, text: self._tell_source(ChangeKind(event), source, text),
             runner=self._runner,
             name=self._configuration.unit_name(),
-            on_report=self._configuration.report,
+            on_report=self._configuration.add_report,
         )
         self.sampled[output.name] = source
         self._configuration.system.add(output.name)
@@ -384,9 +384,9 @@ class Application:
         """Let a generator see nothing that is available later than ``until``."""
         self._units[declaration.key].end_after(until)
 
-    def has_seen(self, declaration: GeneratorDeclaration) -> int:
+    def last_processed(self, declaration: GeneratorDeclaration) -> int:
         """Up to when a generator has seen samples."""
-        return self._units[declaration.key].seen
+        return self._units[declaration.key].last_processed
 
     def void(self, declaration: GeneratorDeclaration) -> None:
         """Take a generator away that another one takes the place of, from its beginning."""
@@ -400,7 +400,7 @@ class Application:
 
     def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
         """Whether the streams that a generator reads are there still."""
-        return self._configuration.reads_what_is_there(self._units[declaration.key])
+        return self._configuration.has_current_inputs(self._units[declaration.key])
 
     def stop(self, declaration: CheckedDeclaration) -> None:
         """Stop what runs for a declaration."""
@@ -408,7 +408,7 @@ class Application:
         unit = self._units.pop(key, None)
         if unit is not None:
             output = unit.output
-            read = [self._configuration.life_of(source) for source in unit.inputs]
+            read = [self._configuration.unadapted(source) for source in unit.inputs]
             if any(life.is_void for life in read):
                 output.is_void = True
             if output.ends_at is None:  # with the life of what it read, if that is over
@@ -457,7 +457,7 @@ class Application:
         """What came of calls of a sink, which may be gone by now."""
         for reader in tuple(self._readers.values()):
             if isinstance(reader, Sink) and reader.name == outcome.sink:
-                reader.hear(outcome)
+                reader.apply_outcome(outcome)
 
     def _attach(self, key: str, reader: Sink | ConfigurationProcess, specification: str) -> None:
         self._readers[key] = reader
@@ -468,7 +468,7 @@ class Application:
 
     def _tell_source(self, kind: ChangeKind, source: SampledSource, text: str = "") -> None:
         name = source.implementation.name
-        self._configuration.told(
+        self._configuration.report_change(
             Change(kind, source.output.name, source.name, name, (), text, Role.SOURCE)
         )
 
@@ -476,7 +476,7 @@ class Application:
         self, kind: ChangeKind, reader: Sink | ConfigurationProcess, text: str = ""
     ) -> None:
         name = reader.implementation.name if isinstance(reader, Sink) else "foreach"
-        self._configuration.told(
+        self._configuration.report_change(
             Change(
                 kind,
                 "",

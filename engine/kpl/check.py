@@ -92,7 +92,7 @@ class Admission:
         if existing is None:
             self._check_free(name)
             return
-        if self._configuration.is_made(name):
+        if self._configuration.is_made_by_system(name):
             raise Refused(
                 f"stream {name!r} is made by the system, so it is no source",
                 "a source is a stream that you publish to, or a process with @dyknow.source",

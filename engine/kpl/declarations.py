@@ -259,7 +259,7 @@ def _counters(process: Process | None) -> dict[str, object]:
                 "leaving": len(process.leaving),
             }
         case MediationUnit():
-            return {"inputs": len(process.inputs) - 1, "without stream": list(process.unmet)}
+            return {"inputs": len(process.inputs) - 1, "without stream": list(process.missing)}
         case ComputationalUnit():
             return {"late": process.late}
         case _:

@@ -116,7 +116,7 @@ class Network:
                     *self._identity(name, terms, declaration, declaration.sort.schema, after),
                     implementation=self.implementation(name, key),
                     on_event=self._told,
-                    on_report=self._configuration.report,
+                    on_report=self._configuration.add_report,
                     runner=self._runner,
                 )
             case JoinOf(terms):
@@ -195,7 +195,7 @@ class Network:
         labels = [str(term.label) for term in process.terms]
 
         def late(samples: Late) -> None:
-            violations.late(samples, labels[samples.input])
+            violations.add_late(samples, labels[samples.input])
 
         # An order of each object by itself is none of the stream.
         monotone = [
@@ -245,14 +245,14 @@ class Network:
             stream_of=stream_of,
             promised=lambda: self._promised(process.pattern.label.feature),
             past_of=past_of,
-            life_of=self._configuration.life_of,
+            unadapted=self._configuration.unadapted,
             on_inputs=changed,
             on_news=self._on_news,
             on_event=self._told,
         )
 
     def _told(self, unit: ComputationalUnit, event: ProcessEvent, text: str) -> None:
-        self._configuration.tell(ChangeKind(event), unit, text)
+        self._configuration.report_unit(ChangeKind(event), unit, text)
 
     def _identity(
         self,

@@ -191,7 +191,7 @@ def _broken(configuration: Configuration, failures: Sequence[tuple[str, str]]) -
         return {}
     broken: dict[str, str] = {}
     for unit in configuration.units.values():
-        parts = configuration.units_behind(unit)
+        parts = configuration.upstream_units(unit)
         names = {part.output.name for part in parts}
         names.update(source.name for part in parts for source in part.inputs)
         reasons = [reason for name, reason in failures if name in names]

@@ -1,45 +1,46 @@
-"""When samples come, by the clock of the engine: which streams have fallen silent (SPEC §7).
+"""When samples arrive, by the clock of the engine, and when a stream is silent (SPEC §7).
 
-A stream is *silent* that has not spoken for much longer than usual: five times the usual gap
-between what comes, at least a second. Whoever knows better declares it, as of a stream whose
-bursts come one by one and whose pauses between them are no news.
+A stream is *silent* if nothing has arrived for five times the usual gap between arrivals, and for
+at least a second. A subscription may declare a staleness instead, for example for a stream of
+bursts with normal pauses between them.
 """
 
 from __future__ import annotations
 
 from ...streams.time import SECOND
 
-LEARNED_FROM = 5
-"""So many gaps must have been seen before anything is said of a stream."""
+MIN_GAPS = 5
+"""The number of gaps from which the usual gap is known well enough."""
 PATIENCE = 5.0
-"""A stream is silent after so many times its usual gap."""
-LEAST = SECOND
-"""And never before so long (ns)."""
+"""A stream is silent after this multiple of its usual gap."""
+MIN_SILENCE = SECOND
+"""The shortest silence (ns)."""
 _WEIGHT = 0.2
-"""Of the newest gap in the usual one: an exponentially weighted mean."""
+"""The weight of the newest gap in the exponentially weighted mean."""
 
 
 class Arrivals:
-    """The arrivals of one stream. Cost: O(1) an arrival, which is a batch. Memory: four numbers.
+    """The arrivals of one stream. An arrival is a batch. Cost: O(1) an arrival. Memory: four
+    numbers.
 
-    ``last`` is the time (ns) of the latest one, of the beginning before there is any; ``gap`` the
-    usual time between two, of which ``count`` have been seen.
+    ``last`` is the time (ns) of the latest arrival; before the first, the time of the start.
+    ``gap`` is the usual time between two arrivals, from ``count`` gaps.
     """
 
-    __slots__ = ("count", "gap", "has_spoken", "last")
+    __slots__ = ("count", "gap", "has_arrived", "last")
 
     def __init__(self, now: int) -> None:
         self.last = now
-        self.has_spoken = False
+        self.has_arrived = False
         self.count = 0
         self.gap = 0.0
 
-    def came(self, now: int) -> None:
-        """Something has come. What comes at the same moment is one arrival."""
+    def add(self, now: int) -> None:
+        """Add an arrival. Arrivals at the same time count as one."""
         gap = now - self.last
-        if not self.has_spoken:
-            # How long the first one was waited for says nothing of how often they come.
-            self.has_spoken = True
+        if not self.has_arrived:
+            # The time until the first arrival is not a gap between two.
+            self.has_arrived = True
             self.last = max(self.last, now)
         elif gap > 0:
             self.count += 1
@@ -48,15 +49,15 @@ class Arrivals:
 
     @property
     def patience(self) -> int | None:
-        """After how long (ns) without a sample the stream is silent; None: nobody knows yet."""
-        if self.count < LEARNED_FROM:
+        """The time (ns) without arrivals after which the stream is silent; None: not known yet."""
+        if self.count < MIN_GAPS:
             return None
-        return max(LEAST, int(PATIENCE * self.gap))
+        return max(MIN_SILENCE, int(PATIENCE * self.gap))
 
     def silent_at(self, declared: int | None = None) -> int | None:
-        """From when on (ns) the stream is silent if nothing comes; None: nobody knows.
+        """Return the time (ns) from which the stream is silent if nothing arrives; None: not known.
 
-        ``declared`` is how long (ns) it may be silent at most, whatever it did before.
+        ``declared``: the time (ns) after which it is silent, instead of the usual gaps.
         """
         patience = self.patience if declared is None else declared
         return None if patience is None else self.last + patience

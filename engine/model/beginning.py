@@ -1,9 +1,9 @@
-"""Where the answer to a request begins: with what comes, with all that its streams keep, or at a
-moment of their past (SPEC §1: a subscription may begin in the past).
+"""The beginning of a request's answer: new samples, all retained samples, or a moment in the past
+(SPEC §1: a subscription may begin in the past).
 
-A request that begins at a moment gives what it would give from ``start`` over the samples available
-from then on alone, so an instant is read as a whole or not at all. Where retention has forgotten a
-part of them the request is refused (`Forgotten`).
+Law: a request that begins at a moment gives the same output as one from ``start`` over only the
+samples available from that moment on. It therefore reads an instant as a whole or not at all. If
+retention has dropped some of these samples, the request is refused (`Forgotten`).
 """
 
 from __future__ import annotations
@@ -23,48 +23,48 @@ Beginning: TypeAlias = Since | Moment
 T = TypeVar("T")
 
 
-def beginning_of(text: str) -> Beginning:
-    """The beginning that a request says; the inverse of ``str``. Raises `BadArguments`."""
+def parse_beginning(text: str) -> Beginning:
+    """Parse the ``since`` of a request; the inverse of ``str``. Raises `BadArguments`."""
     with suppress(ValueError):
         return Since(text)
     moment = Moment.parse(text)
     if moment is None:
         raise BadArguments(
-            f"since {text!r} is neither now, start, a time nor a duration",
+            f"since {text!r} is not now, start, a time or a duration",
             "write start, 2021-10-07T19:12:53Z, or 30s before the newest sample",
         )
     return moment
 
 
-def settled(begin: Beginning, read: Iterable[FluentStream]) -> Beginning:
-    """``begin`` with a time in place of a duration: so long before the newest sample of all the
-    streams that are ``read``."""
+def resolve_duration(begin: Beginning, read: Iterable[FluentStream]) -> Beginning:
+    """Return ``begin`` with a time instead of a duration, which counts back from the newest sample
+    of all streams that are ``read``."""
     return begin.among(read) if isinstance(begin, Moment) else begin
 
 
-def check_kept(begin: Beginning, stream: FluentStream) -> None:
-    """Raise `Forgotten` where ``stream`` has forgotten samples from the moment ``begin`` on.
-    ``start`` is all that is kept, and no duration is left (`settled`)."""
+def check_retained(begin: Beginning, stream: FluentStream) -> None:
+    """Raise `Forgotten` if ``stream`` has dropped samples from the moment ``begin`` on. ``start``
+    means all retained samples. Contract: ``begin`` is no duration (`resolve_duration`)."""
     if isinstance(begin, Moment):
         begin.check(stream)
 
 
-def names_read(supplies: Iterable[Supply]) -> tuple[str, ...]:
-    """The streams from which the plans ``supplies`` are made, each once."""
+def existing_streams(supplies: Iterable[Supply]) -> tuple[str, ...]:
+    """Return the names of the existing streams that the plans ``supplies`` use, each once."""
     nodes = (node for supply in supplies for node in nodes_of_supply(supply))
     return tuple(dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream)))
 
 
 def last_before(begin: Beginning) -> int:
-    """The available time (ns) up to which a request with the past ``begin`` reads nothing."""
+    """Return the last available time (ns) whose samples a request from ``begin`` does not read."""
     if not isinstance(begin, Moment):
         return TIME_MIN
     return max(begin.time - 1, TIME_MIN)
 
 
-def as_far_as_kept(begin: Beginning, start: Callable[[Beginning], T]) -> T:
-    """``start`` from ``begin``, or where its streams have forgotten a part, from the oldest time
-    that all of them keep: for a request that was accepted when the samples were still there."""
+def start_from_retained(begin: Beginning, start: Callable[[Beginning], T]) -> T:
+    """Call ``start`` with ``begin``, or with the oldest time that all its streams retain if that is
+    later. For restoring a request: its samples were retained when it was accepted."""
     while True:
         try:
             return start(begin)

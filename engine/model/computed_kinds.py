@@ -1,5 +1,5 @@
-"""What kind of number or boolean an expression gives, where that can be known without its data
-(SPARQL 1.1 §17.3-17.4). `result_schema` types the fields of output streams by it."""
+"""Infers the kind of number or boolean that an expression yields (SPARQL 1.1 §17.3-17.4).
+`result_schema` types the fields of output streams by it, before there are data."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ _CASTS: Final = {f"<{datatype}>": kind for datatype, kind in _KINDS.items()}
 def kind_of(
     expression: Expression, kinds: Mapping[str, Kind], others: Set[str] = frozenset()
 ) -> Kind | None:
-    """The kind of the values of ``expression``; None where it is not known, or neither.
+    """Return the kind of the values of ``expression``; None if unknown, or if they are neither
+    numbers nor booleans.
 
-    ``kinds`` are those of variables, ``others`` variables that hold something else. Arithmetic on
-    what is not known gives some number: a DOUBLE has room for it.
+    ``kinds`` are the kinds of variables, ``others`` the variables with other values. Arithmetic on
+    variables of unknown kind yields DOUBLE, which has room for any number.
     """
     match expression:
         case Var(name):
@@ -57,24 +58,24 @@ def kind_of(
             if name == "SECONDS":
                 return Kind.DECIMAL
             if name in ("IF", "COALESCE"):
-                chosen = arguments[1:] if name == "IF" else arguments
-                return one_kind([kind_of(one, kinds, others) for one in chosen])
+                results = arguments[1:] if name == "IF" else arguments
+                return common_kind([kind_of(one, kinds, others) for one in results])
             if name in _SAME or name in ARITHMETIC:
-                return _of_numbers(name, arguments, kinds, others)
+                return _arithmetic_kind(name, arguments, kinds, others)
     return None
 
 
-def one_kind(found: Sequence[Kind | None]) -> Kind | None:
-    """The kind that holds the values of all of these; None where there is none."""
-    known = {kind for kind in found if kind is not None}
-    if None in found or not known:
+def common_kind(found: Sequence[Kind | None]) -> Kind | None:
+    """Return the narrowest kind that holds the values of all of these; None if there is none."""
+    kinds = {kind for kind in found if kind is not None}
+    if None in found or not kinds:
         return None
-    if len(known) > 1 and not all(kind.is_number for kind in known):
+    if len(kinds) > 1 and not all(kind.is_number for kind in kinds):
         return None
-    return max(known)
+    return max(kinds)
 
 
-def _of_numbers(
+def _arithmetic_kind(
     name: str, arguments: Sequence[Expression], kinds: Mapping[str, Kind], others: Set[str]
 ) -> Kind | None:
     if any(isinstance(one, Var) and one.name in others for one in arguments):
@@ -88,6 +89,6 @@ def _of_numbers(
 
 
 def kind_of_datatype(datatype: str | None) -> Kind | None:
-    """The kind of the values of a datatype, None where they are neither numbers nor booleans. Those
-    derived from xsd:integer are integers."""
+    """Return the kind of a datatype's values; None if they are neither numbers nor booleans. A
+    datatype derived from xsd:integer has integers."""
     return Kind.INTEGER if datatype in INTEGERS else _KINDS.get(datatype or "")

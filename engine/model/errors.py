@@ -1,10 +1,10 @@
-"""What the engine refuses, by type. Each error says what to do next; nothing took effect."""
+"""Errors of the engine. Each has a hint for the user; the refused command had no effect."""
 
 from __future__ import annotations
 
 
 class DyknowError(Exception):
-    """Base of the engine's refusals: ``detail`` says what is wrong, ``hint`` what to do next."""
+    """Base of the engine's errors: ``detail`` is the problem, ``hint`` the way out."""
 
     title = "refused"
 
@@ -35,7 +35,7 @@ class UnknownTemplate(DyknowError):
 
 
 class UnknownEvent(DyknowError):
-    """The ontology knows no such event ([Events14 §V.B]: it must exist to be requested)."""
+    """The ontology has no such event ([Events14 §V.B]: it must exist to be requested)."""
 
     title = "unknown event"
 
@@ -53,31 +53,31 @@ class UnknownRequest(DyknowError):
 
 
 class UnknownFeature(DyknowError):
-    """The ontology knows no such feature, sort or object."""
+    """The ontology has no such feature, sort or object, or there is no such implementation."""
 
     title = "unknown term"
 
 
 class AlreadyExists(DyknowError):
-    """Something has this name already."""
+    """The name is taken."""
 
     title = "already exists"
 
 
 class Conflict(DyknowError):
-    """The change contradicts what is there: another schema, something in use."""
+    """The change contradicts the present state: another schema, something in use."""
 
     title = "conflict"
 
 
 class BadArguments(DyknowError):
-    """Arguments of a request that do not fit the template's parameters."""
+    """Invalid arguments of a request."""
 
     title = "wrong arguments"
 
 
 class NoPlan(DyknowError):
-    """Semantic matching found no way; ``missing`` says what would be needed."""
+    """Semantic matching found no plan; ``missing`` lists the missing features."""
 
     title = "no plan"
 
@@ -92,7 +92,7 @@ class NoPlan(DyknowError):
 
 
 class Refused(DyknowError):
-    """A request that the engine understands and does not carry out."""
+    """The engine does not carry out such a request, for example one about the system's names."""
 
     title = "refused"
 
@@ -104,7 +104,7 @@ class UnknownQuery(DyknowError):
 
 
 class NotAnnotated(DyknowError):
-    """A query names a stream of which nobody has said what it contains."""
+    """A query names a stream that has no annotation."""
 
     title = "stream without annotation"
 
@@ -116,10 +116,10 @@ class NoResult(DyknowError):
 
 
 class UnknownDeclaration(DyknowError):
-    """Nothing of this name was declared in KPL."""
+    """No KPL declaration has this name."""
 
     title = "unknown declaration"
 
 
 UNKNOWN = (UnknownStream, UnknownTemplate, UnknownTransformation, UnknownRequest, UnknownQuery)
-"""What is raised where something is to be removed that is not there."""
+"""The errors of removing something that does not exist."""

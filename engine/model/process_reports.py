@@ -1,4 +1,4 @@
-"""What a process says of its own output ([Introspection15 §4.2, §4.4]).
+"""Reports of a process about its own output ([Introspection15 §4.2, §4.4]).
 
 "A computational unit is able to determine when the quality of a stream drops, and can request the
 semantics manager to change the quality property; similarly a change in semantics can be reported."
@@ -13,11 +13,11 @@ from typing import Any, TypeAlias
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """An answer together with what has changed about the stream that it goes to.
+    """The answer of a process, with a change of its output stream.
 
-    ``answer`` is what the process would have given otherwise (None: no sample). ``quality`` (0..1)
-    is how good the stream is from now on, ``contains`` what it contains from now on, as SSL writes
-    it after `contains`: ``speed(UAV) = value [m.s-1] for every UAV = id``. None: as before.
+    ``answer`` is the usual answer of the process (None: no sample). ``quality`` (0..1) is the new
+    quality of the stream. ``contains`` is its new content, as SSL has it after `contains`:
+    ``speed(UAV) = value [m.s-1] for every UAV = id``. None: unchanged.
     """
 
     answer: Any = None
@@ -26,8 +26,8 @@ class Report:
 
 
 OnReport: TypeAlias = Callable[[str, Report], None]
-"""Called with the name of the stream, after the samples made before it were offered."""
+"""Called with the name of the stream, after the samples before the report were offered."""
 
 
-def unheard(stream: str, report: Report) -> None:
-    """Nobody listens: a rehearsal, a test."""
+def ignore_report(stream: str, report: Report) -> None:
+    """Do nothing: for a trial run or a test."""

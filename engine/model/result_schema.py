@@ -1,4 +1,4 @@
-"""The form of a query's results: fields, types and meaning of its output stream
+"""The form of a query's results: the fields, types and annotation of its output stream
 ([Events14 §V.A], SPEC §4-5)."""
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ...sparql.scope import projected_variables
 from ...streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ...streams.string_pool import StringPool
 from ...templates.patterns import patterns
-from .computed_kinds import kind_of, kind_of_datatype, one_kind
+from .computed_kinds import common_kind, kind_of, kind_of_datatype
 
 _AGGREGATE_KINDS = {"AVG": Kind.DOUBLE, "SUM": Kind.DOUBLE, "COUNT": Kind.INTEGER}
 _AMONG: Final = ("MIN", "MAX", "SAMPLE")
@@ -44,18 +44,18 @@ _AMONG: Final = ("MIN", "MAX", "SAMPLE")
 
 @dataclass(frozen=True, slots=True)
 class ResultForm:
-    """What a query's output stream looks like. ``predicates`` are those of a CONSTRUCT head,
-    ``naming`` the ones among them whose objects are names and no literals, as the query has it;
-    ``ordered``: solutions keep the order that ORDER BY gives them."""
+    """The form of a query's output stream. ``predicates`` are those of a CONSTRUCT head,
+    ``iri_predicates`` those among them whose objects are always IRIs by the query. ``ordered``:
+    solutions keep the order of ORDER BY."""
 
     schema: Schema
     predicates: tuple[str, ...]
     units: Mapping[str, Unit]
-    naming: frozenset[str] = frozenset()
+    iri_predicates: frozenset[str] = frozenset()
     ordered: bool = False
 
     def converter(self, pools: dict[str, StringPool]) -> ResultConverter:
-        """Converts the query's results to samples of this form."""
+        """Make the converter from the query's results to samples of this form."""
         return ResultConverter(
             self.schema, pools, predicates=self.predicates, keep_order=self.ordered
         )
@@ -63,10 +63,11 @@ class ResultForm:
     def event_annotation(
         self, stream: str, event: str, roles: Sequence[Role]
     ) -> StreamAnnotation | None:
-        """What the stream contains: its *event* over the sorts of its objects, not the head's
-        predicates, for speeds above 100 are no stream of speed (SPEC §5). None for a table.
+        """Return the annotation for matching: the *event* over the sort of its objects, with the
+        object of the head's first predicate as value. None for a table.
 
-        The event's value is the object of the head's first predicate.
+        It does not name the head's predicates: a stream of speeds above 100 is not a stream of
+        speed (SPEC §5).
         """
         if not self.predicates:
             return None
@@ -81,7 +82,7 @@ class ResultForm:
         return StreamAnnotation(stream, (content,), source)
 
     def rdf_annotation(self, stream: str, roles: Sequence[Role]) -> StreamAnnotation | None:
-        """How samples of the stream are written as the triples that the head constructed."""
+        """Return the annotation for writing samples as RDF: as the triples of the head."""
         if not self.predicates:
             return None
         names = field_names(self.predicates)
@@ -94,8 +95,8 @@ class ResultForm:
 
 
 def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
-    """The form of ``query``'s results: types by features' ranges and by aggregates. Cost: found
-    once for all instances of a template."""
+    """Return the form of ``query``'s results; features' ranges and expressions decide the types.
+    Cost: computed once for all instances of a template."""
     return _form(body_tree(query), vocabulary)
 
 
@@ -120,58 +121,64 @@ def _form(tree: ast.Query, vocabulary: Vocabulary) -> ResultForm:
             units[predicate] = info.unit
     schema = result_schema(
         predicates=list(predicates),
-        kinds={name: kind for name, of in predicates.items() if (kind := one_kind(of)) is not None},
+        kinds={
+            name: kind for name, of in predicates.items() if (kind := common_kind(of)) is not None
+        },
         vocabulary=vocabulary,
     )
-    return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
+    return ResultForm(schema, tuple(predicates), units, _iri_predicates(tree, vocabulary))
 
 
 def template_of(query: ContinuousQuery) -> Sequence[ast.Triple]:
-    """The triples of a CONSTRUCT head."""
+    """Return the triples of a CONSTRUCT head."""
     return query.body.template or ()
 
 
 def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
-    """The results of ``query`` make samples, whose fields are known before the first; raises
-    `LanguageError`, which says what to write instead."""
-    told = ""
+    """Check that the head decides the fields of samples before the first result: a stream has fixed
+    fields. Raises `LanguageError` with a hint."""
+    problem = ""
     match query.form:
         case Form.ASK:
             return
         case Form.DESCRIBE:
-            told = "what DESCRIBE gives has no fields that are known beforehand"
-            hint = "write CONSTRUCT { ?o <feature> ?value } with the features that are wanted"
+            problem = "the results of DESCRIBE have no fixed fields, which a stream needs"
+            hint = "write CONSTRUCT { ?o <feature> ?value } with the features that you want"
         case Form.CONSTRUCT:
             predicates = [triple.predicate for triple in template_of(query)]
-            hint = "write the features that are wanted: CONSTRUCT { ?o <feature> ?value }"
+            hint = "write the features that you want: CONSTRUCT { ?o <feature> ?value }"
             if not predicates:
-                told = "the head says nothing"
+                problem = "the head is empty"
             elif not all(isinstance(predicate, NamedNode) for predicate in predicates):
-                told = "a predicate that is a variable gives no fields that are known beforehand"
+                problem = "a variable as predicate gives no fixed fields, which a stream needs"
             else:
-                told = _no_number(query, vocabulary)
-                hint = "write another predicate for it" if told else hint
+                problem = _find_non_number(query, vocabulary)
+                hint = "write another predicate for it" if problem else hint
         case Form.SELECT:
             names = list(projected_variables(query.body))
-            taken = [name for name in names if name in TIME_FIELDS]
+            time_names = [name for name in names if name in TIME_FIELDS]
             if not names:
-                told, hint = "the head has no variable", "write ASK to know whether there is any"
-            elif taken:
-                told = f"a field cannot be called {taken[0]!r}: that is a sample's time"
-                hint = f"rename it: (?{taken[0]} AS ?{taken[0]}Time)"
+                problem, hint = "the head has no variable", "write ASK to test for any solution"
+            elif time_names:
+                name = time_names[0]
+                problem = f"a field cannot have the name {name!r}: that is a sample's time"
+                hint = f"rename it: (?{name} AS ?{name}Time)"
     names = (
-        [field.name for field in result_form(query, vocabulary).schema.fields] if not told else []
+        [field.name for field in result_form(query, vocabulary).schema.fields]
+        if not problem
+        else []
     )
     if any(len(name) > LONGEST_NAME for name in names):
-        told, hint = f"a field's name has at most {LONGEST_NAME} characters", "shorten it"
-    if told:
+        problem, hint = f"a field's name has at most {LONGEST_NAME} characters", "shorten it"
+    if problem:
         start = query.body.span.start
-        raise LanguageError(told, query.source, Span(start, start + len(query.form)), hint)
+        raise LanguageError(problem, query.source, Span(start, start + len(query.form)), hint)
 
 
-def _no_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
-    """What a head says of a feature whose values are numbers, and that can be none."""
-    names = _names(body_tree(query), vocabulary)
+def _find_non_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
+    """Return the message for a head that gives a numeric feature an object that cannot be a number;
+    else an empty text."""
+    names = _iri_places(body_tree(query), vocabulary)
     for triple in template_of(query):
         assert isinstance(triple.predicate, NamedNode)
         predicate, object = triple.predicate.value, triple.object
@@ -180,15 +187,15 @@ def _no_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
             continue
         is_text = isinstance(object, Literal) and object.datatype.value not in NUMBERS
         if is_text or isinstance(object, NamedNode | BlankNode) or object in names:
-            return f"the values of {shorten(predicate)} are numbers, {object} is none"
+            return f"the values of {shorten(predicate)} are numbers, but {object} is not"
     return ""
 
 
 def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Content]) -> Role:
-    """What the subjects of a head are, by what the query itself requires of them: one sort, if it
-    names one for all of them, or if all that it reads of them speaks of one; else any thing.
+    """Return the role of a head's subjects, by the query's own patterns. Their sort is the one that
+    the patterns name, else the only one that the features in ``read`` have, else any thing.
 
-    ``read`` is what the streams contain.
+    ``read`` are the contents of the streams.
     """
     contents = list(read)
     body = patterns(body_tree(query))
@@ -196,24 +203,26 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
     for subject in dict.fromkeys(triple.subject for triple in template_of(query)):
         own = [pattern for pattern in body if pattern.subject == subject]
         classes = {c.value for pattern in own for c in pattern.classes}
-        named = {name for name in classes if vocabulary.is_sort(name)}
+        sorts_named = {name for name in classes if vocabulary.is_sort(name)}
         features = {pattern.predicate.value for pattern in own}
-        told = {
+        sorts_read = {
             role.sort
             for content in contents
             if content.feature in features
             for role in content.roles[:1]
         }
         # The narrower a sort, the more sorts contain it.
-        narrow = max(sorted(named), key=lambda sort: len(vocabulary.supersorts(sort)), default=None)
-        sorts.add(narrow or (told.pop() if len(told) == 1 else None) or THING)
+        narrowest = max(
+            sorted(sorts_named), key=lambda sort: len(vocabulary.supersorts(sort)), default=None
+        )
+        sorts.add(narrowest or (sorts_read.pop() if len(sorts_read) == 1 else None) or THING)
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)
 
 
-def _naming(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
-    """The predicates of a head whose objects are always IRIs: written so, or stand in the body
-    where nothing else can."""
-    names = _names(tree, vocabulary)
+def _iri_predicates(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
+    """Return the predicates of a head whose objects are always IRIs: constants, or variables that
+    the body binds to IRIs only."""
+    names = _iri_places(tree, vocabulary)
     objects: dict[str, set[ast.Place]] = defaultdict(set)
     for triple in tree.template or ():
         if isinstance(triple.predicate, NamedNode):
@@ -225,8 +234,8 @@ def _naming(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
     )
 
 
-def _names(tree: ast.Query, vocabulary: Vocabulary) -> set[ast.Place | None]:
-    """What can only be a name, and no literal, by where it stands in the body."""
+def _iri_places(tree: ast.Query, vocabulary: Vocabulary) -> set[ast.Place | None]:
+    """Return the terms and variables that cannot be literals, by their places in the body."""
     names: set[ast.Place | None] = set()
     for pattern in patterns(tree):
         names.add(pattern.subject)
@@ -241,27 +250,27 @@ def _is_class(range: str | None) -> bool:
 
 
 def _kinds(tree: ast.Query, vocabulary: Vocabulary) -> dict[str, Kind]:
-    """Kinds of the variables that are numbers or booleans: by the ranges of the features whose
-    values they are, by VALUES, and by the expressions or aggregates that compute them. Each may
-    hold in one branch of a UNION: the kind is one that all of them fit."""
+    """Return the kinds of the variables that are numbers or booleans: by the ranges of the features
+    whose values they are, by VALUES, and by the expressions or aggregates that compute them. Each
+    may hold in one branch of a UNION: the kind is one that all of them fit."""
     nodes = list(ast.walk(replace(tree, template=None)))
-    said, others = _said(nodes, vocabulary)
-    for place in _names(tree, vocabulary):
+    bound, others = _bound_kinds(nodes, vocabulary)
+    for place in _iri_places(tree, vocabulary):
         if isinstance(place, Variable):
-            said[place.value].append(None)
+            bound[place.value].append(None)
     aggregates: dict[ast.Aggregate, Variable] = {}
     computed: dict[str, list[Expression | None]] = defaultdict(list)
     for name, one in _computed(nodes):
-        computed[name].append(_translated(one, aggregates))
+        computed[name].append(_translate(one, aggregates))
     arguments = {
-        each: None if each.argument is None else _translated(each.argument, {})
+        each: None if each.argument is None else _translate(each.argument, {})
         for each in aggregates
     }
     kinds: dict[str, Kind] = {}
     # An alias is known when what it stands for is: once more until nothing changes. Names of
     # different scopes may stand for each other, so not for ever.
     for _ in range(len(computed) + len(aggregates) + 2):
-        known = {name: list(found) for name, found in said.items()}
+        known = {name: list(found) for name, found in bound.items()}
         for each, variable in aggregates.items():
             known[variable.value] = [_kind_of_aggregate(each, arguments[each], kinds, others)]
         for name, expressions in computed.items():
@@ -270,19 +279,19 @@ def _kinds(tree: ast.Query, vocabulary: Vocabulary) -> dict[str, Kind]:
             )
         before, kinds = kinds, {}
         for name, found in known.items():
-            if (kind := one_kind(found)) is not None:
+            if (kind := common_kind(found)) is not None:
                 kinds[name] = kind
         if kinds == before:
             break
     return kinds
 
 
-def _said(
+def _bound_kinds(
     nodes: Iterable[object], vocabulary: Vocabulary
 ) -> tuple[dict[str, list[Kind | None]], set[str]]:
-    """The kinds of variables by the ranges of features and by VALUES, and the variables that are
-    something else."""
-    said: dict[str, list[Kind | None]] = defaultdict(list)
+    """Return the kinds of variables by the ranges of features and by VALUES, and the variables that
+    are something else."""
+    bound: dict[str, list[Kind | None]] = defaultdict(list)
     others: set[str] = set()
     for node in nodes:
         if isinstance(node, ast.Triple) and isinstance(node.object, Variable):
@@ -290,18 +299,18 @@ def _said(
             for step in _last_steps(node.predicate):
                 info = vocabulary.feature(step.value) if isinstance(step, NamedNode) else None
                 range = None if info is None else info.range
-                said[name].append(kind_of_datatype(range))
-                if range is not None and said[name][-1] is None:
+                bound[name].append(kind_of_datatype(range))
+                if range is not None and bound[name][-1] is None:
                     others.add(name)
         elif isinstance(node, ast.Values):
             for row in node.rows:
                 for variable, term in zip(node.variables, row, strict=True):
                     if term is not None:
                         kind = kind_of(Const(term), {})
-                        said[variable.value].append(kind)
+                        bound[variable.value].append(kind)
                         if kind is None:
                             others.add(variable.value)
-    return said, others
+    return bound, others
 
 
 def _last_steps(path: ast.Path | Variable) -> Iterable[ast.Path | Variable]:
@@ -324,10 +333,11 @@ def _computed(nodes: Iterable[object]) -> Iterable[tuple[str, ast.Expression]]:
             yield node.alias.value, node.expression
 
 
-def _translated(
+def _translate(
     expression: ast.Expression, aggregates: dict[ast.Aggregate, Variable]
 ) -> Expression | None:
-    """An expression with a variable for each aggregate; None for what plans do not have."""
+    """Translate an expression, with a variable for each aggregate; None for an expression that
+    plans do not support."""
 
     def change(node: object) -> Variable | None:
         if not isinstance(node, ast.Aggregate):
@@ -360,6 +370,7 @@ _EXPRESSIONS: Final = ExpressionTranslation(_term, lambda _: Const(Literal(True)
 
 
 def _subject(roles: Sequence[Role]) -> Role:
-    """The subject of results: an object of the sort that the inputs speak of, named by ``id``."""
+    """Return the role of the results' subject, which the field ``id`` names: of the inputs' sort if
+    they have a single one."""
     sorts = {role.sort for role in roles if role.sort is not None}
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)

@@ -1,7 +1,7 @@
-"""The last results of a registered query, window by window, as the query gave them.
+"""The last results of a registered query, window by window, as terms.
 
-The samples of its stream say the same in fields; here terms keep what fields cannot hold: the
-datatype and language of a literal, whether a text is a name. Read by ``/queries/{name}/results``.
+The samples of its stream have the same results in fields. Terms keep more: the datatype and
+language of a literal, and whether a text is an IRI. ``/queries/{name}/results`` reads them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ ROWS = 100_000
 
 
 class KeptWindows:
-    """At most ``windows`` results with at most ``rows`` solutions or triples in all; the last one
-    is kept whatever its size. The oldest go first. Cost: O(1) a window."""
+    """At most ``windows`` results with at most ``rows`` solutions or triples in total. It evicts
+    the oldest first, but never the last result, whatever its size. Cost: O(1) a window."""
 
     def __init__(self, windows: int = WINDOWS, rows: int = ROWS) -> None:
         self._limits = windows, rows
@@ -29,11 +29,11 @@ class KeptWindows:
 
     @property
     def latest(self) -> WindowResult | None:
-        """The result of the last window that closed."""
+        """The result of the last closed window, None before the first."""
         return self._kept[-1] if self._kept else None
 
     def keep(self, result: WindowResult) -> None:
-        """The result of a window that has just closed."""
+        """Add the result of a window that has just closed."""
         self._kept.append(result)
         self._rows += result.size
         windows, rows = self._limits
@@ -43,8 +43,9 @@ class KeptWindows:
     def between(
         self, start: int | None, end: int | None, limit: int | None
     ) -> Sequence[WindowResult]:
-        """The windows that end from ``start`` to ``end`` (ns, both included), oldest first: the
-        newest ``limit``, or with ``start`` the oldest."""
+        """Return the windows that end from ``start`` to ``end`` (ns, both included), oldest first.
+        ``limit`` keeps the newest of them, but the oldest if there is a ``start``: a client that
+        pages on needs the next ones."""
         found = [
             result
             for result in self._kept

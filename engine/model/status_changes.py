@@ -1,4 +1,4 @@
-"""Changes of the stream space: what the status stream tells ([Introspection15 §3.2])."""
+"""Changes of the stream space, which the status stream reports ([Introspection15 §3.2])."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...matching.space import TransformationDescription
 
 
 class ChangeKind(StrEnum):
-    """What happened to the stream space."""
+    """The kinds of changes; the status stream has them as texts."""
 
     STREAM_ADDED = "stream added"
     STREAM_REMOVED = "stream removed"
@@ -27,12 +27,12 @@ class ChangeKind(StrEnum):
     UNIT_STOPPED_BY_RULE = "unit stopped by rule"
     INPUTS_CHANGED = "inputs changed"
     NOT_RESTORED = "not restored"
-    UNKEPT = "state not kept"
+    STATE_LOST = "state not kept"
     REFUSED = "report refused"
 
 
 class Role(StrEnum):
-    """Which kind of process a change is about ([DyKnow10 §4.3], SPEC §1)."""
+    """The kind of process that changed ([DyKnow10 §4.3], SPEC §1)."""
 
     UNIT = "ComputationalUnit"
     SOURCE = "Source"
@@ -41,16 +41,17 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One change of the stream space; fields that do not apply are empty.
+    """One change of the stream space; fields that do not apply are empty or None.
 
-    ``specification`` is the text by which the change was made: SSL, KPL, C-SPARQL, or a
-    transformation with its parameters; of a failure, the reason, and so of an annotation kept by
-    an earlier run that does not hold any more. ``policy`` is what ``stream`` keeps, in KPL.
-    ``aliases`` are all further names of ``stream``, if it was named.
-    ``synchronization`` is the unit that was inserted to bring the inputs of ``unit`` together, and
-    ``fed`` what that one reads: the inputs that the transformation has ([Introspection15 §4.1]).
-    ``annotation`` is what ``stream`` contains from now on, ``quality`` (0..1) how good it is,
-    ``described`` what ``transformation`` takes and gives; None where nothing is said of it.
+    ``specification`` is the text of the change: SSL, KPL, C-SPARQL, or a transformation with its
+    parameters. For a failure, and for a registration that could not be restored, it is the reason.
+    ``policy`` is the policy that ``stream`` obeys, in KPL. ``aliases`` are all further names of
+    ``stream``.
+    ``synchronization`` is the unit that was inserted to synchronize the inputs of ``unit``.
+    ``unsynchronized`` are the inputs of that one, which the transformation itself has
+    ([Introspection15 §4.1]).
+    ``annotation`` is the new annotation of ``stream``, ``quality`` (0..1) its new quality,
+    ``described`` the new description of ``transformation``.
     """
 
     kind: ChangeKind
@@ -66,12 +67,12 @@ class Change:
     described: KnownTransformation | None = None
     aliases: tuple[str, ...] = ()
     synchronization: str = ""
-    fed: tuple[str, ...] = ()
+    unsynchronized: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class KnownTransformation:
-    """What a transformation takes and gives, and the code with parameters behind it."""
+    """A transformation's description for matching, its implementation and parameters."""
 
     description: TransformationDescription
     implementation: str

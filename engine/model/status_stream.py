@@ -1,6 +1,6 @@
 """The status stream: every change of the stream space, as a sample ([Introspection15 §3.2]).
 
-Listeners inside the system get the `Change` itself; the semantics manager is one of them
+Listeners within the engine receive the `Change` itself. The semantics manager is one of them
 ([Introspection15 §4.2]: "by listening to status streams, the semantics manager is able to keep
 track of the state of the stream processing system").
 """
@@ -21,45 +21,46 @@ STATUS = "status"
 FIELDS = ("change", "stream", "unit", "transformation", "inputs", "specification")
 SCHEMA = Schema(tuple(Field(name, FieldType.STRING) for name in FIELDS))
 RETENTION = Retention(samples=10_000)
-LONGEST = 2048
-"""Characters of a text that are told: thousands of long ones would be gigabytes."""
+MAX_TEXT = 2048
+"""Characters of a text that a sample holds: thousands of long ones would take gigabytes."""
 
 Listener: TypeAlias = Callable[[Change], None]
 
 
 class StatusStream:
-    """Tells changes, one after another, to the listeners in order and then as a sample.
+    """Reports changes one after another, first to the listeners in order, then as a sample.
 
-    To tell one may cause another, if a process reads the stream: that is told after it. ``clock``
-    gives the time (ns).
+    A report may cause another change, since processes may read the stream; that change is queued.
+    ``clock`` returns the time (ns).
     """
 
     def __init__(self, clock: Callable[[], int]) -> None:
         self._clock = clock
         self._listeners: list[Listener] = []
-        self._untold: deque[Change] = deque()
+        self._queue: deque[Change] = deque()
+        """Unreported changes; the first one is being reported."""
         self._output: StreamGenerator | None = None
 
     def open(self, output: StreamGenerator) -> None:
-        """From now on changes are samples of ``output``, too."""
+        """Publish changes to ``output`` from now on."""
         self._output = output
         output.stamped = True
 
     def listen(self, listener: Listener) -> None:
-        """``listener`` hears of every change from now on."""
+        """Call ``listener`` with every change from now on."""
         self._listeners.append(listener)
 
-    def tell(self, change: Change) -> None:
-        """Something has changed."""
-        self._untold.append(change)
-        if len(self._untold) == 1:
-            while self._untold:
+    def report(self, change: Change) -> None:
+        """Report ``change``, after the changes that are being reported."""
+        self._queue.append(change)
+        if len(self._queue) == 1:
+            while self._queue:
                 try:
-                    self._tell(self._untold[0])
+                    self._report(self._queue[0])
                 finally:
-                    self._untold.popleft()
+                    self._queue.popleft()
 
-    def _tell(self, change: Change) -> None:
+    def _report(self, change: Change) -> None:
         for listener in self._listeners:
             listener(change)
         output = self._output
@@ -71,11 +72,11 @@ class StatusStream:
             "stream": change.stream or None,
             "unit": change.unit or None,
             "transformation": change.transformation or None,
-            "inputs": _told(" ".join(change.inputs)) or None,
-            "specification": _told(change.specification) or None,
+            "inputs": _truncate(" ".join(change.inputs)) or None,
+            "specification": _truncate(change.specification) or None,
         }
         output.offer(batch_from_rows(output.schema, [(now, now, values)], output.stream.pools), now)
 
 
-def _told(text: str) -> str:
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}… ({len(text)} characters)"
+def _truncate(text: str) -> str:
+    return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}… ({len(text)} characters)"

@@ -1,4 +1,4 @@
-"""A stream's view: what the engine tells about it now."""
+"""The view of a stream, its rate, and its flow for cost estimates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...streams.time import SECOND
 from .views import StreamView
 
 _RECENT = 1_000
-"""Samples over which the rate is taken."""
+"""The number of last samples over which the rate is computed."""
 
 
 def stream_view(
@@ -21,9 +21,10 @@ def stream_view(
     producer: str | None,
     annotation: StreamAnnotation | None,
 ) -> StreamView:
-    """The stream as it is now; ``producer`` names the process that makes it, if the system does.
+    """Return the stream's present state; ``producer`` is the name of the process that makes it,
+    if the system does.
 
-    Cost: O(1) but for the few last batches, from which rate and lag are read.
+    Cost: O(1), and a look at the last few batches for rate and lag.
     """
     stream = generator.stream
     recent = stream.since(max(stream.first_number, stream.last_number - 1))
@@ -57,7 +58,8 @@ def stream_view(
 
 
 def rate_of(generator: StreamGenerator) -> float:
-    """Samples a second, over the last thousand. Cost: O(1) but for the few last batches."""
+    """Return the samples per second of available time over the last thousand samples. Cost: a look
+    at the last few batches."""
     stream = generator.stream
     recent = stream.since(max(stream.first_number, stream.last_number - _RECENT))
     if not recent:
@@ -68,10 +70,11 @@ def rate_of(generator: StreamGenerator) -> float:
 
 
 def flow_of(generator: StreamGenerator, annotations: Iterable[StreamAnnotation]) -> Flow | None:
-    """What a query that reads the stream so may expect of it, for the estimates of its costs; None
-    where no rate is known.
+    """Return the flow of triples that a query over the stream may expect, for cost estimates; None
+    if the stream has no rate.
 
-    Each sample is taken to say all that it could. How many objects a sort has is not known.
+    It assumes that each sample has a value in each field. The number of a sort's objects is not
+    known here, so `ASSUMED_SUBJECTS` stands for it.
     """
     rate = rate_of(generator)
     if not rate:

@@ -1,4 +1,4 @@
-"""What the engine tells about itself: frozen values for the service, the CLI and tests."""
+"""The views of the engine: frozen values for the service, the command line and tests."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ...streams.time import HOUR
 
 
 class Since(StrEnum):
-    """Where the answer to a request begins: with what comes, or with the kept history of the
-    streams it reads (SPEC §1: a subscription may begin in the past)."""
+    """The beginning of a request's answer: with new samples, or with all retained samples of the
+    streams that it reads (SPEC §1: a subscription may begin in the past)."""
 
     NOW = "now"
     START = "start"
@@ -23,9 +23,9 @@ class Since(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """How much there is of what people make: ``streams`` that no unit makes, ``templates``,
-    ``requests`` (of events, subscriptions, registered queries, inserted units), ``declarations``
-    in KPL, ``transformations`` and ``ontologies`` with those of the program."""
+    """Numbers of the things that users make: ``streams`` that no unit makes, ``templates``,
+    ``requests`` (events, subscriptions, registered queries, inserted units), KPL ``declarations``,
+    ``transformations`` and ``ontologies``, the built-in ones included. Quotas limit them."""
 
     streams: int
     templates: int
@@ -37,10 +37,10 @@ class Totals:
 
 @dataclass(frozen=True, slots=True)
 class StreamDeclaration:
-    """What a stream is to be: its fields, how late samples may be (ns), how much is kept, the
-    namespace of the objects that its id fields name, after how long (ns) without samples nobody
-    waits for it (None: everybody always does), and how far ahead (ns) of the clock a sample may be
-    stamped (`FOREVER`: any)."""
+    """The declaration of a stream. ``lateness``: how late (ns) a sample may arrive. ``namespace``:
+    that of the objects that id fields name. ``idle``: the time (ns) without samples after which
+    readers no longer wait for the stream (None: they always wait). ``ahead``: how far (ns) ahead of
+    the clock samples may be stamped (`FOREVER`: any time)."""
 
     name: str
     fields: tuple[Field, ...]
@@ -53,9 +53,9 @@ class StreamDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class StreamView:
-    """A stream as it is now. Times in ns; ``rate`` in samples a second of available time (over at
-    least a second). ``first_available`` is how far the kept history reaches. ``is_idle``: it has
-    brought nothing for ``idle``, and nobody waits for it."""
+    """The present state of a stream. Times in ns; ``rate`` in samples per second of available time
+    (over at least a second). ``first_available`` is the oldest retained available time.
+    ``is_idle``: it had no samples for ``idle``, so readers do not wait for it."""
 
     name: str
     fields: tuple[Field, ...]
@@ -84,7 +84,7 @@ class StreamView:
 
 @dataclass(frozen=True, slots=True)
 class FailureView:
-    """A unit that was cut off: ``stream`` is what it makes, ``asked`` are the requests, queries and
+    """A unit that failed: ``stream`` is its output, ``asked`` are the requests, queries and
     subscriptions that it answers."""
 
     unit: str
@@ -95,10 +95,10 @@ class FailureView:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationView:
-    """How far all is that reads a stream, directly or through others.
+    """The progress of all units that read a stream, directly or through others.
 
-    ``last`` is the number of the stream's newest sample, ``evaluated`` that of the newest one with
-    which all units that read it are through; those that ``failed`` are not waited for.
+    ``last`` is the number of the stream's newest sample. ``evaluated`` is the number up to which
+    all units have evaluated it, apart from those that ``failed``.
     """
 
     last: int
@@ -119,7 +119,7 @@ class TemplateView:
 
 @dataclass(frozen=True, slots=True)
 class UnitView:
-    """A computational unit that a plan uses, with the streams it reads and makes."""
+    """A computational unit, with its input streams and its output stream."""
 
     name: str
     transformation: str
@@ -131,8 +131,8 @@ class UnitView:
 
 @dataclass(frozen=True, slots=True)
 class PlanView:
-    """How a request is met: a tree for people, the existing streams used, the units in the order
-    in which samples pass them, and the continuous query as C-SPARQL text (empty for a match)."""
+    """The plan of a request: a printed tree, the existing streams it uses, the units in the order
+    in which samples pass them, and the continuous query as C-SPARQL (empty for a match)."""
 
     text: str
     streams: tuple[str, ...]
@@ -144,12 +144,12 @@ class PlanView:
 class EventView:
     """A running request for an event; ``created`` counts requests, 1 being the first.
 
-    ``since`` is `Since`'s text: what of the streams' past the answer began with;
-    ``position`` the number of the last sample of ``stream`` before the request. ``waits_for``
-    names streams that have no sample yet and are not idle: a query of several streams decides
-    nothing before. The next window waits for ``held_back_by``, the streams that are least far;
-    ``late`` counts samples that came too late for theirs. ``failure`` says why nothing more comes,
-    if so; ``empty`` why there is no sample yet, None once there is one.
+    ``since`` is the text of its `Beginning`. ``position`` is the number of the last sample of
+    ``stream`` before the request. ``waits_for`` are the input streams without samples that are not
+    idle: no window closes before each has one. The next window waits for ``held_back_by``, the
+    streams with the least watermark. ``late`` counts samples that arrived after their window
+    closed. ``failure`` is the reason why there are no more results, ``empty`` the reason why there
+    is no sample yet; else None.
     """
 
     id: str
@@ -172,15 +172,15 @@ class EventView:
 class QueryView:
     """A registered continuous query. ``kind`` is STREAM or QUERY, as the text registers it.
 
-    ``state``: running, failed, ended (all that it reads has), or not restored (of an earlier run;
-    then ``stream`` and ``plan`` are None); ``failure`` says why. ``users`` counts who registered
-    it. ``origin`` in ns; ``reads`` are the streams that its unit reads, which units may make that
-    the plan tells; ``position`` is the number of the stream's last sample,
-    ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
-    ``late`` the samples that came too late for theirs. Windows that end before ``watermark`` (ns)
-    have closed; the others wait for ``held_back_by``, the streams that are least far.
-    ``errors`` counts windows that needed more than they may and have no result; ``empty`` says why
-    the stream has no sample yet.
+    ``state``: running, failed, ended (as all its inputs), or not restored (after a restart; then
+    ``stream`` and ``plan`` are None); ``failure`` is the reason. ``users`` counts registrations.
+    ``origin`` in ns. ``reads`` are the input streams of its unit; the plan shows the units that
+    make them. ``position`` is the number of the stream's last sample, ``windows`` the number of
+    kept results, ``last_window`` the end (ns) of the last closed window. ``late`` counts samples
+    that arrived after their window closed. Windows that end before ``watermark`` (ns) have closed.
+    The others wait for ``held_back_by``, the streams with the least watermark. ``errors`` counts
+    windows that exceeded their budget and have no result. ``empty`` is the reason why the stream
+    has no sample yet.
     """
 
     name: str
@@ -216,11 +216,11 @@ class QueryView:
 
 @dataclass(frozen=True, slots=True)
 class MatchView:
-    """What semantic matching found for a feature, and why.
+    """The result of semantic matching for a feature, with the reasons.
 
-    ``cost`` and ``quality`` are those of the plan, None where there is none; ``proven`` says
-    whether the strategy's optimum was found and proven. ``specification`` is the plan in XML, None
-    where there is no plan or a specification cannot make it.
+    ``cost`` and ``quality`` are those of the plan, None without a plan. ``proven``: the plan is
+    proven to be the strategy's optimum. ``specification`` is the plan in XML, None without a plan
+    or if XML cannot express it.
     """
 
     feature: str
@@ -238,13 +238,13 @@ class MatchView:
 
 @dataclass(frozen=True, slots=True)
 class DeclarationView:
-    """A KPL declaration and what became of it.
+    """A KPL declaration and the state of its process.
 
     ``name`` is its name, label or key, ``kind`` its first word, ``stream`` the stream it makes or
-    names, ``unit`` the process that makes it. ``uses`` are the names of what it needs directly.
-    ``counters`` say what became of the samples under a policy (`PolicyCounters`,
-    `StateCounters`), how often a source was not read in time, which objects a ``foreach`` or a
-    mediation has; ``violations`` names the stream of samples not passed on, once there is one.
+    names, ``unit`` the process that makes it. ``uses`` are the declarations that it needs directly.
+    ``counters`` are those of a policy or synchronization (`PolicyCounters`, `StateCounters`), the
+    missed readings of a source, or the objects of a ``foreach`` or mediation. ``violations`` names
+    the stream of samples that the policy refused, once it exists.
     """
 
     name: str
@@ -263,10 +263,10 @@ class DeclarationView:
 
 @dataclass(frozen=True, slots=True)
 class InsertionView:
-    """A `cu` that a specification inserted, and what became of it.
+    """A `cu` that a specification inserted, and its unit.
 
-    ``name`` is the one it was given, ``text`` its element as XML, ``stream`` and ``unit`` what it
-    is at work; None of one of an earlier run that does not hold any more: ``failure`` says why.
+    ``name`` is that in the specification, ``text`` its element as XML. ``stream`` and ``unit`` are
+    None if it could not be restored after a restart; ``failure`` is the reason.
     """
 
     name: str | None
@@ -279,8 +279,8 @@ class InsertionView:
 
 @dataclass(frozen=True, slots=True)
 class SpecificationView:
-    """What applying a specification changed. ``there`` are units that it speaks of and that ran
-    already; ``named`` pairs of a name that it gave and the stream that has it."""
+    """The changes by a specification. ``there`` are its units that ran already; ``named`` are pairs
+    of a name in the specification and the stream that has it."""
 
     started: tuple[UnitView, ...]
     stopped: tuple[UnitView, ...]
@@ -290,10 +290,10 @@ class SpecificationView:
 
 @dataclass(frozen=True, slots=True)
 class SubscriptionView:
-    """A subscription to ``source`` under a policy; its samples come on ``stream``.
+    """A subscription to ``source`` under a policy; ``stream`` has its samples.
 
-    ``policy`` is KPL text, integers in ms; empty: the stream as it is. ``counters`` and
-    ``violations`` as in `DeclarationView`. ``failure`` says why nothing more comes, if so.
+    ``policy`` is KPL with integers in ms; empty: the unchanged stream. ``counters`` and
+    ``violations`` as in `DeclarationView`. ``failure`` is the reason why there are no more samples.
     """
 
     id: str
@@ -309,10 +309,10 @@ class SubscriptionView:
 
 @dataclass(frozen=True, slots=True)
 class AdaptiveView:
-    """What an adaptive subscription is to, and how it is.
+    """The want of an adaptive subscription, and its state.
 
-    ``state`` is `State`'s text; ``reads`` are the streams and sources behind it, ``missing`` what
-    would have to be there for one that waits. Times in ns.
+    ``state`` is the text of a `State`. ``reads`` are the streams and sources that it reads at
+    present, ``missing`` the missing features while it waits for a plan. Times in ns.
     """
 
     want: str

@@ -354,7 +354,7 @@ class Elaboration:
             ) from None
 
     def _contents_of(self, generator: StreamGenerator) -> tuple[Content, ...]:
-        generator = self._configuration.life_of(generator)
+        generator = self._configuration.unadapted(generator)
         unit = self._running.producer(generator)
         match None if unit is None else self._configuration.key_of(unit):
             case (Compute() | SelectObject() | Synchronize() as node, _):

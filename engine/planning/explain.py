@@ -238,7 +238,7 @@ def _found(
 
 def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView:
     """How a query that runs is answered, by ``unit``: the tree, the streams and units behind it."""
-    units = configuration.units_behind(unit)
+    units = configuration.upstream_units(unit)
     made = {part.output.name for part in units}
     sources = [source.name for part in units for source in part.inputs]
     return PlanView(
@@ -251,7 +251,7 @@ def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView
 
 def waits_for(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
     """Streams behind ``unit`` that are no unit's, have not begun and are not idle."""
-    waiting = (s for part in configuration.units_behind(unit) for s in part.waits_for)
+    waiting = (s for part in configuration.upstream_units(unit) for s in part.waits_for)
     names = dict.fromkeys(source.name for source in waiting)
     return tuple(name for name in names if name not in configuration.units)
 
@@ -259,7 +259,7 @@ def waits_for(configuration: Configuration, unit: ComputationalUnit) -> tuple[st
 def held_back_by(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
     """Streams behind ``unit`` that are no unit's and are least far, of those that it waits for: its
     next window closes when they go on, end or fall idle."""
-    sources = dict.fromkeys(s for part in configuration.units_behind(unit) for s in part.inputs)
+    sources = dict.fromkeys(s for part in configuration.upstream_units(unit) for s in part.inputs)
     going_on = [s for s in sources if not s.is_ended and not s.is_idle]
     waiting = [s for s in going_on if s.name not in configuration.units]
     least = min((TIME_MIN if s.watermark is None else s.watermark for s in waiting), default=None)

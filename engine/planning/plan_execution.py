@@ -55,10 +55,10 @@ from ..configuration.configuration import (
 )
 from ..model.beginning import (
     Beginning,
-    check_kept,
+    check_retained,
+    existing_streams,
     last_before,
-    names_read,
-    settled,
+    resolve_duration,
 )
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import Since
@@ -123,7 +123,7 @@ class Plans:
         where the stream does not keep all from the moment ``since`` on.
         """
         found = self._obtained(node, _begun(node, since))
-        check_kept(since, found.stream)
+        check_retained(since, found.stream)
         return found
 
     def _obtained(self, node: Node, since: Beginning) -> StreamGenerator:
@@ -179,10 +179,10 @@ class Plans:
             late |= {name for name, time in self._complete.items() if time > since.time}
         return self._broken | late
 
-    def settled(self, since: Beginning, supplies: Iterable[Supply]) -> Beginning:
+    def resolve_duration(self, since: Beginning, supplies: Iterable[Supply]) -> Beginning:
         """``since`` for a request with the plans ``supplies``, with a time for a duration."""
-        names = names_read(supplies) if isinstance(since, Moment) else ()
-        return settled(since, [self._configuration.stream(name).stream for name in names])
+        names = existing_streams(supplies) if isinstance(since, Moment) else ()
+        return resolve_duration(since, [self._configuration.stream(name).stream for name in names])
 
     @property
     def made(self) -> AbstractSet[str]:
@@ -382,7 +382,7 @@ class Plans:
         implementation = self._transformations.implementation(transformation.implementation)
 
         def told(event: ProcessEvent, text: str) -> None:
-            self._configuration.tell(ChangeKind(event), unit, text)
+            self._configuration.report_unit(ChangeKind(event), unit, text)
 
         unit: ComputationalUnit
         match implementation:
@@ -406,7 +406,7 @@ class Plans:
                     id_fields=edge.id_fields,
                     carried=node.carried,
                     on_event=told,
-                    on_report=self._configuration.report,
+                    on_report=self._configuration.add_report,
                     runner=self._runner,
                 )
             case SourceImplementation():
@@ -415,7 +415,7 @@ class Plans:
                     implementation=implementation,
                     parameters=dict(transformation.parameters),
                     on_event=told,
-                    on_report=self._configuration.report,
+                    on_report=self._configuration.add_report,
                     runner=self._runner,
                 )
             case _:

@@ -67,7 +67,7 @@ class Alikes:
         for pattern in kind.shared:
             if fitted(pattern, kin.constants) is not None:
                 unit = self._running(shared_key(kin, pattern))
-                if isinstance(unit, TemplateUnit) and not unit.waits_as_its_inputs_do:
+                if isinstance(unit, TemplateUnit) and not unit.accepts_timely_samples:
                     raise Unshared("others have closed windows for which its streams are in time")
                 return pattern
         if len(kind.alone) + 1 < ALIKE:

@@ -26,7 +26,7 @@ from ...streams.generator import StreamGenerator
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError
 from ..configuration.configuration import Configuration
-from ..model.beginning import settled
+from ..model.beginning import resolve_duration
 from ..model.errors import BadArguments, NoPlan
 from ..model.result_schema import check_head, head_role, result_form
 from ..model.result_windows import KeptWindows
@@ -82,7 +82,7 @@ class Starter:
         self._plans = plans
         self._space = space
         self._converter_of = converter_of
-        self._alikes = Alikes(configuration.shared)
+        self._alikes = Alikes(configuration.find_shared)
 
     def start(self, name: str, query: ContinuousQuery, asked: Asked) -> Started:
         """Start ``query`` with the stream ``name``; raises as `RegisteredQueries.register`, and
@@ -97,9 +97,9 @@ class Starter:
             wanted, told = self.needs(query), f"query {name}"
             matches = find_streams(self._plans, wanted, asked.strategy, asked.since, told)
         since = (
-            settled(asked.since, (each.generator.stream for each in reads))
+            resolve_duration(asked.since, (each.generator.stream for each in reads))
             if reads
-            else self._plans.settled(asked.since, supplies_of(matches))
+            else self._plans.resolve_duration(asked.since, supplies_of(matches))
         )
         converter = self._back(name, query, _contents(matches, reads))
         kept = KeptWindows()
@@ -202,7 +202,7 @@ class Starter:
         return (
             configuration.units.get(unit.output.name) is unit
             and not configuration.is_broken(unit)
-            and configuration.reads_what_is_there(unit)
+            and configuration.has_current_inputs(unit)
             and mean_the_same(started.matches, self._space)
             and all(map(self._means_the_same, started.reads))
         )
@@ -224,7 +224,7 @@ class Starter:
             form.schema,
             vocabulary,
             self._dictionary,
-            ranges=dict.fromkeys(form.naming, THING),
+            ranges=dict.fromkeys(form.iri_predicates, THING),
         )
 
 

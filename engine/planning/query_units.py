@@ -42,7 +42,7 @@ from ..configuration.configuration import (
     AnyUnit,
     Configuration,
 )
-from ..model.beginning import Beginning, check_kept
+from ..model.beginning import Beginning, check_retained
 from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
@@ -188,7 +188,7 @@ class Queries:
                 enter=partial(evaluator.add, query, kin.constants),
                 evaluation=lambda: evaluator.explain_of(kin.constants, shared.flows()),
                 results=form.converter(output.stream.pools),
-                hear=manner.hear,
+                on_result=manner.hear,
             )
 
         return self._configuration.start_query(form.schema, make, Since.NOW, manner.name)
@@ -288,7 +288,7 @@ class Queries:
         each with the converter of all that it says."""
         inputs, converters = self._of(read)
         for generator in inputs.values():
-            check_kept(since, generator.stream)
+            check_retained(since, generator.stream)
         form = self.form(query)
         return self._start(query, inputs, converters, form, since, manner, query.source.strip())
 
@@ -318,7 +318,7 @@ class Queries:
                 ),
                 converters=converters,
                 results=form.converter(output.stream.pools),
-                hear=manner.hear,
+                on_result=manner.hear,
             )
 
         return self._configuration.start_query(form.schema, make, since, manner.name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ...continuous.algebra.options import Options, Semantics
 from ...languages.csparql.ast import ContinuousQuery, Dialect
-from ..model.beginning import Beginning, beginning_of
+from ..model.beginning import Beginning, parse_beginning
 from ..model.errors import AlreadyExists
 from ..model.views import QueryView
 
@@ -98,7 +98,7 @@ def registration_of(text: str) -> Registration:
     `BadArguments`."""
     kept = json.loads(text)
     options = Options(kept["semantics"], kept["bounds"], kept["origin"], kept["report"])
-    asked = Asked(kept["source"], options, kept["strategy"], beginning_of(kept["since"]))
+    asked = Asked(kept["source"], options, kept["strategy"], parse_beginning(kept["since"]))
     return Registration(kept["number"], asked, kept["kind"], kept["form"], kept["dialect"])
 
 

@@ -1,6 +1,6 @@
-"""User-written units, sources and sinks: how they are registered, loaded and called.
+"""User-written units, sources and sinks: registration, loading, calls and failures.
 
-Programs that embed an engine take `PROCESSES` from here (docs/how-to/write-a-process.md).
+Programs that embed an engine import `PROCESSES` from here (docs/how-to/write-a-process.md).
 """
 
 from .registry import PROCESSES, Processes

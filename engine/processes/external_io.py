@@ -1,15 +1,14 @@
-"""What comes from the world outside by user-written code, so that it can be given again: what
-sources read, and what went wrong in sinks.
+"""Records the readings of user-written sources and the failures of sinks, and replays them.
 
-All else that an engine does follows from its commands; what a user-written source says does not. So
-it is written down with the tick that asked for it, and a tick that is done again asks the tape.
+The engine is a function of its commands, but a user-written source reads the outside world. The log
+therefore has the readings of a tick with the tick, and a replayed tick takes them from the tape.
 
-How much a source says is not known before it is asked. What finds no room to be written down is
-dropped, as if it had not been asked; and it is asked no more until there is room for as much.
+The size of a reading is unknown before the source is called. If the log has no room for it, the
+engine drops the reading, and does not call the source until there is room for as much.
 
-What went wrong in a sink is not known before it was called either. It changes nothing and is told
-to nobody until it is written down, as a command of its own after the one in which the sink was
-called: a sink is not called again for what is done again.
+The failure of a sink is also unknown before its call. The engine counts and reports it only when
+it is in the log, as a command of its own after the one that called the sink. Replay does not call
+sinks.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ import msgspec
 from ..model.process_reports import Report
 
 READINGS = 16
-"""Bytes that readings take in a tick beside their own."""
-_LEAST = 256
-"""Bytes of a reading that tells only that the source did not come back, beside its name."""
+"""Bytes of a tick's record for the list of readings itself."""
+_BLOCKED_SIZE = 256
+"""Bytes of a reading that says only that the source did not return, without its name."""
 
 
 class Reading(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What ``source`` said at ``time`` (ns): a sample ``(available, valid, values)`` or none, and
-    what it reported of its stream; or the text of its ``error``, with ``is_blocked`` that it did
-    not come back in time."""
+    """The answer of ``source`` at ``time`` (ns): a sample ``(available, valid, values)`` or none,
+    with the parts of its report. Or the text of its ``error``; ``is_blocked``: it did not return
+    within its deadline. The log contains such records."""
 
     source: str
     time: int
@@ -42,15 +41,15 @@ class Reading(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def report(self) -> Report | None:
-        """What it reported."""
+        """The report of the source about its stream."""
         if self.quality is None and self.contains is None:
             return None
         return Report(None, self.quality, self.contains)
 
 
 class Failed(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A call of a sink with a sample of ``time`` (ns) that failed; ``verdict`` is what its rule
-    makes of that, and ``reason`` why."""
+    """A failed call of a sink with a sample of ``time`` (ns). ``verdict`` is the decision of its
+    rule, ``reason`` the reason for that."""
 
     time: int
     text: str
@@ -59,8 +58,8 @@ class Failed(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What came of some calls of the ``sink`` (its unit's name) where that is of interest: what
-    failed, and how many calls have failed ``in_a_row`` now."""
+    """The failures of some calls of ``sink`` (its name in the configuration), and the number of
+    calls that have failed ``in_a_row`` by now. The log contains such records."""
 
     sink: str
     failed: tuple[Failed, ...] = ()
@@ -68,123 +67,127 @@ class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Tape:
-    """Records readings, or gives them again: `is_playing`.
+    """Records readings, or replays them (`is_replaying`).
 
-    Law: whoever plays what was recorded does what was done, also where a source did not come back,
-    came back too late, or was not asked for lack of room.
+    Law: replaying a recording has the effects of the first run, also if a source blocked, returned
+    too late, or was not called for lack of room.
     """
 
     def __init__(self) -> None:
-        self._made: list[Reading] = []
+        self._recorded: list[Reading] = []
         self._size = 0
-        self._kept: deque[Reading] = deque()
+        self._to_replay: deque[Reading] = deque()
         self._has_room: Callable[[int], bool] = lambda _: True
         self._needs: dict[str, int] = {}
-        """So many bytes were needed for each stream whose source found no room."""
-        self.is_playing = False
+        """The bytes needed for each stream whose source had no room."""
+        self.is_replaying = False
         self.outcomes: list[Outcome] = []
-        """Of sinks, not written down yet."""
+        """Outcomes of sinks that are not in the log yet."""
 
     @property
     def unread(self) -> str | None:
-        """Which sources are not asked, and why; None: all are."""
+        """A message with the sources that are not called, and why; None: all are called."""
         if not self._needs:
             return None
         return (
-            f"there is no room left on the disk for what {', '.join(sorted(self._needs))} may say; "
-            "not asked until there is"
+            f"the disk has no room for the readings of {', '.join(sorted(self._needs))}; these "
+            "sources are not read until it has"
         )
 
     def record(self, has_room: Callable[[int], bool]) -> None:
-        """From now on sources are read; ``has_room(size)``: so many bytes of readings can be
-        written down."""
-        self._made = []
+        """Start a recording. ``has_room(size)`` returns whether the log has room for so many bytes
+        of readings."""
+        self._recorded = []
         self._size = 0
         self._has_room = has_room
         if self._needs and has_room(max(self._needs.values())):
             self._needs.clear()
 
-    def taken(self) -> tuple[Reading, ...]:
-        """What was read since `record`."""
-        return tuple(self._made)
+    def readings(self) -> tuple[Reading, ...]:
+        """Return the readings since `record`."""
+        return tuple(self._recorded)
 
-    def play(self, readings: Sequence[Reading]) -> None:
-        """What sources will say."""
-        self._kept = deque(readings)
+    def replay(self, readings: Sequence[Reading]) -> None:
+        """Give ``readings`` in place of those of the sources."""
+        self._to_replay = deque(readings)
 
-    def turn(self, source: str, stream: str) -> Turn:
-        """``source``, whose stream is called so, is to be asked, for one due time or several."""
-        return Turn(self, source, stream)
+    def turn(self, source: str, stream: str) -> ReadingTurn:
+        """Begin a turn of ``source``, whose output is ``stream``, with one due time or several."""
+        return ReadingTurn(self, source, stream)
 
     # -- for turns ---------------------------------------------------------------------------
 
-    def allows(self, stream: str, size: int) -> bool:
-        """Whether the source of ``stream`` may be asked, that has said ``size`` bytes by now."""
-        return self.takes(stream, size + max(_LEAST, self._needs.get(stream, 0)))
+    def can_call(self, stream: str, size: int) -> bool:
+        """Whether the source of ``stream`` may be called, after ``size`` bytes in this turn."""
+        return self.can_add(stream, size + max(_BLOCKED_SIZE, self._needs.get(stream, 0)))
 
-    def takes(self, stream: str, size: int) -> bool:
-        """Whether so many bytes for ``stream`` can be written down."""
+    def can_add(self, stream: str, size: int) -> bool:
+        """Whether the log has room for ``size`` bytes of ``stream``."""
         if self._has_room(self._size + size):
             return True
         self._needs[stream] = max(size, self._needs.get(stream, 0))
         return False
 
     def add(self, readings: Sequence[Reading], size: int) -> None:
-        """What was said in a turn, in ``size`` bytes at most."""
-        self._made += readings
+        """Add the readings of a turn, of at most ``size`` bytes."""
+        self._recorded += readings
         self._size += size
 
-    def next(self, source: str, time: int) -> Reading | None:
-        """What ``source`` said at ``time``; None: it was not asked."""
-        if self._kept and (self._kept[0].source, self._kept[0].time) == (source, time):
-            return self._kept.popleft()
-        return None
+    def next_reading(self, source: str, time: int) -> Reading | None:
+        """Return the recorded reading of ``source`` at ``time``; None: it was not called."""
+        head = self._to_replay[0] if self._to_replay else None
+        if head is None or (head.source, head.time) != (source, time):
+            return None
+        return self._to_replay.popleft()
 
 
-class Turn:
-    """The due times at which one source is asked, one after the other. `ask` may be called in
-    another thread; one that is left behind there says nothing to anybody any more."""
+class ReadingTurn:
+    """The readings of one source at its due times in a tick. `read` may run on a watchdog's thread;
+    after `end` that thread has no effect any more."""
 
     def __init__(self, tape: Tape, source: str, stream: str) -> None:
-        self.is_playing = tape.is_playing
+        self.is_replaying = tape.is_replaying
         self._tape = tape
         self._source = source
         self._stream = stream
-        self._said: list[Reading | None] = []
+        self._readings: list[Reading | None] = []
         self._size = 0
         self._is_over = False
 
-    def ask(self, time: int, read: Callable[[], Reading]) -> Reading | None:
-        """What the source says at ``time``: what ``read`` gives, or what that was. None: there is
-        no room for it, and it has said nothing."""
-        found = self._tape.next(self._source, time) if self.is_playing else self._read(read)
-        self._said.append(found)
+    def read(self, time: int, call: Callable[[], Reading]) -> Reading | None:
+        """Return the reading at ``time``: that of ``call``, or the recorded one. None: the log has
+        no room for it, so it does not count."""
+        if self.is_replaying:
+            found = self._tape.next_reading(self._source, time)
+        else:
+            found = self._call(call)
+        self._readings.append(found)
         return found
 
     def end(self, count: int, time: int, blocked: str | None) -> int:
-        """The turn is over: ``count`` times the source came back; ``blocked`` says that it did not
-        at ``time``. Gives how often it was not asked for lack of room."""
+        """End the turn, in which ``count`` calls returned. ``blocked`` is the error of the call at
+        ``time`` that did not return. Return the number of due times without room."""
         self._is_over = True
-        said = self._said[:count]
-        if not self.is_playing:
+        readings = self._readings[:count]
+        if not self.is_replaying:
             if blocked is not None:
-                said.append(Reading(self._source, time, error=blocked, is_blocked=True))
-            readings = [reading for reading in said if reading is not None]
-            self._tape.add(readings, sum(map(size_of, readings)))
-        return said.count(None)
+                readings.append(Reading(self._source, time, error=blocked, is_blocked=True))
+            recorded = [reading for reading in readings if reading is not None]
+            self._tape.add(recorded, sum(map(size_of, recorded)))
+        return readings.count(None)
 
-    def _read(self, read: Callable[[], Reading]) -> Reading | None:
+    def _call(self, call: Callable[[], Reading]) -> Reading | None:
         least = self._size + len(self._source.encode())
-        if self._is_over or not self._tape.allows(self._stream, least):
+        if self._is_over or not self._tape.can_call(self._stream, least):
             return None
-        reading = read()
+        reading = call()
         size = size_of(reading)
-        if self._is_over or not self._tape.takes(self._stream, self._size + size):
+        if self._is_over or not self._tape.can_add(self._stream, self._size + size):
             return None
         self._size += size
         return reading
 
 
 def size_of(reading: Reading) -> int:
-    """Bytes of a reading as it is written down. Cost: O(bytes)."""
+    """Return the bytes of a reading in the log. Cost: O(bytes)."""
     return len(msgspec.msgpack.encode(reading))

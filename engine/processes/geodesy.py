@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 def great_circle(
     latitude_a: Floats, longitude_a: Floats, latitude_b: Floats, longitude_b: Floats
 ) -> Floats:
-    """Distances in metres between points in degrees, elementwise (haversine, a sphere).
+    """Return distances in metres between points in degrees, elementwise (haversine, a sphere).
 
     Within 0.6 % of the ellipsoid; exact to rounding for points close together and antipodal.
     """
@@ -70,18 +70,18 @@ _NO_MASK = np.empty(0, np.bool_)
 class SpeedFromCoordinates:
     """Speed in m/s from latitude and longitude in degrees, with state ([DyKnow10 Def. 5.10]).
 
-    A sample is a *fix* of its object if it is later (in valid time) than all earlier samples of
-    the object and its position is news: it differs from the one before, or has stood still for
-    at least ``max_gap``. (Receivers repeat the last known position until a new one comes; a
-    repeated position is not a speed of zero.) The speed at a fix is its distance from the oldest
-    fix within ``baseline`` before it, over the time between; without one, from the fix just
-    before it if that is at most ``max_gap`` old; else there is none. Other samples give none.
+    A sample is a *fix* of its object if it is later (in valid time) than all earlier samples of the
+    object, and its position is new: it differs from the one before, or has not changed for at least
+    ``max_gap``. (Receivers repeat the last known position until they have a new one; a repeated
+    position is not a speed of zero.) The speed at a fix is its distance from the oldest fix within
+    ``baseline`` before it, over the time between. Without one, it is that from the fix just before,
+    if that is at most ``max_gap`` older. Other samples have no speed.
 
-    A longer baseline averages out the jitter of position reports and lags a turn or a sprint by
-    half of it; ``baseline`` 0 gives plain differences of neighbours. Both in ns.
+    A longer baseline averages out the jitter of positions, but delays turns and sprints by half of
+    it. ``baseline`` 0 gives plain differences of neighbours. Both in ns.
 
-    Law: outputs do not depend on how samples were cut into batches; they equal the
-    sample-by-sample definition in tests/engine/processes/test_geodesy.py.
+    Law: the output does not depend on batch cuts. It equals that of the sample-by-sample definition
+    in tests/engine/processes/test_geodesy.py.
 
     Cost: O(n log n) numpy a batch, n = new samples + fixes within the baseline. Memory: the fixes
     of each object's last baseline, at least one sample an object.
@@ -97,11 +97,11 @@ class SpeedFromCoordinates:
     def __call__(
         self, objects: Ints, valid: Ints, latitude: Floats, longitude: Floats
     ) -> tuple[Floats, Mask]:
-        """Speeds in m/s and a mask of where there is one, both shape ``(n,)``.
+        """Return speeds in m/s and the mask of samples that have one, both shape ``(n,)``.
 
-        ``objects`` are integer keys; the samples come in order of available time.
+        ``objects`` are integer keys; the samples are in order of available time.
         """
-        rows, place = self._merged(objects, valid, latitude, longitude)
+        rows, place = self._merge(objects, valid, latitude, longitude)
         fixes, fix_place = rows.take(rows.fix), place[rows.fix]
         partner = self._partners(fixes)
         here = np.flatnonzero((partner >= 0) & (fix_place >= 0))
@@ -119,13 +119,13 @@ class SpeedFromCoordinates:
         self._known = rows.take(self._still_needed(rows))
         return speeds, present
 
-    def _merged(
+    def _merge(
         self, objects: Ints, valid: Ints, latitude: Floats, longitude: Floats
     ) -> tuple[_Track, Ints]:
-        """What is known and what is new, by object and time, without what came too late; and for
-        each row its place in the new samples, negative for a known one."""
+        """Merge known and new samples by object and time, without those that are late in valid
+        time. Return for each row also its index among the new samples, negative for a known one."""
         known = self._known
-        # Known samples first, then the new ones as they came: a stable sort by object keeps both.
+        # A stable sort by object keeps the known samples before the new ones of the object.
         order = np.argsort(np.concatenate((known.objects, objects)), kind="stable")
         rows = _Track(
             np.concatenate((known.objects, objects))[order],
@@ -139,13 +139,13 @@ class SpeedFromCoordinates:
         later = _later_than_all_before(rows.objects, rows.valid) | (place < 0)
         rows, place = rows.take(later), place[later]
         since = _since(rows, place)
-        news = (since == rows.valid) | (_elapsed(since, rows.valid) >= np.uint64(self.max_gap))
-        fix = np.where(place < 0, rows.fix, news)
+        is_new = (since == rows.valid) | (_elapsed(since, rows.valid) >= np.uint64(self.max_gap))
+        fix = np.where(place < 0, rows.fix, is_new)
         return replace(rows, since=since, fix=fix), place
 
     def _still_needed(self, rows: _Track) -> Mask:
-        """What the next samples can still refer to: each object's last sample, its last fix, and
-        its fixes within the baseline."""
+        """Return the rows that later samples may refer to: each object's last sample, its last fix,
+        and its fixes within the baseline."""
         last = _last_of_each(rows.objects)
         end = rows.valid[last][np.cumsum(last) - last]
         recent = rows.fix & (_elapsed(rows.valid, end) <= np.uint64(self.baseline))
@@ -154,7 +154,7 @@ class SpeedFromCoordinates:
         return last | recent | last_fix
 
     def _partners(self, rows: _Track) -> Ints:
-        """For each fix the index of the fix to measure from, or -1."""
+        """Return for each fix the index of the fix to measure from, or -1."""
         count = len(rows.objects)
         index = np.arange(count)
         first = np.ones(count, np.bool_)
@@ -178,8 +178,8 @@ class SpeedFromCoordinates:
 
 
 def _since(rows: _Track, place: Ints) -> Ints:
-    """When each row's position was first reported: its own time if the position is news, else
-    what the row before it says."""
+    """Return when each row's position was first reported: its own time if the position is new, else
+    that of the row before it."""
     same = np.zeros(len(rows.objects), np.bool_)
     same[1:] = (
         (rows.objects[1:] == rows.objects[:-1])
@@ -193,25 +193,26 @@ def _since(rows: _Track, place: Ints) -> Ints:
 
 
 def _last_of_each(objects: Ints) -> Mask:
-    """For rows grouped by object: True at the last row of each group."""
+    """Return a mask of the last row of each object, for rows grouped by object."""
     last = np.ones(len(objects), np.bool_)
     last[:-1] = objects[1:] != objects[:-1]
     return last
 
 
 def _elapsed(earlier: Ints, later: Ints) -> NDArray[np.uint64]:
-    """``later - earlier`` where that is not negative: exact over all of 64 bits."""
+    """Return ``later - earlier``, which is not negative: uint64 holds it where int64 overflows."""
     return later.astype(np.uint64) - earlier.astype(np.uint64)
 
 
 def _later_than_all_before(objects: Ints, valid: Ints) -> NDArray[np.bool_]:
-    """For rows grouped by object: is the valid time greater than all before it in its group?"""
+    """Return a mask of the rows whose valid time is greater than all before them in their group,
+    for rows grouped by object."""
     count = len(objects)
     if not count:
         return np.zeros(0, np.bool_)
     first = np.ones(count, np.bool_)
     first[1:] = objects[1:] != objects[:-1]
-    # A running maximum that starts afresh in each group: ranks, lifted by the group's number.
+    # Ranks plus an offset for each group, so that one running maximum restarts in each group.
     _, rank = np.unique(valid, return_inverse=True)
     lifted = rank + (np.cumsum(first) - 1) * (int(rank.max()) + 1)
     greatest = np.maximum.accumulate(lifted)

@@ -1,7 +1,7 @@
-"""Finding user-written processes: modules by name or file, and installed entry points.
+"""Loads user-written processes: modules by name or file, and installed entry points.
 
-Importing is enough: the decorators register. What cannot be imported is reported, and what it
-had registered before it failed is taken back.
+Importing a module is enough, since its decorators register processes. If the import fails, the
+report has the error, and the processes that the module had registered are removed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GROUP = "dyknow.processes"
 
 @dataclass(frozen=True, slots=True)
 class LoadReport:
-    """What came of one module or entry point; ``error`` None if it was loaded."""
+    """The result of loading a module or entry point; ``error`` None: it was loaded."""
 
     origin: str
     added: tuple[str, ...]
@@ -37,11 +37,11 @@ def load_processes(
     points: Iterable[EntryPoint] | None = None,
     registry: Processes = PROCESSES,
 ) -> list[LoadReport]:
-    """Import entry points (None: those installed), then ``modules``: dotted names, or files that
-    end in ``.py``. One report each, in that order.
+    """Import the entry points ``points`` (None: the installed ones), then ``modules``: dotted
+    names, or files that end in ``.py``. Return a report for each, in that order.
 
-    ``registry`` is the one that the modules' decorators fill. Only what is no `Exception` passes
-    through (KeyboardInterrupt, SystemExit).
+    ``registry`` is the one that the modules' decorators fill. Raises only errors that are no
+    `Exception` (KeyboardInterrupt, SystemExit).
     """
     reports = []
     found = entry_points(group=GROUP) if points is None else points
@@ -53,17 +53,17 @@ def load_processes(
 
 
 def _load(origin: str, load: Callable[[], object], registry: Processes) -> LoadReport:
-    before = {known.name for known in registry.all()}
+    before = {each.name for each in registry.all()}
     error = None
     try:
         load()
-    except Exception as failure:  # noqa: BLE001  user code, reported: the others are loaded still
+    except Exception as failure:  # noqa: BLE001  user code: report it, and load the others
         error = describe(failure)
-        for known in registry.all():
-            # A module that failed is not there any more; what it imported before may be.
-            if known.name not in before and known.code.__module__ not in sys.modules:
-                registry.remove(known.name)
-    added = tuple(known.name for known in registry.all() if known.name not in before)
+        for each in registry.all():
+            # Python drops the failed module, but not the modules that it had imported before.
+            if each.name not in before and each.code.__module__ not in sys.modules:
+                registry.remove(each.name)
+    added = tuple(each.name for each in registry.all() if each.name not in before)
     return LoadReport(origin, added, error)
 
 
@@ -73,9 +73,9 @@ def _import(module: str) -> None:
         return
     path = Path(module).resolve()
     name = path.stem
-    there = sys.modules.get(name)
-    if there is not None:
-        if getattr(there, "__file__", None) != str(path):
+    existing = sys.modules.get(name)
+    if existing is not None:
+        if getattr(existing, "__file__", None) != str(path):
             raise ImportError(f"there is another module called {name!r}: rename the file")
         return
     spec = importlib.util.spec_from_file_location(name, path)

@@ -1,4 +1,4 @@
-"""Parameters of user-written code: what its signature declares, and texts made into values
+"""Parameters of user-written code: its signature declares them, and texts give their values
 ([Introspection15 §3.1]: a transformation is an implementation together with parameters).
 
 A class takes its parameters in its constructor, a function as keyword-only arguments.
@@ -18,23 +18,23 @@ _BOOLEANS = {"true": True, "false": False}
 
 
 def defaults_of(code: Callable[..., Any]) -> dict[str, str | None]:
-    """Each parameter with its default as text; None: it must be given."""
+    """Return each parameter with its default as text; None: it has no default."""
     return {
         name: None if parameter.default is parameter.empty else _text(parameter.default)
         for name, parameter in _declared(code).items()
     }
 
 
-def bound(code: Callable[..., Any], texts: Mapping[str, str]) -> Callable[..., Any]:
-    """``code`` with the parameters of these texts: a class still to be instantiated, a function.
+def bind_parameters(code: Callable[..., Any], texts: Mapping[str, str]) -> Callable[..., Any]:
+    """Bind the parameters of a function, or of a class before its instantiation.
 
-    Raises `BadArguments` for a parameter that it has not, or that is missing or of another type.
+    Raises `BadArguments` for an unknown, missing or mistyped parameter.
     """
     declared = _declared(code)
     for name in texts:
         if name not in declared:
-            known = ", ".join(declared) or "none"
-            raise BadArguments(f"there is no parameter {name!r}", f"its parameters are: {known}")
+            names = ", ".join(declared) or "none"
+            raise BadArguments(f"there is no parameter {name!r}", f"its parameters are: {names}")
     for name, parameter in declared.items():
         if parameter.default is parameter.empty and name not in texts:
             raise BadArguments(f"parameter {name!r} has no default", f"give a value: {name}=…")
@@ -45,7 +45,7 @@ def bound(code: Callable[..., Any], texts: Mapping[str, str]) -> Callable[..., A
 def _declared(code: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     try:
         signature = inspect.signature(code)
-    except (TypeError, ValueError):  # a function written in C has none
+    except (TypeError, ValueError):  # functions written in C have no signature
         return {}
     positional = inspect.Parameter.POSITIONAL_OR_KEYWORD if isinstance(code, type) else None
     return {
@@ -56,13 +56,13 @@ def _declared(code: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 
 
 def _kind(parameter: inspect.Parameter) -> type:
-    """What the annotation says, else what the default is, else text."""
-    named = parameter.annotation
-    if isinstance(named, str):
-        named = _KINDS.get(named, parameter.empty)
-    if named in _KINDS.values():
-        found: type = named
-        return found
+    """Return the type by the annotation, else by the default, else str."""
+    annotation = parameter.annotation
+    if isinstance(annotation, str):
+        annotation = _KINDS.get(annotation, parameter.empty)
+    if annotation in _KINDS.values():
+        kind: type = annotation
+        return kind
     if type(parameter.default) in _KINDS.values():
         return type(parameter.default)
     return str
@@ -73,8 +73,8 @@ def _value(name: str, parameter: inspect.Parameter, text: str) -> object:
     try:
         return _BOOLEANS[text.lower()] if kind is bool else kind(text)
     except (KeyError, ValueError) as error:
-        what = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
-        raise BadArguments(f"parameter {name!r} is {what}, not {text!r}") from error
+        expected = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
+        raise BadArguments(f"parameter {name!r} must be {expected}, not {text!r}") from error
 
 
 def _text(value: object) -> str:

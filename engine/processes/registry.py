@@ -1,9 +1,9 @@
-"""User-written processes: what they declare, and the registry that knows them by name
+"""The declarations of user-written processes, and their registry
 ([DyKnow10 Def. 5.9, 5.10, 5.15, 5.16, 5.28]).
 
 A registry is a knowledge process specification K_C: it maps the names that KPL declares to
-functions. The decorators `computational_unit`, `source` and `sink` fill `PROCESSES`; an engine is
-given a registry. Nothing runs here.
+functions. The decorators `computational_unit`, `source` and `sink` fill `PROCESSES`; an engine gets
+a registry. This module runs no user-written code.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any, Literal, TypeAlias, TypeVar, cast
 
 from ...streams.time import parse_duration
 from ..model.errors import AlreadyExists, BadArguments, UnknownFeature
-from .parameters import bound, defaults_of
+from .parameters import bind_parameters, defaults_of
 from .supervision import ErrorRule, OnError
 
 Code: TypeAlias = Callable[..., Any]
-"""A function, or a class whose instances are called; a class is instantiated per process."""
+"""A function, or a class with callable instances, one for each process."""
 C = TypeVar("C", bound=Code)
 Kind = TypeVar("Kind", bound="Implementation")
 ErrorText: TypeAlias = Literal["restart", "skip", "stop"]
@@ -30,7 +30,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 @dataclass(frozen=True, slots=True)
 class Implementation:
-    """What every process declares. Value sorts are KPL names, as text."""
+    """The declarations of every process. Value sorts are KPL names, as text."""
 
     name: str
     code: Code
@@ -38,15 +38,15 @@ class Implementation:
 
     @property
     def parameters(self) -> Mapping[str, str | None]:
-        """Each parameter of the code with its default as text; None: it must be given."""
+        """Each parameter of the code with its default as text; None: it has no default."""
         return defaults_of(self.code)
 
     def make(self, parameters: Mapping[str, str] | None = None) -> Callable[..., Any]:
-        """What to call: the function itself, or a new instance of the class, with parameters.
+        """Return the callable with its parameters: the function, or a new instance of the class.
 
-        Raises `BadArguments` for parameters that do not fit.
+        Raises `BadArguments` for wrong parameters.
         """
-        code = bound(self.code, parameters or {})
+        code = bind_parameters(self.code, parameters or {})
         if isinstance(self.code, type):
             return cast("Callable[..., Any]", code())
         return code
@@ -67,7 +67,7 @@ class UnitImplementation(Implementation):
 
 @dataclass(frozen=True, slots=True)
 class SourceImplementation(Implementation):
-    """``source sort name`` (Def. 5.15), read every ``period`` ns: ``code(time) -> sample``."""
+    """``source sort name`` (Def. 5.15), called every ``period`` ns: ``code(time) -> sample``."""
 
     sort: str
     period: int
@@ -75,8 +75,8 @@ class SourceImplementation(Implementation):
 
 @dataclass(frozen=True, slots=True)
 class SinkImplementation(Implementation):
-    """A process without output: ``code(sample)``, with ``batch`` ``code(batch)``; where there are
-    several inputs, the number of the input (from 0) comes as a second argument."""
+    """A process without output: ``code(sample)``, or with ``batch`` ``code(batch)``. With several
+    inputs, the number of the input (from 0) is a second argument."""
 
     inputs: tuple[str, ...]
     batch: bool = False
@@ -92,24 +92,24 @@ class Processes:
     _by_name: dict[str, AnyImplementation] = field(default_factory=dict)
 
     def add(self, implementation: AnyImplementation) -> None:
-        """Register; the same again changes nothing. Raises `AlreadyExists` for another of the
-        same name."""
+        """Register a process; repeating it changes nothing. Raises `AlreadyExists` for another one
+        of the same name."""
         name = implementation.name
-        there = self._by_name.setdefault(name, implementation)
-        if there != implementation:
+        existing = self._by_name.setdefault(name, implementation)
+        if existing != implementation:
             raise AlreadyExists(
-                f"there is a process called {name!r} already, {_origin(there)}; "
+                f"there is a process called {name!r} already, {_origin(existing)}; "
                 f"this one is {_origin(implementation)}",
                 f"give it another name: name='{name}2'",
             )
 
     def remove(self, name: str) -> None:
-        """Forget a process; those that run go on. Raises `UnknownFeature`."""
+        """Remove a process; running ones go on. Raises `UnknownFeature`."""
         self._get(name)
         del self._by_name[name]
 
     def all(self) -> tuple[AnyImplementation, ...]:
-        """Everything registered, in order."""
+        """Return all processes, in the order of registration."""
         return tuple(self._by_name.values())
 
     @property
@@ -128,24 +128,24 @@ class Processes:
         return self._of(SinkImplementation)
 
     def unit(self, name: str) -> UnitImplementation:
-        """A computational unit by name; raises `UnknownFeature`."""
+        """Return a computational unit by name. Raises `UnknownFeature`."""
         found = self._get(name)
         if not isinstance(found, UnitImplementation):
-            raise UnknownFeature(f"{name!r} is no computational unit", _origin(found))
+            raise UnknownFeature(f"{name!r} is not a computational unit", f"it is {_origin(found)}")
         return found
 
     def source(self, name: str) -> SourceImplementation:
-        """A sample-based source by name; raises `UnknownFeature`."""
+        """Return a sample-based source by name. Raises `UnknownFeature`."""
         found = self._get(name)
         if not isinstance(found, SourceImplementation):
-            raise UnknownFeature(f"{name!r} is no source", _origin(found))
+            raise UnknownFeature(f"{name!r} is not a source", f"it is {_origin(found)}")
         return found
 
     def sink(self, name: str) -> SinkImplementation:
-        """A sink by name; raises `UnknownFeature`."""
+        """Return a sink by name. Raises `UnknownFeature`."""
         found = self._get(name)
         if not isinstance(found, SinkImplementation):
-            raise UnknownFeature(f"{name!r} is no sink", _origin(found))
+            raise UnknownFeature(f"{name!r} is not a sink", f"it is {_origin(found)}")
         return found
 
     def __contains__(self, name: object) -> bool:
@@ -162,19 +162,18 @@ class Processes:
         restarts: int = 3,
         deadline: str | None = "2s",
     ) -> Callable[[C], C]:
-        """Decorator: register a function or class as a computational unit; it stays what it is.
+        """Decorator: register a function or class as a computational unit, and return it unchanged.
 
-        ``output`` and ``inputs`` are value sorts. ``on_error`` with ``restarts`` and ``deadline``
-        is the rule for its failures; ``deadline=None`` leaves it unwatched. Raises `BadArguments`
-        and `AlreadyExists`.
+        ``output`` and ``inputs`` are value sorts. ``on_error``, ``restarts`` and ``deadline`` are
+        the rule for its failures; ``deadline=None``: no deadline. Raises `BadArguments` and
+        `AlreadyExists`.
         """
         rule = _rule(on_error, restarts, deadline)
-        _is_name(output, "a value sort")
+        _check_name(output, "a value sort")
         sorts = _sorts(inputs)
 
         def register(code: C) -> C:
-            known = _named(code, name)
-            self.add(UnitImplementation(known, code, rule, output, sorts, batch))
+            self.add(UnitImplementation(_name_of(code, name), code, rule, output, sorts, batch))
             return code
 
         return register
@@ -189,16 +188,16 @@ class Processes:
         restarts: int = 3,
         deadline: str | None = "2s",
     ) -> Callable[[C], C]:
-        """Decorator: register a function of time as a source that is read every ``period``.
+        """Decorator: register a function of time as a source that is called every ``period``.
 
         Raises `BadArguments` and `AlreadyExists`.
         """
         rule = _rule(on_error, restarts, deadline)
-        _is_name(sort, "a value sort")
+        _check_name(sort, "a value sort")
         length = _duration(period, "period")
 
         def register(code: C) -> C:
-            self.add(SourceImplementation(_named(code, name), code, rule, sort, length))
+            self.add(SourceImplementation(_name_of(code, name), code, rule, sort, length))
             return code
 
         return register
@@ -213,7 +212,7 @@ class Processes:
         restarts: int = 3,
         deadline: str | None = "2s",
     ) -> Callable[[C], C]:
-        """Decorator: register a function that is called with each sample and gives nothing.
+        """Decorator: register a function that is called with each sample and returns nothing.
 
         Raises `BadArguments` and `AlreadyExists`.
         """
@@ -221,21 +220,21 @@ class Processes:
         sorts = _sorts(inputs)
 
         def register(code: C) -> C:
-            self.add(SinkImplementation(_named(code, name), code, rule, sorts, batch))
+            self.add(SinkImplementation(_name_of(code, name), code, rule, sorts, batch))
             return code
 
         return register
 
     def _of(self, kind: type[Kind]) -> Mapping[str, Kind]:
-        return {n: known for n, known in self._by_name.items() if isinstance(known, kind)}
+        return {name: each for name, each in self._by_name.items() if isinstance(each, kind)}
 
     def _get(self, name: str) -> AnyImplementation:
         found = self._by_name.get(name)
         if found is None:
-            known = ", ".join(sorted(self._by_name)) or "none yet"
+            names = ", ".join(sorted(self._by_name)) or "none yet"
             raise UnknownFeature(
                 f"there is no process called {name!r}",
-                f"register it with a decorator and load its module; there are: {known}",
+                f"register it with a decorator and load its module; there are: {names}",
             )
         return found
 
@@ -258,8 +257,8 @@ def _origin(implementation: AnyImplementation) -> str:
     return f"{kind}, {code.__module__}.{getattr(code, '__qualname__', type(code).__name__)}"
 
 
-def _named(code: Code, name: str | None) -> str:
-    """The name of a process; refuses what cannot be called as one."""
+def _name_of(code: Code, name: str | None) -> str:
+    """Return the name of a process. Raises `BadArguments` for code that cannot be called as one."""
     if not callable(code):
         raise BadArguments(f"a process is a function or a class, got {code!r}")
     called: Any = code
@@ -275,33 +274,35 @@ def _named(code: Code, name: str | None) -> str:
             f"{code!r} is asynchronous or a generator",
             "a process is an ordinary function, called once for each answer",
         )
-    given = name if name is not None else getattr(code, "__name__", "")
-    _is_name(given, "the name of a process")
-    return given
+    own = name if name is not None else getattr(code, "__name__", "")
+    _check_name(own, "the name of a process")
+    return own
 
 
-def _is_name(text: object, what: str) -> None:
+def _check_name(text: object, what: str) -> None:
     if not isinstance(text, str) or _NAME.fullmatch(text) is None:
         raise BadArguments(
-            f"{what} is a name of KPL, not {text!r}", "a letter, then letters, digits and _"
+            f"{what} must be a name of KPL, not {text!r}",
+            "use letters, digits and _, with a letter first",
         )
 
 
 def _sorts(inputs: Sequence[str]) -> tuple[str, ...]:
     if isinstance(inputs, str) or not inputs:
         raise BadArguments(
-            f"inputs is a list of one or more value sorts, not {inputs!r}", 'write inputs=["pos"]'
+            f"inputs must be a list of one or more value sorts, not {inputs!r}",
+            'write inputs=["pos"]',
         )
     for sort in inputs:
-        _is_name(sort, "a value sort")
+        _check_name(sort, "a value sort")
     return tuple(inputs)
 
 
 def _rule(on_error: str, restarts: int, deadline: str | None) -> ErrorRule:
     if on_error not in list(OnError):
-        raise BadArguments(f"on_error is {', '.join(OnError)}, not {on_error!r}")
+        raise BadArguments(f"on_error must be one of {', '.join(OnError)}, not {on_error!r}")
     if isinstance(restarts, bool) or not isinstance(restarts, int) or restarts < 0:
-        raise BadArguments(f"restarts is a number of restarts, 0 or more, not {restarts!r}")
+        raise BadArguments(f"restarts must be a number, 0 or more, not {restarts!r}")
     length = None if deadline is None else _duration(deadline, "deadline")
     return ErrorRule(OnError(on_error), restarts, length)
 
@@ -312,5 +313,5 @@ def _duration(text: str, what: str) -> int:
     except (TypeError, ValueError) as error:
         raise BadArguments(f"{what}: {error}") from error
     if length <= 0:
-        raise BadArguments(f"{what} is longer than nothing, not {text!r}", "write 100ms")
+        raise BadArguments(f"{what} must be more than 0, not {text!r}", "write 100ms")
     return length

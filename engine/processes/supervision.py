@@ -1,11 +1,11 @@
-"""What happens when a user-written process raises, blocks or gives back nonsense.
+"""Handles user-written code that raises an error, blocks, or returns a wrong answer.
 
-Computational units, sources and sinks run code that the system has not seen before. A failure of
-it concerns that process alone: it is counted, told, and answered by the rule that the process
-declared. `FunctionProcess`, `SampledSource` and `Sink` call the code through a `Supervisor`.
+Computational units, sources and sinks run unknown code. A failure concerns that process alone: it
+is counted, reported, and handled by the rule that the process declares. `FunctionProcess`,
+`TransformationUnit`, `SampledSource` and `Sink` call their code through a `Supervisor`.
 
-There is no clock here. Whether code blocks is for the `Runner` to say: `DirectRunner` waits for
-ever, `service/runtime/process_watchdog` has a deadline.
+This module has no clock. The `Runner` decides whether code blocks: `DirectRunner` waits without
+limit, `service/runtime/process_watchdog` has a deadline.
 """
 
 from __future__ import annotations
@@ -26,35 +26,36 @@ T = TypeVar("T")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_ALL_TOLD = 10
-"""So many errors of a process are told each; after that only each doubling of their number is."""
-_LONGEST = 500
-"""Characters of an error's text that are kept."""
+_REPORTED = 10
+"""The number of errors of a process that are each reported. After that only each doubling of their
+number is, so that a failing process does not flood the status stream."""
+_MAX_TEXT = 500
+"""The greatest number of characters of an error's text."""
 
 
 class UnitBlocked(Exception):
-    """A process did not come back within its deadline."""
+    """A process did not return within its deadline."""
 
 
 class ProcessError(Exception):
-    """A process gave back what it must not: the message says which field, and what it may be."""
+    """A process returned a wrong answer; the message names the field and the expected value."""
 
 
 class OnError(StrEnum):
-    """What a process declares to happen when it raises."""
+    """The rule of a process for its errors."""
 
     RESTART = "restart"
-    """The state is no_value again; it goes on with what comes next, unless that fails too often."""
+    """Reset the state to no_value and go on with the next sample, unless failures are too many."""
     SKIP = "skip"
-    """What failed gives no sample; the state stays as it was."""
+    """Drop the sample; the state stays as it was."""
     STOP = "stop"
-    """The first error is the last."""
+    """Stop at the first error."""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorRule:
-    """``restarts``: how many failures in a row end in a restart; the next one stops the process.
-    ``deadline``: ns within which one call must come back; None: it is never watched."""
+    """``restarts``: the number of failures in a row with a restart; the next one stops the process.
+    ``deadline``: ns within which a call must return; None: no deadline."""
 
     on_error: OnError = OnError.RESTART
     restarts: int = 3
@@ -62,24 +63,24 @@ class ErrorRule:
 
 
 class ProcessEvent(StrEnum):
-    """What is told of a process. A failure comes first, what the rule made of it second; of a
-    failure that was skipped nothing more is told."""
+    """Events of a process. FAILED comes first; a restart or stop by the rule follows."""
 
     FAILED = "unit failed"
     RESTARTED = "unit restarted"
     STOPPED = "unit stopped by rule"
 
 
-Later: TypeAlias = Callable[[Sequence[Failed], int], bool]
-"""Called with what failed and how many failures in a row there are now; whether it is to be told by
-`Supervisor.hear`, and not now."""
-Tell: TypeAlias = Callable[[ProcessEvent, str], None]
-"""Called with what happened and a text for people; after the samples made before it went out."""
+DeferFailures: TypeAlias = Callable[[Sequence[Failed], int], bool]
+"""Called with failures and the number of failures in a row; returns whether `apply_failures` will
+handle them later."""
+OnEvent: TypeAlias = Callable[[ProcessEvent, str], None]
+"""Called with an event and a text for users, after the samples before it were offered."""
 
 
 @dataclass(slots=True)
 class ErrorCounters:
-    """How often a process failed. ``last_error_time`` is the time (ns) of what it failed on."""
+    """Counters of a process's errors. ``last_error_time`` is the time (ns) of the sample that
+    failed."""
 
     errors: int = 0
     restarts: int = 0
@@ -87,29 +88,29 @@ class ErrorCounters:
     last_error_time: int | None = None
 
     def note(self, text: str, time: int | None) -> None:
-        """One more error."""
+        """Count an error."""
         self.errors += 1
         self.last_error = text
         self.last_error_time = time
 
 
 class Runner(Protocol):
-    """Whoever calls user-written code. ``tape`` has what sources say, where that is recorded."""
+    """Calls user-written code. ``tape`` records the readings of sources, if there is a log."""
 
     @property
     def tape(self) -> Tape | None: ...
 
     def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
-        """What ``work()`` gives; what it raises is raised.
+        """Return the result of ``work()``, or raise its error.
 
-        ``work`` makes many calls; ``progress()`` grows with each that came back. Raises
-        `UnitBlocked` when it has not grown for ``deadline`` ns. ``work`` may still be running
-        then: it writes to nothing that anybody reads any more.
+        ``work`` makes many calls; ``progress()`` grows with each that returns. Raises `UnitBlocked`
+        when it has not grown for ``deadline`` ns. ``work`` may still run then; the caller ignores
+        whatever it does from there on.
         """
 
 
 class DirectRunner:
-    """Calls, and waits as long as it takes."""
+    """Calls without a deadline."""
 
     tape: Tape | None = None
 
@@ -135,12 +136,13 @@ class _Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class _Made(Generic[Result]):
+class _Success(Generic[Result]):
     result: Result
 
 
-class Came(NamedTuple):
-    """So many ``calls`` came back; the next one, for ``time``, did not: ``blocked`` says so."""
+class Returned(NamedTuple):
+    """The number of ``calls`` that returned. If the next one, for ``time``, blocked, ``blocked`` is
+    the error."""
 
     calls: int
     time: int = 0
@@ -148,14 +150,14 @@ class Came(NamedTuple):
 
 
 class Supervisor:
-    """Calls a process item by item and answers its failures by its rule.
+    """Calls a process item by item, and handles its failures by its rule.
 
-    ``restart`` makes the process forget its state, ``stop`` takes it out of the network for the
-    reason given; ``tell`` hears what happened, last of all. ``later`` may put that off.
+    ``restart`` drops the state of the process, ``stop`` stops it for a reason. ``on_event`` is
+    called with the events, last of all. ``defer`` may put the failures off.
 
-    Law: what is made, counted and told does not depend on how the items were cut into runs.
+    Law: results, counters and events do not depend on how the items were cut into runs.
 
-    Contract: a call that was given up by the runner changes nothing here when it comes back.
+    Contract: a call that the runner has given up changes nothing here when it returns.
     """
 
     def __init__(
@@ -165,17 +167,17 @@ class Supervisor:
         counters: ErrorCounters,
         restart: Callable[[], None],
         stop: Callable[[str], None],
-        tell: Tell,
-        later: Later | None = None,
+        on_event: OnEvent,
+        defer: DeferFailures | None = None,
     ) -> None:
         self.rule = rule
         self.counters = counters
-        self._later = later
+        self._defer = defer
         self._runner = runner
         self._restart = restart
         self._stop = stop
-        self._stopped: str | None = None
-        self._tell = tell
+        self._stop_reason: str | None = None
+        self._on_event = on_event
         self._in_a_row = 0
 
     def run(
@@ -183,73 +185,74 @@ class Supervisor:
         items: Sequence[tuple[int, Item]],
         step: Callable[[int, Item], Result],
         deliver: Callable[[Sequence[Result]], None],
-    ) -> Came:
-        """``step(time, item)`` for each in order; what was made goes to ``deliver``, then what
-        went wrong is told. After a stop the rest of the items is left alone.
+    ) -> Returned:
+        """Call ``step(time, item)`` for each item in order; pass the results to ``deliver``, then
+        report the failures. A stop skips the rest of the items.
 
-        Whatever the code raises is an error of the process, SystemExit included; only a person's
+        Every error of the code is an error of the process, SystemExit included; only the user's
         Ctrl-C passes through (`is_interrupt`).
         """
-        came = Came(0)
-        if self._stopped is not None or not items:
-            return came
-        log: list[_Made[Result] | _Failure] = []
-        row = self._in_a_row
+        returned = Returned(0)
+        if self._stop_reason is not None or not items:
+            return returned
+        log: list[_Success[Result] | _Failure] = []
+        in_a_row = self._in_a_row
 
         def work() -> None:
-            # Only `log` is shared, and only appended to: whoever gave this up has a copy.
-            nonlocal row
+            # It shares only `log`, and only appends. After `UnitBlocked` the caller uses a copy.
+            nonlocal in_a_row
             for time, item in items:
                 try:
-                    log.append(_Made(step(time, item)))
-                    row = 0
+                    log.append(_Success(step(time, item)))
+                    in_a_row = 0
                 except RecordedBlock:
                     raise
                 except BaseException as error:  # isolated, counted and reported by the rule
                     if is_interrupt(error):
                         raise
-                    row += 1
-                    verdict = self._verdict(row)
+                    in_a_row += 1
+                    verdict = self._verdict(in_a_row)
                     if verdict is _Verdict.RESTARTED:
                         self._restart()
-                    log.append(_Failure(time, describe(error), verdict, self._reason(row)))
+                    log.append(_Failure(time, describe(error), verdict, self._reason(in_a_row)))
                     if verdict is _Verdict.STOPPED:
                         return
 
         try:
             self._runner.run(work, self.rule.deadline, lambda: len(log))
             entries = log
-            came = Came(len(entries))
+            returned = Returned(len(entries))
         except UnitBlocked as blocked:
             entries = log.copy()
-            came = Came(len(entries))
-            if len(entries) < len(items):  # else the last call came back at the last moment
+            returned = Returned(len(entries))
+            if len(entries) < len(items):  # else the last call returned at the last moment
                 time = items[len(entries)][0]
-                came = Came(len(entries), time, describe(blocked))
+                returned = Returned(len(entries), time, describe(blocked))
                 entries.append(_Failure(time, describe(blocked), _Verdict.STOPPED))
-        before, self._in_a_row = self._in_a_row, row
-        if not self._is_put_off(entries, before):
+        before, self._in_a_row = self._in_a_row, in_a_row
+        if not self._defer_failures(entries, before):
             self._settle(entries, deliver)
-        return came
+        return returned
 
-    def hear(self, failed: Sequence[Failed], in_a_row: int) -> None:
-        """Count and tell what was put off, and act upon it."""
+    def apply_failures(self, failed: Sequence[Failed], in_a_row: int) -> None:
+        """Count, report and handle failures that ``defer`` has put off."""
         self._in_a_row = in_a_row
         entries = [
             _Failure(one.time, one.text, _Verdict(one.verdict), one.reason) for one in failed
         ]
         self._settle(entries, lambda _: None)
 
-    def _is_put_off(self, entries: Sequence[_Made[Result] | _Failure], before: int) -> bool:
-        """Whether what went wrong is told later. It is not called any more then, if it stops."""
+    def _defer_failures(self, entries: Sequence[_Success[Result] | _Failure], before: int) -> bool:
+        """Put failures off if possible; return whether. A process that its rule stops is not called
+        any more meanwhile."""
         failures = [entry for entry in entries if isinstance(entry, _Failure)]
-        if self._later is None or not (failures or self._in_a_row < before):
+        if self._defer is None or not (failures or self._in_a_row < before):
             return False
         failed = [Failed(one.time, one.text, one.verdict, one.reason) for one in failures]
-        if not self._later(failed, self._in_a_row):
+        if not self._defer(failed, self._in_a_row):
             return False
         if failures and failures[-1].verdict is _Verdict.STOPPED:
-            self._stopped = failures[-1].text
+            self._stop_reason = failures[-1].text
         return True
 
     def _verdict(self, in_a_row: int) -> _Verdict:
@@ -270,28 +273,28 @@ class Supervisor:
 
     def _settle(
         self,
-        entries: Sequence[_Made[Result] | _Failure],
+        entries: Sequence[_Success[Result] | _Failure],
         deliver: Callable[[Sequence[Result]], None],
     ) -> None:
-        told: list[tuple[ProcessEvent, str]] = []
+        events: list[tuple[ProcessEvent, str]] = []
         for entry in entries:
             if isinstance(entry, _Failure):
-                told += self._count(entry)
-        # Samples first: who hears of a failure has what was made before it.
-        deliver([entry.result for entry in entries if isinstance(entry, _Made)])
-        if self._stopped is not None:
-            self._stop(self._stopped)
-        for event, text in told:
-            self._tell(event, text)
+                events += self._count(entry)
+        # Samples first: a listener of failures then has the samples before them.
+        deliver([entry.result for entry in entries if isinstance(entry, _Success)])
+        if self._stop_reason is not None:
+            self._stop(self._stop_reason)
+        for event, text in events:
+            self._on_event(event, text)
 
     def _count(self, failure: _Failure) -> list[tuple[ProcessEvent, str]]:
-        """Count a failure; what is to be told of it."""
+        """Count a failure; return the events to report."""
         counters = self.counters
         counters.note(failure.text, failure.time)
         count = counters.errors
-        is_told = count <= _ALL_TOLD or count & (count - 1) == 0
+        is_reported = count <= _REPORTED or count & (count - 1) == 0
         events = []
-        if is_told or failure.verdict is _Verdict.STOPPED:
+        if is_reported or failure.verdict is _Verdict.STOPPED:
             text = f"error {count}: {failure.text}; {failure.verdict}"
             events.append((ProcessEvent.FAILED, text))
         match failure.verdict:
@@ -299,11 +302,12 @@ class Supervisor:
                 pass
             case _Verdict.RESTARTED:
                 counters.restarts += 1
-                if is_told:
+                if is_reported:
                     events.append((ProcessEvent.RESTARTED, f"restart {counters.restarts}"))
             case _Verdict.STOPPED:
-                self._stopped = failure.text + (f" ({failure.reason})" if failure.reason else "")
-                events.append((ProcessEvent.STOPPED, self._stopped))
+                reason = failure.text + (f" ({failure.reason})" if failure.reason else "")
+                self._stop_reason = reason
+                events.append((ProcessEvent.STOPPED, reason))
             case _:
                 assert_never(failure.verdict)
         return events
@@ -311,44 +315,44 @@ class Supervisor:
 
 @dataclass(slots=True)
 class Instance(Generic[T]):
-    """The code of one process, made when it is first needed and made anew after a restart.
+    """The callable of one process: ``make`` makes it at the first call, and again after a restart.
 
-    A class is instantiated for each process, a function is taken as it is; what the constructor
-    raises is an error of the process.
+    A class is instantiated for each process. Not at the start, so that an error of its constructor
+    is an error of the process.
     """
 
     make: Callable[[], T]
     _made: list[T] = field(default_factory=list)
 
     def get(self) -> T:
-        """The code to call."""
+        """Return the callable."""
         if not self._made:
             self._made.append(self.make())
         return self._made[0]
 
     @property
     def is_made(self) -> bool:
-        """Whether there is code that may have state."""
+        """Whether there is a callable, which may have a state."""
         return bool(self._made)
 
     def forget(self) -> None:
-        """The next call goes to a new one."""
+        """Make a new callable at the next call."""
         self._made.clear()
 
 
 class RecordedError(Exception):
-    """What went wrong when it was done first; its text is what was said of it then."""
+    """An error of the first run, with its recorded text."""
 
 
 class RecordedBlock(RecordedError, UnitBlocked):
-    """It did not come back when it was done first."""
+    """A call that blocked in the first run."""
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Whether ``error`` is a person's Ctrl-C, not something that user-written code raised.
+    """Whether ``error`` is the user's Ctrl-C, not an error of user-written code.
 
-    Python raises it in the main thread, and only while its own handler of SIGINT is installed: the
-    service has another one.
+    Python raises it in the main thread, and only while its own handler of SIGINT is installed. The
+    service installs another handler.
     """
     return (
         isinstance(error, KeyboardInterrupt)
@@ -358,9 +362,10 @@ def is_interrupt(error: BaseException) -> bool:
 
 
 def describe(error: BaseException) -> str:
-    """``ZeroDivisionError: division by zero (units.py:12)``: one line that can be sent anywhere.
+    """Return an error as one line: ``ZeroDivisionError: division by zero (units.py:12)``.
 
-    An error may refuse to say what it is; then its type must do.
+    It is valid UTF-8 and of bounded length. If the error's ``__str__`` fails, only its type is
+    reported.
     """
     if isinstance(error, RecordedError):
         return str(error)
@@ -369,18 +374,18 @@ def describe(error: BaseException) -> str:
     except BaseException as second:  # user code again; the type is reported
         if is_interrupt(second):
             raise
-        text = f"(its text cannot be had: {type(second).__name__})"
+        text = f"(its text raised {type(second).__name__})"
     kind = type(error).__name__
-    whole = f"{kind}: {text}" if text else kind
+    line = f"{kind}: {text}" if text else kind
     if not isinstance(error, ProcessError | UnitBlocked):
-        whole += _place(error.__traceback__)
-    whole = " ".join(whole.split())
-    whole = whole.encode("utf-8", "backslashreplace").decode()
-    return whole if len(whole) <= _LONGEST else f"{whole[: _LONGEST - 1]}…"
+        line += _place(error.__traceback__)
+    line = " ".join(line.split())
+    line = line.encode("utf-8", "backslashreplace").decode()
+    return line if len(line) <= _MAX_TEXT else f"{line[: _MAX_TEXT - 1]}…"
 
 
 def _place(trace: TracebackType | None) -> str:
-    """`` (file:line)`` of where it was raised."""
+    """Return `` (file:line)`` of the code that raised the error."""
     if trace is None:
         return ""
     while trace.tb_next is not None:

@@ -35,7 +35,7 @@ from ...streams.time import SECOND
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
 from ..model.views import Since
-from ..units.merge import OBJECT, MergeInput, MergeUnit, Whose
+from ..units.merge import OBJECT, MergeInput, MergeUnit, ObjectName
 from ..units.policy import AdaptationUnit
 
 KEPT = 1000
@@ -202,7 +202,7 @@ def merge_inputs(
             source.port.source_field,
             source.port.conversion,
             tuple(
-                Whose(role.object, role.id_field, configuration.namespaces[generator.name])
+                ObjectName(role.object, role.id_field, configuration.namespaces[generator.name])
                 for role in source.roles[: 1 + len(supply.want.others)]
             ),
             _filter(supply.want, source, vocabulary),
@@ -226,7 +226,7 @@ def _filter(
 
 def behind(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
     """The names of all streams whose samples reach the unit."""
-    for part in configuration.units_behind(unit):
+    for part in configuration.upstream_units(unit):
         for source in part.inputs:
             yield source.name
 

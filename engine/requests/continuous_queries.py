@@ -26,7 +26,7 @@ from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.name_resolution import checked_strategy, did_you_mean
 from ..configuration.configuration import Configuration
-from ..model.beginning import beginning_of
+from ..model.beginning import parse_beginning
 from ..model.errors import (
     AlreadyExists,
     BadArguments,
@@ -129,7 +129,9 @@ class RegisteredQueries:
         """
         query = parse_query(text)
         options = Options(semantics or usual_semantics(query.dialect), bounds, origin, report)
-        return self.start(query, Asked(text.strip(), options, strategy, beginning_of(since)), name)
+        return self.start(
+            query, Asked(text.strip(), options, strategy, parse_beginning(since)), name
+        )
 
     def name_for(self, text: str, wanted: str = "") -> str:
         """What a query would be called, if nothing is in its way; ``wanted`` or the next free name
@@ -352,7 +354,7 @@ class RegisteredQueries:
                 if not running.is_named and running.registration.asked == asked:
                     return running.name
             if wanted and not self._configuration.has(wanted):
-                self._configuration.pass_over(wanted)
+                self._configuration.skip_reserved(wanted)
                 return wanted
             return self._configuration.reserved_name()
         name = _own_name(query.name)

@@ -90,7 +90,7 @@ def _lacking(want: Want, contents: tuple[Content, ...], vocabulary: Vocabulary) 
 def _dropped(configuration: Configuration, unit: WindowUnit) -> list[str]:
     """What the policies between the streams and the query did not let through."""
     told = []
-    for part in configuration.units_behind(unit):
+    for part in configuration.upstream_units(unit):
         if not isinstance(part, AdaptationUnit):
             continue
         counters: PolicyCounters = part.policy_counters

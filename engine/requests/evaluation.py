@@ -68,7 +68,7 @@ class Evaluation:
             for unit in units
             if any(
                 source.name == stream
-                for one in self._configuration.units_behind(unit)
+                for one in self._configuration.upstream_units(unit)
                 for source in one.inputs
             )
         )

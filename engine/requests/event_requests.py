@@ -119,7 +119,7 @@ class EventRequests:
         if isinstance(since, Moment) and since.before is not None:
             # Which time a duration means, and so with whom it is shared, its streams say.
             plan = self._plan(template, request, strategy, since)
-            since = self._plans.settled(since, supplies_of(plan[1]))
+            since = self._plans.resolve_duration(since, supplies_of(plan[1]))
         key = _key(template, request, strategy, since)
         running = self._running.get(key)
         if running is None or not self._is_sound(running):

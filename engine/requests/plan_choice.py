@@ -26,7 +26,7 @@ from ...matching.tree import Match
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
 from ..configuration.configuration import Configuration
-from ..configuration.silent_objects import Silences
+from ..configuration.silent_streams import Silences
 from ..model.views import Since
 from ..planning.plan_execution import Plans
 from .adaptive_subscription import AdaptiveSubscription, State, names_of
@@ -109,7 +109,7 @@ class Choosing:
 
     def unusable(self, found: AdaptiveSubscription, now: int) -> AbstractSet[str]:
         """What a subscription is to do without: also what is silent, or failed it."""
-        silent = self._silences.at(now, found.wish.staleness)
+        silent = self._silences.silent_streams(now, found.wish.staleness)
         for name in silent:
             self._silences.pass_over(name)
         return self.made_streams() | silent | found.avoided
@@ -192,8 +192,7 @@ class Choosing:
         """Its inputs are there, and work."""
         unit = found.unit
         return bool(unit.inputs) and (
-            self._configuration.reads_what_is_there(unit)
-            and not self._configuration.is_broken(unit)
+            self._configuration.has_current_inputs(unit) and not self._configuration.is_broken(unit)
         )
 
     def serves(self, found: AdaptiveSubscription) -> bool:

@@ -89,7 +89,7 @@ class Switching:
             maker = configuration.units.get(stream.name)
             if configuration.streams.get(stream.name) is stream and (
                 maker is None
-                or (configuration.reads_what_is_there(maker) and not configuration.is_broken(maker))
+                or (configuration.has_current_inputs(maker) and not configuration.is_broken(maker))
             ):
                 streams[source.node] = stream
         return streams

@@ -20,8 +20,8 @@ from ...rdf.dictionary import TermDictionary
 from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND
 from ..configuration.configuration import Configuration
-from ..configuration.silent_objects import Silences
-from ..model.beginning import as_far_as_kept
+from ..configuration.silent_streams import Silences
+from ..model.beginning import start_from_retained
 from ..model.errors import Conflict, DyknowError
 from ..model.status_changes import Change, ChangeKind
 from ..planning.plan_execution import Plans
@@ -42,7 +42,7 @@ from .subscription_index import SubscriptionIndex, others
 
 _LOOK_AGAIN = SECOND
 """After so long (ns) a source is looked at again, if not before: nothing that learns falls silent
-sooner after it spoke (`arrivals.LEAST`)."""
+sooner after it spoke (`arrivals.MIN_SILENCE`)."""
 _FORGIVEN = 30 * SECOND
 """After so long (ns) a transformation is tried again that failed, or made nothing."""
 _AT_ONCE = 5
@@ -124,7 +124,7 @@ class Rematching:
         """Note whom a change of the stream space concerns."""
         match change.kind:
             case ChangeKind.STREAM_ENDED:
-                self._silences.ended(change.stream)
+                self._silences.note_end(change.stream)
                 self._note_loss(change.stream, f"{change.stream} ended")
             case ChangeKind.STREAM_REMOVED:
                 self._forget_stream(change.stream)
@@ -133,7 +133,7 @@ class Rematching:
                 if unit is not None and unit.failure is not None:  # else it goes on
                     self._note_failure(unit)
             case ChangeKind.STREAM_ANNOTATED if not self._plans.makes(change.stream):
-                self._silences.changed()
+                self._silences.refresh()
                 self._note_meaning(change.stream)
             case ChangeKind.STREAM_ANNOTATED:
                 self._note_misled(change.stream)
@@ -175,8 +175,8 @@ class Rematching:
             return
         self._index.avoid(found, name)
         now = self._clock()
-        silent = self._silences.at(now, found.wish.staleness)
-        speaks = self._silences.has_spoken(name) and name not in silent
+        silent = self._silences.silent_streams(now, found.wish.staleness)
+        speaks = self._silences.has_arrivals(name) and name not in silent
         if name in self._space.streams and not speaks:
             self._silences.pass_over(name)
         else:
@@ -184,13 +184,13 @@ class Rematching:
 
     def came(self, stream: str, now: int) -> None:
         """Something was published to a stream."""
-        if not self._silences.has_news(stream):
+        if not self._silences.note_samples(stream):
             return  # it brought no sample, or only such as were late
-        if self._silences.is_back(stream):
+        if self._silences.take_back(stream):
             self._back(stream)
         for found in self._index.candidates(stream):
             self._note_stay(found, stream, now)
-        self._silences.came(stream, now)
+        self._silences.note_arrival(stream, now)
 
     def _note_stay(self, found: AdaptiveSubscription, stream: str, now: int) -> None:
         """What may be better speaks: it has been there since it last was silent."""
@@ -216,7 +216,7 @@ class Rematching:
         """Sorts and features may contain each other otherwise: everybody is looked at again."""
         self._choosing.forget()
         for found in self._index.all():
-            found.unit.ask_again()
+            found.unit.refresh_objects()
             if found.supply is not None and not self._choosing.means_the_same(found):
                 self._lost.setdefault(found.id, "the ontology has changed")
             else:
@@ -347,7 +347,7 @@ class Rematching:
 
         Cost: what is due, and a look at what was passed over.
         """
-        for name in self._silences.back():
+        for name in self._silences.take_all_back():
             self._back(name)
         self._alarms.ring(now)
         self.settle()
@@ -476,7 +476,7 @@ class Rematching:
         if supply is not None:
             found.missing = ()
             found.quality = self._choosing.quality(supply)
-        for part in self._configuration.units_behind(found.unit):
+        for part in self._configuration.upstream_units(found.unit):
             if part is not found.unit and part.failure is not None:
                 self._note_failure(part)  # it failed on the past, before anybody read it
 
@@ -487,7 +487,7 @@ class Rematching:
         refused; one that has waited begins with what they keep, and its switch says that some is
         lost. Raises `DyknowError`, and `Forgotten` for a request."""
         if supply is not None and not found.has_begun:
-            since = self._plans.settled(found.wish.since, [supply])
+            since = self._plans.resolve_duration(found.wish.since, [supply])
             found.wish = replace(found.wish, since=since)
         begin = partial(self._switching.streams_of, found, supply)
-        return as_far_as_kept(found.begins, begin) if found.rematches else begin(found.begins)
+        return start_from_retained(found.begins, begin) if found.rematches else begin(found.begins)

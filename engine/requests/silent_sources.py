@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...matching.plan import UseStream
 from ...streams.generator import StreamGenerator
-from ..configuration.silent_objects import Silences
+from ..configuration.silent_streams import Silences
 from .adaptive_subscription import AdaptiveSubscription, transformations_of
 
 
@@ -15,7 +15,7 @@ def silent_from(
 
     Of what is made, and read since a short time only, what it is made from may tell."""
     staleness = found.wish.staleness
-    if silences.has_spoken(source.name):
+    if silences.has_arrivals(source.name):
         return silences.silent_at(source.name, staleness)
     silent_at = found.unit.arrivals[source].silent_at(staleness)
     if silent_at is not None:
@@ -36,7 +36,7 @@ def culprits(
     else the transformations, which make nothing of what they get."""
     nodes = found.nodes_behind(source)
     streams = dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream))
-    silent = silences.at(now, found.wish.staleness)
+    silent = silences.silent_streams(now, found.wish.staleness)
     return (
         tuple(name for name in streams if name in silent)
         or tuple(sorted(transformations_of(nodes)))

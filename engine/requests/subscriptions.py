@@ -11,7 +11,7 @@ from ...streams.policies.policy import Policy
 from ...streams.sample import Schema
 from ..configuration.configuration import POLICY, Configuration
 from ..configuration.policy_keys import policy_keys
-from ..model.beginning import Beginning, check_kept, settled
+from ..model.beginning import Beginning, check_retained, resolve_duration
 from ..model.errors import UnknownRequest
 from ..model.views import AdaptiveView, Since, SubscriptionView
 from ..units.merge import object_fields
@@ -62,9 +62,9 @@ class Subscriptions:
         with a `Moment` there. Raises `UnknownStream`, `LanguageError` and `Forgotten`.
         """
         source = self._configuration.stream(stream)
-        since = settled(since, [source.stream])
+        since = resolve_duration(since, [source.stream])
         parsed = parse_policy(policy, unit)
-        check_kept(since, source.stream)
+        check_retained(since, source.stream)
         keys = policy_keys(self._configuration, source) if keyed else ()
         adapted = None if parsed.is_default else self._adapted(source, parsed, since, keys)
         id = self._next_id()

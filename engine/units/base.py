@@ -2,7 +2,8 @@
 ([Introspection15 §3.1], [DyKnow10 Def. 5.10]).
 
 A unit receives batches in order of available time and offers batches to its output's generator.
-What it makes of a batch is the subclass's `process`; order, isolation and ends are decided here.
+This class handles watermarks, ends, idle inputs, late samples and errors; a subclass's `process`
+computes.
 """
 
 from __future__ import annotations
@@ -26,18 +27,19 @@ from .work_time import BusyTime
 
 
 class ComputationalUnit(ABC):
-    """A unit at work. ``users`` counts who needs its output; the engine stops it with the last.
+    """A running unit. ``users`` counts the readers of its output; the engine stops a unit without
+    users.
 
-    A unit that raises is cut off from its inputs, with the reason in ``failure``; other units
-    and whoever published go on.
+    A unit that raises an error leaves its inputs, with the reason in ``failure``. Other units and
+    the publisher go on.
     """
 
     role = Role.UNIT
     waits_for_all: ClassVar[bool] = True
-    """Whether what it makes waits for all inputs, so that a sample may come after that."""
+    """Whether its output waits for all inputs, so that a sample of one may be late."""
     knows_codes = False
-    """Whether it keeps codes of its inputs' texts beyond a call (but in batches, which know what
-    they mean): then these are never forgotten."""
+    """Whether it keeps codes of its inputs' texts beyond a call, other than in batches, which have
+    the pools with them. The streams never free texts of such a reader."""
 
     def __init__(
         self,
@@ -52,50 +54,48 @@ class ComputationalUnit(ABC):
         self.transformation = transformation
         self.inputs = tuple(inputs)
         self.sources = tuple(dict.fromkeys(inputs))
-        """The inputs, each stream once: the same one may be given twice."""
+        """The inputs, each stream once: ``inputs`` may have a stream twice."""
         self.output = output
         self.parameters = dict(parameters)
         self.synchronization: ComputationalUnit | None = None
-        """The unit that was inserted to bring its inputs together."""
+        """The unit that was inserted to synchronize its inputs."""
         self.users = 0
         self.failure: str | None = None
         self.counters = ErrorCounters()
-        self.seen = TIME_MIN
-        """The available time (ns) of the latest sample that it has processed."""
+        self.last_processed = TIME_MIN
+        """The greatest available time (ns) of the samples that it has processed."""
         self.late = 0
-        """Samples that came after what they belong to was decided, and were left out."""
+        """Dropped samples that were late for the output."""
         self.busy = 0
-        """How long it has worked (ns), if somebody measures it: without those it sets to work."""
+        """The measured time (ns) of its own work, without that of its readers; 0 unmeasured."""
         self.busy_time: BusyTime | None = None
         self.backlog = Backlog()
-        """Who closes its windows, if it has any."""
+        """The engine's backlog; only a `WindowUnit` enters it."""
         self.windows = 0
-        """How many windows it has evaluated."""
+        """The number of evaluated windows."""
         self.overruns = 0
-        """How many windows have no result because they needed more than they may."""
+        """The number of windows without result that exceeded their budget."""
         self.late_streams: dict[StreamGenerator, StreamGenerator] = {}
-        """Those that take the late samples of inputs, as far as somebody asked for them."""
+        """The requested streams of late samples, by input."""
         self._after: int | None = None
         self._until: int | None = None
         self._on_failure = on_failure
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
         self._idle: list[StreamGenerator] = []
-        """Inputs that have fallen idle, and hold no other back."""
-        self._before = TIME_MIN
-        """As `seen`, before the samples that are being processed."""
+        """Idle inputs, for which the others do not wait."""
+        self._processed_before = TIME_MIN
+        """`last_processed` before the batch that is being processed."""
         self._subscribed: list[StreamGenerator] = []
 
     def start(
         self, since: Beginning = Since.NOW, after: int | None = None, until: int | None = None
     ) -> None:
-        """Subscribe to the inputs; from the start of what they keep or from a moment of it, if
-        asked.
+        """Subscribe to the inputs, and first read their retained samples from ``since`` on.
 
-        The past of all inputs comes first, then how far each of them is: a unit of several inputs
-        sees the same as if it had been there when their samples came. With ``after`` (ns) it sees
-        nothing that was available by then, whether that has come already or not; with ``until``
-        nothing that is available later.
+        The past of all inputs comes before any watermark. A unit with several inputs therefore
+        computes the same as if it had existed when the samples came. The unit ignores samples,
+        old and new, that are available at ``after`` (ns) or before, or later than ``until``.
         """
         if isinstance(since, Moment):
             after = last_before(since)
@@ -109,7 +109,7 @@ class ComputationalUnit(ABC):
             self.connect(source)
 
     def past_of(self, source: StreamGenerator) -> SampleBatch:
-        """All kept samples of an input that this unit was to see; see `start`."""
+        """Return the retained samples of an input that are for this unit; see `start`."""
         batch = source.stream.all()
         after = TIME_MIN if self._after is None else self._after
         rows = (batch.available > after) | (self._after is None)
@@ -118,7 +118,7 @@ class ComputationalUnit(ABC):
         return batch.take(rows)
 
     def connect(self, source: StreamGenerator) -> None:
-        """Subscribe to an input, and hear of its end if that was earlier."""
+        """Subscribe to an input; handle its end if it has ended already."""
         if self.failure is not None:
             return
         self._subscribed.append(source)
@@ -127,15 +127,16 @@ class ComputationalUnit(ABC):
             self.ended(source)
 
     def stop(self) -> None:
-        """Leave the inputs; the output ends."""
+        """Unsubscribe from the inputs, and end the output."""
         self._leave_inputs()
         self.output.end()
         self.output.close()
 
     def end_after(self, until: int) -> None:
-        """What is available later than ``until`` (ns) is not for this unit: its inputs end there.
+        """Ignore samples that are available later than ``until`` (ns), so that all inputs end
+        there.
 
-        The output ends when all inputs have got so far. Contract: `seen` is not later.
+        The output ends when all inputs have reached it. Contract: `last_processed` is not later.
         """
         self._until = self.output.ends_at = until
         for source in self.sources:
@@ -143,7 +144,7 @@ class ComputationalUnit(ABC):
                 self._end_here(source, until)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        """Samples of an input."""
+        """Process samples of an input."""
         if self._after is not None and batch.available[0] <= self._after:
             batch = batch.take(batch.available > self._after)
         if self._until is not None and len(batch) and batch.available[-1] > self._until:
@@ -151,58 +152,60 @@ class ComputationalUnit(ABC):
         if not len(batch):
             return
         self._ended.discard(source)
-        self._before = self.seen
-        known = self._watermarks.get(source)
-        if known is not None and batch.available[0] < known and self.waits_for_all:
-            # It was not waited for, and what it says now was due before.
-            batch = self.in_time(source, batch, known - 1)
+        self._processed_before = self.last_processed
+        watermark = self._watermarks.get(source)
+        if watermark is not None and batch.available[0] < watermark and self.waits_for_all:
+            # While the input was idle, the unit moved its watermark past these samples.
+            batch = self.in_time(source, batch, watermark - 1)
             if not len(batch):
                 return
-        self.seen = max(self.seen, int(batch.available[-1]))
+        self.last_processed = max(self.last_processed, int(batch.available[-1]))
         self._guarded(lambda: self.process(source, batch))
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
-        """An input promises to send nothing before ``watermark`` any more."""
+        """Handle an input's promise of no further samples before ``watermark``."""
         if self._until is not None and watermark > self._until:
             if source not in self._ended:
                 self._end_here(source, self._until)
             return
-        self._reach(source, watermark)
+        self._raise_watermark(source, watermark)
         if self._idle:
-            self._leave_idle_behind()
+            self._advance_idle()
 
     def idleness_changed(self, source: StreamGenerator) -> None:
-        """An input has fallen idle, or speaks again. The output is idle with all that go on."""
-        self._leave_idle_behind()
+        """Handle that an input has fallen idle or is no longer idle."""
+        self._advance_idle()
 
-    def _leave_idle_behind(self) -> None:
-        """Inputs that are idle do not hold the others back: each is taken to be as far as the least
-        of those is, and as far as the furthest of all where none of them goes on."""
+    def _advance_idle(self) -> None:
+        """Raise the watermarks of idle inputs, so that the others do not wait for them: to the
+        least of the others, or to the greatest of all if every running input is idle. The output is
+        idle if every running input is."""
         running = [source for source in self.sources if source not in self._ended]
         self._idle = [source for source in running if source.is_idle]
         others = [source for source in running if not source.is_idle]
         if self._idle and self.waits_for_all:
-            reached = [self._watermarks.get(source) for source in others]
-            known = [watermark for watermark in reached if watermark is not None]
+            watermarks = [self._watermarks[one] for one in others if one in self._watermarks]
             if not others:
-                known = list(self._watermarks.values())
-            if known and len(known) >= len(others):
-                place = min(known) if others else max(known)
+                watermarks = list(self._watermarks.values())
+            if watermarks and len(watermarks) >= len(others):
+                watermark = min(watermarks) if others else max(watermarks)
+                if self._until is not None:
+                    watermark = min(watermark, self._until)
                 for source in self._idle:
-                    self._reach(source, place if self._until is None else min(place, self._until))
-        self.tell_idle(bool(self._idle) and not others)
+                    self._raise_watermark(source, watermark)
+        self.set_output_idle(bool(self._idle) and not others)
 
-    def tell_idle(self, is_idle: bool) -> None:
-        """The output says nothing for now, or may."""
+    def set_output_idle(self, is_idle: bool) -> None:
+        """Let the output fall idle, or wake it."""
         if is_idle:
             self.output.fall_idle()
         else:
             self.output.wake()
 
-    def _reach(self, source: StreamGenerator, watermark: int) -> None:
-        """An input is known up to ``watermark``, if that is news."""
-        known = self._watermarks.get(source)
-        if known is not None and watermark <= known:
+    def _raise_watermark(self, source: StreamGenerator, watermark: int) -> None:
+        """Raise the watermark of an input; without effect if it is not greater."""
+        before = self._watermarks.get(source)
+        if before is not None and watermark <= before:
             return
         self._watermarks[source] = watermark
         for late in self.late_streams_of(source):
@@ -210,23 +213,24 @@ class ComputationalUnit(ABC):
         self._guarded(lambda: self.progress(source, watermark))
 
     def _end_here(self, source: StreamGenerator, until: int) -> None:
-        """An input ends with the life, up to the end of which it has told everything: whether the
-        end of the life or the samples came first."""
+        """End an input at ``until``. The watermark is the same whether the input or `end_after`
+        came first, so the output is too."""
         self._watermarks[source] = until + 1
         self._guarded(lambda: self.progress(source, until + 1))
         self.ended(source)
 
     def ended(self, source: StreamGenerator) -> None:
-        """An input has come to its end; with the last one so does the output."""
+        """Handle the end of an input. The output ends with the last one."""
         self._ended.add(source)
         self._guarded(lambda: self.finish(source))
         for late in self.late_streams_of(source):
             late.end()
         if self._idle:
-            self._leave_idle_behind()
+            self._advance_idle()
 
     def resumed(self, source: StreamGenerator) -> None:
-        """An input goes on after its end, and so does the output: whoever reads it waits again."""
+        """Handle an input that goes on after its end: the output goes on too, and its readers wait
+        for it again."""
         if self._until is not None:
             return
         self._guarded(lambda: self.resume(source))
@@ -235,31 +239,31 @@ class ComputationalUnit(ABC):
         if self.failure is None:
             self.output.resume()
         if self._idle:
-            self._leave_idle_behind()
+            self._advance_idle()
 
     def resume(self, source: StreamGenerator) -> None:
-        """Wait for an input again that had ended."""
+        """Wait again for an input that had ended."""
         self._ended.discard(source)
 
     @property
     def is_quarantined(self) -> bool:
-        """Whether it was cut off because windows needed more than they may."""
+        """Whether it failed because too many windows exceeded their budget."""
         return False
 
     @property
     def lag(self) -> int | None:
-        """How far (ns) what it promises is behind what its inputs have said: so much of that is in
-        no result yet. None while it has promised nothing, or its inputs have said nothing."""
-        said = [one.stream.last_available for one in self.sources]
-        known = [available for available in said if available is not None]
-        if not known or self.output.watermark is None:
+        """How far (ns) the output's watermark is behind the newest sample of the inputs: samples
+        after it are in no result yet. None before the first watermark or sample."""
+        times = [one.stream.last_available for one in self.sources]
+        newest = max((time for time in times if time is not None), default=None)
+        if newest is None or self.output.watermark is None:
             return None
-        return max(0, max(known) - self.output.watermark)
+        return max(0, newest - self.output.watermark)
 
     @property
     def least_watermark(self) -> int | None:
-        """The watermark that holds for all inputs that have not ended; None if there is none,
-        or while one of them has not begun."""
+        """The least watermark of the inputs that have not ended; None if there is none, or while
+        one of them has no watermark yet."""
         if self.waits_for:
             return None
         running = [w for source, w in self._watermarks.items() if source not in self._ended]
@@ -267,10 +271,10 @@ class ComputationalUnit(ABC):
 
     @property
     def waits_for(self) -> tuple[StreamGenerator, ...]:
-        """Inputs that have neither begun nor ended, and are not idle: what others say is not
-        decided before."""
-        decided = self._watermarks.keys() | self._ended
-        return tuple(one for one in self.sources if one not in decided and not one.is_idle)
+        """Inputs without a watermark that have not ended and are not idle. The unit decides nothing
+        about the other inputs before."""
+        known = self._watermarks.keys() | self._ended
+        return tuple(one for one in self.sources if one not in known and not one.is_idle)
 
     @property
     def all_ended(self) -> bool:
@@ -278,24 +282,25 @@ class ComputationalUnit(ABC):
 
     @abstractmethod
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        """Make of the samples what the unit is for, and offer it to the output."""
+        """Compute samples from ``batch``, and offer them to the output."""
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
-        """Pass the promise on: a unit that answers at once keeps available times."""
+        """Advance the output. By default to the least watermark, since most units keep available
+        times."""
         least = self.least_watermark
         if least is not None:
             self.output.advance(least)
 
     def finish(self, source: StreamGenerator) -> None:
-        """An input ended; by default the output ends with the last of them."""
+        """Handle the end of an input. By default the output ends with the last one."""
         self.end_output()
 
     def end_output(self) -> None:
-        """End the output if all inputs have, at the moment up to which one of them was known:
-        whichever was told first."""
+        """End the output if all inputs have ended. Its watermark is then the greatest of theirs,
+        whichever of them ended first."""
         if self.all_ended:
             if self._watermarks:
-                self.output.advance(max(self.seen + 1, *self._watermarks.values()))
+                self.output.advance(max(self.last_processed + 1, *self._watermarks.values()))
             self.output.end()
 
     def _guarded(self, work: Callable[[], None]) -> None:
@@ -306,7 +311,7 @@ class ComputationalUnit(ABC):
                 work()
             else:
                 self.busy_time.run(self, work)
-        except Exception as error:  # noqa: BLE001  the unit is cut off and says why; others go on
+        except Exception as error:  # noqa: BLE001  isolation: only this unit fails
             self.failure = f"{type(error).__name__}: {error}"
             self.counters.note(self.failure, None)
             self._leave_inputs()
@@ -314,51 +319,52 @@ class ComputationalUnit(ABC):
 
     @property
     def late_inputs(self) -> Sequence[StreamGenerator]:
-        """The streams whose samples may come too late for what the unit makes."""
+        """The input streams whose samples may be late for the output."""
         return self.sources if self.waits_for_all else ()
 
     def late_streams_of(self, source: StreamGenerator) -> Sequence[StreamGenerator]:
-        """Those that take the late samples of an input."""
+        """Return the streams of late samples of an input."""
         late = self.late_streams.get(source)
         return () if late is None else (late,)
 
-    def forget_late(self, source: StreamGenerator) -> None:
-        """The late samples of ``source`` are only counted again."""
+    def drop_late(self, source: StreamGenerator) -> None:
+        """Only count the late samples of ``source`` from now on."""
         del self.late_streams[source]
 
     def pass_late_to(self, source: StreamGenerator, side: StreamGenerator) -> None:
-        """From now on ``side``, which has the fields of ``source``, gets its late samples."""
+        """Emit the late samples of ``source`` to ``side``, which has its fields, from now on."""
         self.late_streams[source] = side
-        self.tell_late(source, side)
+        self.start_late(source, side)
 
-    def tell_late(self, source: StreamGenerator, side: StreamGenerator) -> None:
-        """Tell ``side``, which begins to take late samples, how far ``source`` is."""
-        known = self._watermarks.get(source)
-        if known is not None:
-            side.advance(known)
+    def start_late(self, source: StreamGenerator, side: StreamGenerator) -> None:
+        """Give ``side``, a new stream of late samples, the watermark of ``source`` and its end."""
+        watermark = self._watermarks.get(source)
+        if watermark is not None:
+            side.advance(watermark)
         if source in self._ended:
             side.end()
 
     def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
-        """The samples available after ``decided``; the others are late, and counted.
+        """Return the samples available after ``decided``; count the others as late.
 
-        Who asked for the late samples of ``source`` gets them, each available when it came, in the
-        time of the unit: that is what was available last of all it had processed before, or right
-        after ``decided`` where that is further.
+        The stream of late samples, if requested, gets each of them at its arrival in the unit's
+        time. That is the greatest available time the unit had processed before, or right after
+        ``decided`` if that is later.
         """
         if batch.available[0] > decided:
             return batch
-        kept = batch.available > decided
-        late = batch.take(~kept)
+        is_in_time = batch.available > decided
+        late = batch.take(~is_in_time)
         self.late += len(late)
         for side in self.late_streams_of(source):
-            came = max(self._before, min(decided, TIME_MAX - 1) + 1)
-            moments = np.full(len(late), came, np.int64)
-            side.emit(late.with_available(side.stamps_at(moments)))
-        return batch.take(kept)
+            arrival = max(self._processed_before, min(decided, TIME_MAX - 1) + 1)
+            times = np.full(len(late), arrival, np.int64)
+            side.emit(late.with_available(side.stamps_at(times)))
+        return batch.take(is_in_time)
 
     def cut_off(self, reason: str) -> None:
-        """It stops for good without an error of the system: its own rule says so."""
+        """Leave the inputs for good, since the rule of user-written code says so; this is not an
+        error of the system."""
         self.failure = reason
         self._leave_inputs()
 

@@ -12,16 +12,19 @@ from ...streams.generator import StreamGenerator
 from ...streams.input_queues import NOTHING_KNOWN
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX, TIME_MIN
-from ..model.object_sets import sets_of
+from ..model.object_sets import read_sets
 from ..processes.supervision import ErrorCounters, ProcessEvent
 
 
 @dataclass(slots=True, eq=False)
 class _Life:
-    """A generator of one object; it sees what is available after ``after`` and up to ``until``
-    (ns; None: it goes on). ``end`` is what ``until`` will be, where a set is known already that
-    leaves the object out. ``reason`` says why it is not there. ``mates`` are those made for the
-    object at the same moment, itself among them."""
+    """One life of an object's generator: from a set that has the object to the first one without.
+
+    It sees the samples available after ``after`` and up to ``until`` (ns; None: it goes on).
+    ``end`` is the later ``until``, if a set without the object has arrived already. ``reason`` is
+    why the generator could not be made. ``mates`` are the lives that began for the object at the
+    same time, itself included.
+    """
 
     declaration: GeneratorDeclaration
     after: int
@@ -36,41 +39,41 @@ class _Life:
 
 
 class Generators(Protocol):
-    """Whoever makes generators and takes them away."""
+    """Makes and removes generators (`KplApplication`)."""
 
     def start(self, declaration: GeneratorDeclaration, after: int, until: int | None) -> str | None:
-        """Make one that sees what is available after ``after`` and up to ``until`` (None: it goes
-        on), or say why that cannot be."""
+        """Make a generator that sees the samples available after ``after`` and up to ``until``
+        (None: it goes on), or return why that is impossible."""
 
-    def has_seen(self, declaration: GeneratorDeclaration) -> int:
-        """The available time of the latest sample that it has seen."""
+    def last_processed(self, declaration: GeneratorDeclaration) -> int:
+        """Return the greatest available time that the generator has processed."""
 
     def void(self, declaration: GeneratorDeclaration) -> None:
-        """Take it away: it will be started anew, from its beginning."""
+        """Remove the generator with its results; it will start again from its beginning."""
 
     def end(self, declaration: GeneratorDeclaration, until: int) -> None:
-        """It is to see nothing that is available later than ``until``."""
+        """Let the generator ignore samples that are available later than ``until``."""
 
     def is_over(self, declaration: GeneratorDeclaration) -> bool:
-        """Whether it has seen all that it is to see."""
+        """Whether the generator has processed all samples up to its end."""
 
     def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
-        """Whether what it reads is there still."""
+        """Whether the inputs of the generator still exist."""
 
     def stop(self, declaration: GeneratorDeclaration) -> None:
-        """Take it away."""
+        """Remove the generator."""
 
 
 class ConfigurationProcess:
     """Keeps the generators of a ``foreach`` equal to the set of objects that its input names.
 
-    What it makes for an object sees the samples that are available from the moment of the set on,
-    until that of the first set without the object; when all its inputs have got so far, it is
-    gone. A generator that cannot be made is tried again when `review` says that streams came or
-    went.
+    A generator sees the samples available from the time of the set with its object until the first
+    set without. It is removed when all its inputs have reached that time. If a generator cannot be
+    made, `review` tries again when streams were added or removed.
 
-    What comes is only noted; `step` acts on it, one set at a time, and `reap` takes away what is
-    over. A sample that names objects in no way that is known is counted, told and left out.
+    Methods that receive samples only note the sets. `step` acts on them, one set at a time, and
+    `reap` removes the generators that are over. A sample that does not name objects in a known form
+    is counted, reported and ignored.
     """
 
     transformation: Final = "foreach"
@@ -89,11 +92,13 @@ class ConfigurationProcess:
         self.name = name
         self.declaration = declaration
         self.inputs = (members,)
-        made = declaration.generators
-        self.makes = frozenset(each.label.feature for each in made)
-        """The features whose generators are its own."""
-        self.reads = frozenset(term.label.feature for each in made for term in each.terms)
-        """The features that these read."""
+        generators_declared = declaration.generators
+        self.makes = frozenset(each.label.feature for each in generators_declared)
+        """The features of its generators."""
+        self.reads = frozenset(
+            term.label.feature for each in generators_declared for term in each.terms
+        )
+        """The features that its generators read."""
         self.counters = ErrorCounters()
         self.failure: str | None = None
         self._generators = generators
@@ -105,26 +110,26 @@ class ConfigurationProcess:
         self._waiting: list[_Life] = []
         self._leaving: dict[str, _Life] = {}
         self._is_subscribed = False
-        self.known = NOTHING_KNOWN
-        """All sets that are available by then have come; TIME_MAX at their end."""
+        self.complete_until = NOTHING_KNOWN
+        """All sets that are available by then (ns) have arrived; TIME_MAX at their end."""
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """The objects that there are generators for."""
+        """The objects in the present set."""
         return tuple(self._lives)
 
     @property
     def waiting(self) -> dict[str, str]:
-        """Labels that could not be made, and why."""
+        """The generators that could not be made, by label, with the reasons."""
         return {life.key: life.reason for life in self._waiting}
 
     @property
     def leaving(self) -> tuple[str, ...]:
-        """Labels of objects that have left, whose inputs have not got so far."""
+        """Labels of generators whose object has left, until their inputs reach that time."""
         return tuple(self._leaving)
 
     def begin(self) -> None:
-        """Subscribe to the sets, with those that are kept."""
+        """Subscribe to the sets, and note the retained ones."""
         (members,) = self.inputs
         for segment in members.stream.since(0):
             self.receive(members, segment.batch)
@@ -134,7 +139,7 @@ class ConfigurationProcess:
             self.ended(members)
 
     def stop(self) -> None:
-        """Leave the sets, and take away what was made."""
+        """Unsubscribe from the sets, and remove all generators."""
         if self._is_subscribed:
             self.inputs[0].unsubscribe(self)
             self._is_subscribed = False
@@ -147,9 +152,9 @@ class ConfigurationProcess:
         self._leaving.clear()
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        """Samples of the sets."""
-        self.known = max(self.known, source.promise_after(batch) - 1)
-        for time, labels in sets_of(batch):
+        """Note the sets of a batch."""
+        self.complete_until = max(self.complete_until, source.promise_after(batch) - 1)
+        for time, labels in read_sets(batch):
             if isinstance(labels, str):
                 self.counters.note(labels, time)
                 self._on_event(self, ProcessEvent.FAILED, labels)
@@ -158,31 +163,31 @@ class ConfigurationProcess:
         self._on_news(self)
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
-        """Every later set is available at ``watermark`` or after it."""
+        """Note that no further set is available before ``watermark``."""
         if not source.is_ended:
-            self.known = max(self.known, watermark - 1)
+            self.complete_until = max(self.complete_until, watermark - 1)
             self._on_news(self)
 
     def ended(self, source: StreamGenerator) -> None:
-        """The last set stays."""
-        self.known = TIME_MAX
+        """Keep the last set for good."""
+        self.complete_until = TIME_MAX
         self._on_news(self)
 
     def resumed(self, source: StreamGenerator) -> None:
-        """Sets go on."""
+        """Wait for sets again."""
         last = source.stream.last_available
-        self.known = NOTHING_KNOWN if last is None else last - 1 + source.rules.gap
+        self.complete_until = NOTHING_KNOWN if last is None else last - 1 + source.rules.gap
 
     def idleness_changed(self, source: StreamGenerator) -> None:
-        """It reads nothing else that could go on meanwhile."""
+        """Do nothing, since it has no other input that could go on."""
 
     @property
     def promised(self) -> int:
-        """What it is still to make says nothing that is available by then (ns)."""
-        promised = self._pending[0][0] - 1 if self._pending else self.known
+        """The time (ns) up to which generators that it is still to make have no samples."""
+        promised = self._pending[0][0] - 1 if self._pending else self.complete_until
         if not self._leaving:
             return promised
-        # Lives whose turn comes when an earlier one of the object has gone.
+        # A later life of an object begins only when the earlier one has been removed.
         turns = [
             life.after
             for life in self._waiting
@@ -191,34 +196,33 @@ class ConfigurationProcess:
         return min(promised, *turns) if turns else promised
 
     def step(self) -> bool:
-        """Act on the next set that changes anything; tells whether there was one."""
+        """Act on the next set that changes anything; return whether there was one."""
         while self._pending:
             time, labels = self._pending.popleft()
-            gone = [known for known in self._lives if known not in labels]
-            new = [label for label in labels if label not in self._lives]
+            lost = [object for object in self._lives if object not in labels]
+            gained = [label for label in labels if label not in self._lives]
             until = max(time, TIME_MIN + 1) - 1
-            for object in gone:
-                self._end(object, until)
-            for object in new:
-                made = instantiate(self.declaration, object)
-                mates = tuple(_Life(declaration, until) for declaration in made)
+            for object in lost:
+                self._end_lives(object, until)
+            for object in gained:
+                declarations = instantiate(self.declaration, object)
+                mates = tuple(_Life(declaration, until) for declaration in declarations)
                 for life in mates:
                     life.mates = mates
                 self._lives[object] = mates
-                ahead = (at for at, later in self._pending if object not in later)
-                end = next(ahead, None)
+                end = next((at for at, later in self._pending if object not in later), None)
                 for life in self._lives[object]:
                     life.end = None if end is None else end - 1
-                    self._try(life)
-            if gone or new:
+                    self._try_start(life)
+            if lost or gained:
                 return True
         return False
 
     def reap(self) -> bool:
-        """Take away what is over; tells whether anything was.
+        """Remove generators that are over; return whether there were any.
 
-        Generators that were made together go together: they read each other, and a later life of
-        one would pass by another that is still in its first.
+        Mates are removed together: they read each other, and a second life of one must not read
+        the first life of another.
         """
         ready = {
             life.key
@@ -236,21 +240,23 @@ class ConfigurationProcess:
         return bool(over)
 
     def review(self) -> bool:
-        """Streams came or went: make what could not be made, stop what lost its inputs."""
-        acted = False
+        """Stop generators without inputs and retry those that could not be made, after streams were
+        added or removed; return whether anything changed."""
+        has_changed = False
         for life in list(self._running.values()):
             if not self._generators.has_inputs(life.declaration):
                 self._generators.stop(life.declaration)
                 del self._running[life.key]
                 self._waiting.append(life)
-                acted = True
+                has_changed = True
         for life in list(self._waiting):
-            acted = self._try(life) or acted
-        return acted
+            has_changed = self._try_start(life) or has_changed
+        return has_changed
 
-    def _end(self, object: str, until: int) -> None:
+    def _end_lives(self, object: str, until: int) -> None:
+        """End the present lives of an object that has left the set."""
         lives = self._lives.pop(object)
-        # Its turn comes when what is there of an earlier life has gone.
+        # With an earlier life of the object still there, these lives wait for it to be removed.
         has_earlier = any(
             life.key in self._leaving
             or any(other.key == life.key and other is not life for other in self._waiting)
@@ -263,19 +269,20 @@ class ConfigurationProcess:
                 running.append(life)
             elif not has_earlier:
                 self._waiting.remove(life)
-        if all(self._generators.has_seen(life.declaration) <= until for life in running):
+        if all(self._generators.last_processed(life.declaration) <= until for life in running):
             for life in running:
                 self._generators.end(life.declaration, until)
                 self._leaving[life.key] = life
             return
-        # The set came after samples that it cuts off: what they have done is undone.
+        # The set arrived after samples that it excludes. Their results are wrong, so start again.
         for life in reversed(running):
             self._generators.void(life.declaration)
         for life in running:
-            self._try(life)
+            self._try_start(life)
 
-    def _try(self, life: _Life) -> bool:
-        """Make a generator if that can be; one whose time is over already sees it all at once."""
+    def _try_start(self, life: _Life) -> bool:
+        """Make a life's generator if possible; return whether. One whose end is known already reads
+        all its retained samples at once."""
         reason = self._generators.start(life.declaration, life.after, life.end)
         if reason is not None:
             life.reason = reason

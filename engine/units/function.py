@@ -1,4 +1,4 @@
-"""Implementations of transformations at work, sample by sample ([DyKnow10 Def. 5.10])."""
+"""Units with vectorized implementations of transformations ([DyKnow10 Def. 5.10])."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from .base import ComputationalUnit
 UnitFunction = Callable[..., tuple[np.ndarray[Any, Any], Mask]]
 """An implementation: ``f(objects, valid, *inputs) -> (values, present)``, all shape ``(n,)``.
 
-``objects`` are integer keys of the samples' objects, ``valid`` times in ns, one float array per
-input of the transformation. It keeps its own state between calls.
+``objects`` are integer keys of the samples' objects, ``valid`` times in ns, ``inputs`` a float
+array for each input of the transformation. The function keeps its own state between calls.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class InputPort:
-    """Which field feeds an input of the implementation, with the conversion into its unit."""
+    """The field that feeds an input of the implementation, and the conversion to its unit."""
 
     field: str
     conversion: Conversion
 
 
 class FunctionUnit(ComputationalUnit):
-    """Applies an implementation to the samples of one stream, sample by sample, object by object.
+    """Applies a function to the samples of one stream, with a state for each object.
 
-    ``id_fields`` tell the objects of the input apart; ``carried`` are pairs of an id field of the
-    input and the field of the output that takes it over. The output carries these and the value;
-    times are kept. A sample that lacks a value or an object gives nothing.
+    ``id_fields`` distinguish the objects of the input. ``carried`` are pairs of an id field of the
+    input and its field of the output. The output has these fields, the value, and the times of the
+    input. A sample without a value or an object is dropped.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class FunctionUnit(ComputationalUnit):
         self.output.emit(result)
 
     def _objects(self, batch: SampleBatch) -> Times:
-        """A number for each sample's object, or tuple of objects of an n-ary feature."""
+        """Return a number for each sample's object, or tuple of objects of an n-ary feature."""
         columns = []
         for field, texts in zip(self._id_fields, self._texts, strict=True):
             values, pool = batch.columns[field].values, batch.columns[field].pool

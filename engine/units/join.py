@@ -2,8 +2,8 @@
 ([DyKnow10 Def. 5.10, 5.11, 5.34]).
 
 For each tuple of ``join(f1 … fn)``, in order, ``(s_j, i_j) = f(t_j, samples_j, i_{j-1})``, where
-i_0 is no_value (None); of a single input for each sample. `FunctionUnit` in unit.py is another
-thing: a vectorized function of the samples of one stream.
+i_0 is no_value (None). A single input has a tuple for each sample. `FunctionUnit` differs: it calls
+a vectorized function with the samples of one stream.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ from ...streams.joins.join import Join, OneByOne
 from ...streams.sample import SampleBatch
 from ...streams.single_sample import Sample
 from ...streams.tuples import TupleBatch
-from ..model.process_reports import OnReport, unheard
-from ..processes.call_adapter import Answers, Row, samples_of
+from ..model.process_reports import OnReport, ignore_report
+from ..processes.call_adapter import Answers, Row, check_pair, samples_of
 from ..processes.registry import UnitImplementation
 from ..processes.supervision import (
     DIRECT,
     Instance,
-    ProcessError,
     ProcessEvent,
     Runner,
     Supervisor,
@@ -33,24 +32,24 @@ from .base import ComputationalUnit
 
 Samples: TypeAlias = tuple[Sample | None, ...]
 
-_SINGLE: Final = 512
-"""So many tuples become objects at once: few enough to be cheap for Python's collector."""
-_COLUMNS: Final = 65_536
-"""So many tuples go to a batch form in one call, which has one deadline."""
+_MOST_OBJECTS: Final = 512
+"""The number of tuples that are Python objects at once: few are cheap for Python's collector."""
+_MOST_ROWS: Final = 65_536
+"""The most tuples of one call of a batch form, since a call has one deadline."""
 
 
 class FunctionProcess(ComputationalUnit):
-    """Runs ``implementation`` over the join of ``inputs``; the same stream may be given twice.
+    """Runs ``implementation`` over the join of ``inputs``, which may contain a stream twice.
 
-    The sample form is called for each tuple, the batch form for as many as are known. What it
-    makes is offered in the order in which it was made; it may be available later than the tuple
-    was, and then the output's lateness decides whether it comes in time. A unit that stops by its
-    rule ends its output: nothing more will come, and nobody waits for it. ``on_event`` hears of
-    failures, restarts and the stop, ``on_report`` of what the code says of its output.
+    It calls the sample form for each tuple, and the batch form with all tuples that are decided. It
+    offers the results in the order of the calls. A result may be available later than its tuple;
+    then the output's lateness decides whether it is late. A unit that its rule stops ends its
+    output, so that readers do not wait for it. ``on_event`` is called with failures, restarts and
+    the stop, ``on_report`` with the code's reports about its output.
 
-    Law (tests/laws): output, counters and what is told do not depend on batch cuts; a batch form
-    has to keep that by itself. Cost: Python per tuple in the sample form, one call a batch in the
-    batch form. Memory: the join's, and 512 tuples as objects.
+    Law (tests/laws): output, counters and reports do not depend on batch cuts. A batch form must
+    obey this itself. Cost: Python per tuple in the sample form, one call a batch in the batch form.
+    Memory: that of the join, and 512 tuples as objects.
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class FunctionProcess(ComputationalUnit):
         *args: Any,
         implementation: UnitImplementation,
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
-        on_report: OnReport = unheard,
+        on_report: OnReport = ignore_report,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
@@ -68,9 +67,9 @@ class FunctionProcess(ComputationalUnit):
                 f"got {len(self.inputs)}"
             )
         self.implementation = implementation
-        # A stream that is given twice is joined once: last_avail is the same for both.
+        # The join has an input for each stream: two inputs from one stream have equal samples.
         self._index = {source: i for i, source in enumerate(self.sources)}
-        self._place = tuple(self._index[source] for source in self.inputs)
+        self._places = tuple(self._index[source] for source in self.inputs)
         self._join = Join(len(self._index)) if len(self._index) > 1 else OneByOne()
         self._answers = Answers(self.output, on_report)
         self._state: Any = None
@@ -108,8 +107,8 @@ class FunctionProcess(ComputationalUnit):
             placed = TupleBatch(
                 tuples.available,
                 tuples.valid,
-                tuple(tuples.inputs[i] for i in self._place),
-                tuple(tuples.rows[i] for i in self._place),
+                tuple(tuples.inputs[i] for i in self._places),
+                tuple(tuples.rows[i] for i in self._places),
             )
             if self.implementation.batch:
                 self._apply_batch(placed)
@@ -117,41 +116,34 @@ class FunctionProcess(ComputationalUnit):
                 self._apply_samples(placed)
         known = self._join.known
         if known is not None and not self.all_ended and self.failure is None:
-            # A sample has the available time of its tuple or a later one.
+            # A result is available with its tuple or later, so this promise holds.
             self.output.advance(known + 1)
 
     def _apply_samples(self, tuples: TupleBatch) -> None:
         def step(time: int, samples: Samples) -> Row | None:
-            # Taken before the call: afterwards it is the user's.
+            # Before the call, since user-written code may change the samples.
             valid = max(sample.valid for sample in samples if sample is not None)
-            made, state = self._call(time, samples)
-            row = self._answers.row(made, time, valid)
-            self._state = state  # kept once the sample is fit
+            answer, state = self._call(time, samples)
+            row = self._answers.row(answer, time, valid)
+            self._state = state  # only after `row` has accepted the answer
             return row
 
-        for part in _parts(tuples, _SINGLE):
+        for part in _parts(tuples, _MOST_OBJECTS):
             items = list(zip(part.available.tolist(), _objects(part), strict=True))
             self._supervisor.run(items, step, self._answers.offer)
 
     def _apply_batch(self, tuples: TupleBatch) -> None:
         def step(time: int, part: TupleBatch) -> SampleBatch | None:
-            made, state = self._call(part)
-            batch = self._answers.batch(made, time)
+            answer, state = self._call(part)
+            batch = self._answers.batch(answer, time)
             self._state = state
             return batch
 
-        items = [(int(part.available[0]), part) for part in _parts(tuples, _COLUMNS)]
+        items = [(int(part.available[0]), part) for part in _parts(tuples, _MOST_ROWS)]
         self._supervisor.run(items, step, self._answers.offer_batches)
 
     def _call(self, *arguments: Any) -> tuple[object, Any]:
-        """The pair ``(sample, new state)``."""
-        answer = self._instance.get()(*arguments, self._state)
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise ProcessError(
-                f"a unit gives a pair (sample, new state), got {type(answer).__name__}: "
-                "`return None, state` gives no sample"
-            )
-        return answer
+        return check_pair(self._instance.get()(*arguments, self._state))
 
     def _restart(self) -> None:
         self._state = None
@@ -171,18 +163,18 @@ def _parts(tuples: TupleBatch, rows: int) -> Iterator[TupleBatch]:
 
 
 def _objects(tuples: TupleBatch) -> Iterator[Samples]:
-    """Each tuple's samples as objects of its own: what a user does to one is seen nowhere else."""
+    """Return each tuple's samples as new objects, since user-written code may change them."""
     columns = [_column(batch, rows) for batch, rows in zip(tuples.inputs, tuples.rows, strict=True)]
     return zip(*columns, strict=True)
 
 
 def _column(batch: SampleBatch, rows: np.ndarray[Any, np.dtype[np.int64]]) -> Samples:
     used, place = np.unique(rows, return_inverse=True)
-    first = int(used[0] < 0)  # -1 sorts first
-    known: Sequence[Sample | None] = [None] * first
+    first = int(used[0] < 0)  # row -1, no sample, sorts first
+    samples: Sequence[Sample | None] = [None] * first
     if len(used) > first:
-        known = [*known, *samples_of(batch.take(used[first:]))]
+        samples = [*samples, *samples_of(batch.take(used[first:]))]
     return tuple(
         None if sample is None else Sample(sample.valid, dict(sample.values), sample.available)
-        for sample in (known[i] for i in place.tolist())
+        for sample in (samples[i] for i in place.tolist())
     )

@@ -1,9 +1,8 @@
 """Late samples as streams of their own (docs/explanation/semantics.md, "Late samples").
 
-``NAME_late`` has the samples that came too late for stream NAME, ``NAME_late_INPUT`` those of
-stream INPUT that came too late for the unit that makes NAME: it had decided without them. Such a
-stream comes into being when somebody asks for it by name, and takes what is late from then on;
-where nobody asks, late samples are counted and nothing else.
+``NAME_late`` has the samples that were late for stream NAME. ``NAME_late_INPUT`` has the samples of
+stream INPUT that were late for the unit that makes NAME. The first request by name makes such a
+stream, which has the late samples from then on. Without a request they are only counted.
 """
 
 from __future__ import annotations
@@ -16,27 +15,27 @@ from ...streams.generator import StreamGenerator
 from .base import ComputationalUnit
 
 LATE: Final = "_late"
-"""What names of these streams have behind the name of the stream that they belong to."""
+"""The suffix of these names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Origin:
-    """Whose samples they are, and for which unit they were late; None: for their own stream."""
+    """The source of late samples, and the unit for which they were late; None: for the source."""
 
     source: StreamGenerator
     unit: ComputationalUnit | None
 
     @property
     def owner(self) -> str:
-        """The name of the stream that they belong to."""
+        """The name of the stream that the late samples belong to."""
         return self.source.name if self.unit is None else self.unit.output.name
 
 
 class LateStreams:
-    """The streams of late samples that there are, by name.
+    """The existing streams of late samples, by name.
 
-    ``find`` gives a stream by its name or an alias, ``units`` those that make streams by these;
-    ``add`` makes a stream of a name with the fields of another.
+    ``find`` returns a stream by its name or an alias. ``units`` are the units by the name of their
+    output. ``add`` makes a stream of the given name with the fields of another.
     """
 
     def __init__(
@@ -58,8 +57,8 @@ class LateStreams:
         return next(self._read(name), None) is not None
 
     def open(self, name: str) -> StreamGenerator | None:
-        """The stream called ``name``, which takes late samples from now on; None if that is no
-        name of one. Contract: there is no stream of this name yet."""
+        """Make the stream of late samples with this name; return None if the name has another form.
+        Contract: there is no stream of this name yet."""
         origin = next(self._read(name), None)
         if origin is None:
             return None
@@ -72,7 +71,7 @@ class LateStreams:
         return side
 
     def _read(self, name: str) -> Iterator[_Origin]:
-        """What a name may mean."""
+        """Return the possible meanings of a name; names may contain ``_late`` themselves."""
         if name.endswith(LATE):
             source = self._find(name.removesuffix(LATE))
             if source is not None and source.name not in self._origins:
@@ -86,27 +85,27 @@ class LateStreams:
                 yield _Origin(source, unit)
 
     def belonging_to(self, name: str) -> tuple[str, ...]:
-        """The streams of late samples that stream ``name`` has, itself or by the unit that makes
-        it: they go with it. Cost: O(streams of late samples)."""
+        """Return the streams of samples that were late for stream ``name`` or the unit that makes
+        it; they are removed with it. Cost: O(streams of late samples)."""
         return tuple(late for late, origin in self._origins.items() if origin.owner == name)
 
     def forget(self, name: str) -> None:
-        """Stream ``name`` is removed: if it took late samples, they are only counted again."""
+        """Forget stream ``name``, which is removed; its late samples are only counted again."""
         origin = self._origins.pop(name, None)
         if origin is None:
             return
         if origin.unit is None:
             origin.source.late_stream = None
         else:
-            origin.unit.forget_late(origin.source)
+            origin.unit.drop_late(origin.source)
 
     def source_of(self, name: str) -> str | None:
-        """The stream whose late samples stream ``name`` has; None if it has no such."""
+        """Return the stream whose late samples stream ``name`` has; None for another stream."""
         origin = self._origins.get(name)
         return None if origin is None else origin.source.name
 
     def maker_of(self, name: str) -> ComputationalUnit | None:
-        """The unit for which the samples of stream ``name`` were late, or that made them; None if
-        they are of a stream that no unit makes, or it has no late samples."""
+        """Return the unit for which the samples of stream ``name`` were late, or the unit that
+        makes their source. None if there is neither, or for a stream without late samples."""
         origin = self._origins.get(name)
         return None if origin is None else origin.unit or self._units.get(origin.owner)

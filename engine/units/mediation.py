@@ -10,7 +10,7 @@ from typing import Any
 from ...streams.generator import StreamGenerator
 from ...streams.joins.mediation import Mediation
 from ...streams.sample import SampleBatch
-from ..model.object_sets import sets_of
+from ..model.object_sets import read_sets
 from ..processes.supervision import ProcessEvent
 from .base import ComputationalUnit
 
@@ -19,8 +19,9 @@ Inputs = Sequence[StreamGenerator]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Past:
-    """The stream of an object's life that is over, as a policy has made it: ``life`` tells it from
-    others, nothing in it is available later than ``until`` (ns)."""
+    """The samples of a life of an object's stream that is over, adapted by the policy. ``life`` is
+    the unadapted stream, which identifies the life. No sample is available later than ``until``
+    (ns)."""
 
     life: StreamGenerator
     batches: Sequence[SampleBatch]
@@ -28,20 +29,20 @@ class Past:
 
 
 class MediationUnit(ComputationalUnit):
-    """The streams of the objects that its first input names, as one.
+    """Merges the streams of the objects that its first input names.
 
-    ``feature`` is what the objects' streams are of. ``stream_of`` gives the stream of an object, or
-    None while there is none, ``past_of`` those that it had before and that say something later
-    than a moment (ns); those to come say nothing that is available by ``promised()``. ``life_of``
-    gives the stream of the object's life behind a policy: it knows when that life is over, and
-    whether all is said anew by the one in its place. ``on_inputs`` hears which inputs came and
-    went, ``on_news`` that there is something to settle. With ``select`` only the object named last
-    in a set is in it.
+    ``feature`` is the feature of the objects' streams. ``stream_of`` returns the stream of an
+    object, or None while there is none. ``past_of`` returns the earlier lives of an object with
+    samples later than a time (ns). Future lives have no samples available by ``promised()``.
+    ``unadapted`` returns the stream before a policy: it knows when the life is over (`ends_at`),
+    and whether another one replaces its samples (`is_void`). ``on_inputs`` is called with the
+    gained and lost inputs, ``on_news`` when there is something to settle. With ``select`` a set
+    contains only its last object.
 
-    What comes is only noted. `connect_inputs` follows the sets while other processes make and
-    remove streams; `pass_on` is for when they have done so. So what is passed on does not depend
-    on who hears of a set first. A sample that names objects in no way that is known is counted,
-    told by ``on_event`` and left out.
+    Methods that receive samples only note them. `connect_inputs` follows the sets while other
+    processes make and remove streams; `pass_on` emits when they are done. The output therefore does
+    not depend on which process receives a set first. A sample that does not name objects in a known
+    form is counted, reported by ``on_event`` and ignored.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class MediationUnit(ComputationalUnit):
         stream_of: Callable[[str], StreamGenerator | None],
         promised: Callable[[], int],
         past_of: Callable[[str, int], Sequence[Past]],
-        life_of: Callable[[StreamGenerator], StreamGenerator],
+        unadapted: Callable[[StreamGenerator], StreamGenerator],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
         on_news: Callable[[MediationUnit], None],
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
@@ -67,16 +68,16 @@ class MediationUnit(ComputationalUnit):
         self._promised = promised
         self._past_of = past_of
         self._lives: defaultdict[str, set[StreamGenerator]] = defaultdict(set)
-        self._life_of = life_of
+        self._unadapted = unadapted
         self._on_inputs = on_inputs
         self._on_news = on_news
         self._on_event = on_event
         self._labels: dict[str, StreamGenerator] = {}
         self._read_by: dict[StreamGenerator, list[str]] = {}
-        self._is_news = False
-        self._seen = kernel.wanted
-        self.unmet: tuple[str, ...] = ()
-        """Objects in the set whose stream is not there."""
+        self._must_connect = False
+        self._wanted_before = kernel.wanted
+        self.missing: tuple[str, ...] = ()
+        """Objects in the set that have no stream."""
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         if source is self._members:
@@ -88,7 +89,7 @@ class MediationUnit(ComputationalUnit):
 
     def _note_sets(self, batch: SampleBatch) -> None:
         times, sets = [], []
-        for time, labels in sets_of(batch):
+        for time, labels in read_sets(batch):
             if isinstance(labels, str):
                 self.counters.note(labels, time)
                 self._on_event(self, ProcessEvent.FAILED, labels)
@@ -98,7 +99,7 @@ class MediationUnit(ComputationalUnit):
         self._kernel.push_members(times, sets)
         if times:
             self._kernel.advance_members(times[-1] + self.output.rules.gap)
-        self._is_news = True
+        self._must_connect = True
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         if source is self._members:
@@ -115,7 +116,7 @@ class MediationUnit(ComputationalUnit):
         self._on_news(self)
 
     def _end(self, label: str, source: StreamGenerator) -> None:
-        until = self._life_of(source).ends_at
+        until = self._unadapted(source).ends_at
         if until is None:
             self._kernel.end(label)
         else:
@@ -130,47 +131,48 @@ class MediationUnit(ComputationalUnit):
 
     @property
     def done(self) -> int:
-        """What was available by then has been passed on."""
+        """The time (ns) up to which all samples have been passed on."""
         return self._kernel.done
 
     @property
     def may_find(self) -> bool:
-        """Whether a stream that comes to be there may be one that it needs."""
-        return bool(self.unmet or self._ended)
+        """Whether an added stream may be one of its inputs."""
+        return bool(self.missing or self._ended)
 
     def look_again(self) -> None:
-        """Streams came or went: the next `connect_inputs` looks for those of its objects."""
-        self._is_news = True
+        """Let the next `connect_inputs` look for the streams of all objects, since streams were
+        added or removed."""
+        self._must_connect = True
         self._on_news(self)
 
     def connect_inputs(self) -> None:
-        """Take the streams of objects that came. What they keep waits for `pass_on`."""
+        """Subscribe to the streams of new objects. `pass_on` emits their retained samples."""
         self._guarded(self._connect)
 
     def pass_on(self) -> None:
-        """Send what is decided, and leave the streams of objects that went."""
+        """Emit the decided samples, and leave the streams of objects that have left the set."""
         self._guarded(self._pass_on)
 
     def _pass_on(self) -> None:
         self._kernel.promised = self._promised()
-        made = self._kernel.take()
-        if made is not None:
-            self.output.emit(made)
+        batch = self._kernel.take()
+        if batch is not None:
+            self.output.emit(batch)
         self._disconnect()
         self.output.advance(self._kernel.reached + 1)
         if self._kernel.has_ended and not self.output.is_ended:
             self.output.end()
 
     def _connect(self) -> None:
-        missing: Iterable[str] = self.unmet
-        if self._is_news:
-            self._is_news = False
+        missing: Iterable[str] = self.missing
+        if self._must_connect:
+            self._must_connect = False
             self._leave_replaced()
             missing = self._kernel.wanted.difference(self._labels)
         for label in missing:
             self._read_past(label)
         found = {label: self._stream_of(label) for label in sorted(missing)}
-        self.unmet = tuple(label for label, generator in found.items() if generator is None)
+        self.missing = tuple(label for label, generator in found.items() if generator is None)
         gained = {label: stream for label, stream in found.items() if stream is not None}
         if not gained:
             return
@@ -181,14 +183,13 @@ class MediationUnit(ComputationalUnit):
             self._read(label, generator)
 
     def _leave_replaced(self) -> None:
-        """Leave streams that have ended where objects have others by now, and those that do not
-        hold."""
-        # In the order of the inputs: that of a set is another one when it is done again.
+        """Leave streams that have ended, if their object has another one or if they are void."""
+        # In the order of the inputs, since that of a Python set may differ at replay.
         for generator in [s for s in self.sources if s in self._ended and s in self._read_by]:
-            is_void = self._life_of(generator).is_void
+            is_void = self._unadapted(generator).is_void
             for label in list(self._read_by[generator]):
-                there = self._stream_of(label)
-                if there is generator or (there is None and not is_void):
+                current = self._stream_of(label)
+                if current is generator or (current is None and not is_void):
                     continue
                 if is_void:
                     self._kernel.forget(label)
@@ -210,7 +211,7 @@ class MediationUnit(ComputationalUnit):
         return generator
 
     def _read_past(self, label: str) -> None:
-        """Take in what an object said in lives that were over before it was asked for."""
+        """Read the samples of an object's lives that were over before this unit wanted it."""
         for past in self._past_of(label, self.done):
             if past.life in self._lives[label]:
                 continue
@@ -221,9 +222,9 @@ class MediationUnit(ComputationalUnit):
             self._kernel.end_at(label, past.until)
 
     def _read(self, label: str, generator: StreamGenerator) -> None:
-        """Begin to read the stream of an object with what it keeps."""
+        """Subscribe to the stream of an object, and read its retained samples."""
         self._labels[label] = generator
-        self._note_life(label, self._life_of(generator))
+        self._note_life(label, self._unadapted(generator))
         self._kernel.attach(label)
         for segment in generator.stream.since(0):
             self._kernel.push(label, segment.batch)
@@ -236,16 +237,17 @@ class MediationUnit(ComputationalUnit):
             self.connect(generator)
 
     def _note_life(self, label: str, life: StreamGenerator) -> None:
-        """A life is read once; those that all is passed on of are forgotten."""
+        """Note that a life was read, so that it is read once. Forget lives that are over and passed
+        on."""
         read = {one for one in self._lives[label] if one.ends_at is None or one.ends_at > self.done}
         self._lives[label] = read | {life}
 
     def _disconnect(self) -> None:
-        if self._kernel.wanted is self._seen:
+        if self._kernel.wanted is self._wanted_before:
             return
-        self._seen = self._kernel.wanted
+        self._wanted_before = self._kernel.wanted
         for label in self._lives.keys() - self._kernel.wanted:
-            del self._lives[label]  # should the object come back, it is read anew
+            del self._lives[label]  # if the object returns, its lives are read again
         lost = [self._leave(label) for label in sorted(self._labels.keys() - self._kernel.wanted)]
         if lost:
             self._on_inputs(self, (), lost)

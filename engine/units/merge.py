@@ -1,7 +1,8 @@
-"""A feature's samples out of whatever streams hold them now ([Introspection15 §4.4]).
+"""The unit that merges the streams of a feature for an adaptive subscription
+([Introspection15 §4.4]).
 
-A mediation process in the words of [DyKnow10 §4.3]: it changes its inputs at run time and keeps
-its output. It is what an adaptive subscription reads.
+It is a mediation process in the sense of [DyKnow10 §4.3]: its inputs change at run time, its output
+stays.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ OBJECT = "object"
 
 
 @dataclass(frozen=True, slots=True)
-class Whose:
-    """Who an argument of the feature is: always ``object`` (an IRI), or whom ``id_field`` names, in
-    ``namespace``."""
+class ObjectName:
+    """The object of an argument of the feature: always ``object`` (an IRI), or the object that
+    ``id_field`` names in ``namespace``."""
 
     object: str | None
     id_field: str | None
@@ -49,29 +50,30 @@ class Whose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeInput:
-    """What is taken from a stream: ``field``, converted, of the objects of ``whose``.
+    """A source with its ``field`` that has the value, the conversion of that, and the ``objects``
+    of the feature's arguments.
 
-    ``wanted`` says of an object (an IRI) whether it is meant; None: each is.
+    ``is_wanted`` returns whether an object (an IRI) is wanted; None: each is.
     """
 
     source: StreamGenerator
     field: str
     conversion: Conversion
-    whose: tuple[Whose, ...]
-    wanted: Callable[[str], bool] | None = None
+    objects: tuple[ObjectName, ...]
+    is_wanted: Callable[[str], bool] | None = None
 
 
 class MergeUnit(ComputationalUnit):
-    """Passes on the samples of its inputs under one name each: the objects and the value.
+    """Passes on the samples of its inputs with the same fields: the objects and the value.
 
-    A sample keeps its times; where another stream has been ahead of it, it is available with what
-    was passed on last. `switch` changes the inputs: of a new one what is available later than the
-    last instant passed on (by the time it brought) follows, out of the history it keeps, and
-    nothing else; of one that is taken up again what follows its last sample.
+    A sample keeps its times. If another input has been ahead of it, it becomes available with the
+    last sample passed on. `switch` changes the inputs. It reads from the history of a new input the
+    samples that are available after the last instant passed on (by the times of the inputs). An
+    input that returns continues after its last sample.
 
-    Law (tests/laws): of a single source each sample is passed on once, in order, with its times;
-    whatever the switches, none is passed on twice. Cost: numpy per batch, a look-up per sample and
-    Python per distinct object. Memory: an entry for each object.
+    Law (tests/laws): each sample of a single source is passed on once, in order, with its times. No
+    switch passes a sample on twice. Cost: numpy per batch, a look-up per sample and Python per
+    distinct object. Memory: an entry for each object.
     """
 
     waits_for_all = False
@@ -89,46 +91,50 @@ class MergeUnit(ComputationalUnit):
         self._clock = clock
         self._feeds: dict[StreamGenerator, list[_Feed]] = {}
         self._reached: dict[StreamGenerator, int] = {}
+        """The last available time (ns) read of each input."""
         self._begun: dict[StreamGenerator, tuple[int, int]] = {}
-        """When, by the clock, each input began, and after which available time."""
-        self._place = TIME_MIN
-        """How far what was lost last had been."""
+        """The time of the clock when each input was added, and the available time (ns) after which
+        it is read."""
+        self._resume_after = TIME_MIN
+        """The last available time (ns) read of the inputs that the last switch removed."""
         self._left: dict[StreamGenerator, tuple[int, int]] = {}
-        """How far inputs were that were left, and the number of the last sample, while nothing else
-        has begun in their stead."""
+        """Removed inputs, until another input replaces them: the last available time (ns) and the
+        last sequence number."""
         self.arrivals: dict[StreamGenerator, Arrivals] = {}
-        """When each input spoke, by the clock."""
+        """The arrivals of samples at each input, by the clock."""
         self.delivered = TIME_MIN
-        """The greatest available time (ns) that a sample passed on brought, or, where it began
-        with what comes, the last one before."""
+        """The greatest available time (ns) of a sample passed on, by the time of its input. Without
+        history, at least that of the input's last sample before."""
 
     @property
     def merged(self) -> tuple[MergeInput, ...]:
-        """What is merged now."""
+        """The present inputs."""
         return tuple(feed.input for feeds in self._feeds.values() for feed in feeds)
 
     def begin_at(self, since: Beginning) -> None:
-        """Pass on nothing that was available before the moment ``since``, if it is one. Contract:
-        nothing was passed on yet."""
+        """Ignore samples that were available before ``since``, if that is a moment. Contract: no
+        sample was passed on yet."""
         if isinstance(since, Moment):
-            self._after = self._place = last_before(since)
+            self._after = self._resume_after = last_before(since)
 
     def switch(self, inputs: Sequence[MergeInput], *, history: bool) -> bool:
-        """Read ``inputs`` from now on and nothing else; with ``history`` what they keep of later
-        than was passed on last goes first. An input that is read already goes on, and one that was
-        left and that nothing has taken the place of goes on from there.
+        """Replace the inputs by ``inputs``. With ``history``, first read the retained samples of
+        the new ones that follow the last instant passed on. Present inputs go on. A removed input
+        that returns goes on where it was, unless another one has replaced it.
 
-        Returns whether an input had forgotten some of what followed, as far as can be known.
+        Returns whether an input had dropped some of the samples to read, as far as this is known.
         """
         wanted: dict[StreamGenerator, list[MergeInput]] = {}
         for input in inputs:
             wanted.setdefault(input.source, []).append(input)
         lost = [source for source in self._feeds if source not in wanted]
-        # Of several streams, one may have been ahead of the one that is replaced.
         after = self.delivered
         if lost or not self._feeds:
-            self._place = max((self._reached[source] for source in lost), default=self._place)
-            after = self._place
+            # `delivered` may be that of another input, ahead of the one that is replaced.
+            self._resume_after = max(
+                (self._reached[source] for source in lost), default=self._resume_after
+            )
+            after = self._resume_after
         for source in lost:
             self._left[source] = self._reached[source], source.stream.last_number
             self._leave(source)
@@ -138,22 +144,22 @@ class MergeUnit(ComputationalUnit):
             self._left.clear()
         forgotten = False
         for source, parts in wanted.items():
-            known = [_same(feed.input) for feed in self._feeds.get(source, ())]
-            if known != [_same(part) for part in parts]:
+            present = [_key(feed.input) for feed in self._feeds.get(source, ())]
+            if present != [_key(part) for part in parts]:
                 self._feeds[source] = [
                     _Feed(part, self._dictionary, self._value, self.output) for part in parts
                 ]
             if source in begins:
-                place, number = begins[source] or (after, None)
-                forgotten |= self._begin(source, place, number, history)
+                begin_after, number = begins[source] or (after, None)
+                forgotten |= self._begin(source, begin_after, number, history)
         self.inputs = self.sources = tuple(self._feeds)
         return forgotten
 
     def _begin(
         self, source: StreamGenerator, after: int, number: int | None, history: bool
     ) -> bool:
-        """Read a source after the instant ``after``, or after sample ``number`` of it, or without
-        ``history`` what comes. Returns whether some of it is forgotten."""
+        """Read a source after the instant ``after``, or after its sample ``number``; without
+        ``history`` only new samples. Returns whether the source has dropped some of them."""
         stream = source.stream
         self.arrivals[source] = Arrivals(self._clock())
         if not history and stream.last_available is not None:
@@ -161,7 +167,7 @@ class MergeUnit(ComputationalUnit):
             self.delivered = max(self.delivered, after)
         self._reached[source] = after
         if number is not None and history:
-            after -= 1  # that instant may go on
+            after -= 1  # the instant may have got further samples
         self._begun[source] = self._clock(), after
         forgotten = False
         if history and stream.first_available is not None:
@@ -173,11 +179,11 @@ class MergeUnit(ComputationalUnit):
         self.connect(source)
         return forgotten
 
-    def ask_again(self) -> None:
-        """More may be known of the objects: who is meant is asked again."""
+    def refresh_objects(self) -> None:
+        """Decide anew which objects are wanted, since the ontology may have changed."""
         for feeds in self._feeds.values():
             for feed in feeds:
-                feed.ask_again()
+                feed.refresh_objects()
 
     def _leave(self, source: StreamGenerator) -> None:
         del self._feeds[source]
@@ -192,34 +198,36 @@ class MergeUnit(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         now = self._clock()
-        self.arrivals[source].came(now)
+        self.arrivals[source].add(now)
         begun, after = self._begun[source]
-        if begun == now:  # the rest of a batch that was cut is judged like what is kept
+        if begun == now:
+            # The rest of a batch that was cut: without the cut it would be in the history.
             batch = batch.take(batch.available > after)
             if not len(batch):
                 return
         self._reached[source] = int(batch.available[-1])
         self.delivered = max(self.delivered, self._reached[source])
         for feed in self._feeds[source]:
-            made = feed.made(batch)
-            if len(made):
-                self.output.emit(made.with_available(self.output.stamps_at(made.available)))
+            converted = feed.convert(batch)
+            if len(converted):
+                stamps = self.output.stamps_at(converted.available)
+                self.output.emit(converted.with_available(stamps))
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
-        # The fastest input is how far the stream is: what comes behind it is stamped later.
+        # The greatest watermark, since samples of slower inputs are stamped later.
         self.output.advance(watermark)
 
     def finish(self, source: StreamGenerator) -> None:
-        """An input that ends is replaced, or waited for; the output goes on."""
+        """Keep the output open: the subscription replaces the input, or waits for it."""
 
 
-def _same(input: MergeInput) -> tuple[object, ...]:
-    # A subscription asks of every object the same, or nothing.
-    return input.field, input.conversion, input.whose, input.wanted is None
+def _key(input: MergeInput) -> tuple[object, ...]:
+    # All predicates `is_wanted` of one subscription are equal.
+    return input.field, input.conversion, input.objects, input.is_wanted is None
 
 
 class _Feed:
-    """One input at work: its columns made into those of the output."""
+    """Converts the samples of one input to those of the output."""
 
     def __init__(
         self, input: MergeInput, dictionary: TermDictionary, value: str, output: StreamGenerator
@@ -227,36 +235,36 @@ class _Feed:
         self.input = input
         self._value = value
         self._output = output
-        self._namings = {
-            name: _Naming(
-                whose,
+        self._encoders = {
+            name: _ObjectEncoder(
+                object,
                 dictionary,
                 output.stream.pools,
                 name,
-                input.wanted if name == OBJECT else None,
+                input.is_wanted if name == OBJECT else None,
             )
-            for name, whose in zip(object_fields(len(input.whose)), input.whose, strict=True)
+            for name, object in zip(object_fields(len(input.objects)), input.objects, strict=True)
         }
 
-    def made(self, batch: SampleBatch) -> SampleBatch:
-        """What of ``batch`` is passed on, as samples of the output."""
+    def convert(self, batch: SampleBatch) -> SampleBatch:
+        """Return the samples of wanted objects with a value, as samples of the output."""
         column = batch.columns[self.input.field]
         present = column.present
         columns: dict[str, Column] = {}
-        for name, naming in self._namings.items():
-            codes, known = naming.of(batch)
-            present = present & known
-            columns[name] = Column(FieldType.STRING, codes, None, naming.pool)
-        columns[self._value] = self._converted(column)
-        made = SampleBatch(batch.available, batch.valid, columns)
-        return made if bool(present.all()) else made.take(present)
+        for name, encoder in self._encoders.items():
+            codes, is_wanted = encoder.encode(batch)
+            present = present & is_wanted
+            columns[name] = Column(FieldType.STRING, codes, None, encoder.pool)
+        columns[self._value] = self._convert_value(column)
+        result = SampleBatch(batch.available, batch.valid, columns)
+        return result if bool(present.all()) else result.take(present)
 
-    def ask_again(self) -> None:
-        """See `MergeUnit.ask_again`."""
-        for naming in self._namings.values():
-            naming.ask_again()
+    def refresh_objects(self) -> None:
+        """See `MergeUnit.refresh_objects`."""
+        for encoder in self._encoders.values():
+            encoder.refresh()
 
-    def _converted(self, column: Column) -> Column:
+    def _convert_value(self, column: Column) -> Column:
         if not self.input.conversion.is_identity:
             values = self.input.conversion.apply(column.values.astype(np.float64))
             return Column(FieldType.FLOAT, values, column.null)
@@ -264,7 +272,7 @@ class _Feed:
         assert field is not None
         if column.pool is not None:
             return column.recoded(self._output.stream.pools[self._value])
-        if field.type is FieldType.STRING:  # nobody says what the values of the feature are
+        if field.type is FieldType.STRING:  # the feature has no range, so any value may come
             texts = [None if value is None else str(value) for value in column.tolist()]
             return column_from_values(field, texts, self._output.stream.pools[self._value])
         if field.type is FieldType.FLOAT and column.type is FieldType.INTEGER:
@@ -272,25 +280,25 @@ class _Feed:
         return column
 
 
-class _Naming(TermTable):
-    """Names of objects in a stream made into those of the output."""
+class _ObjectEncoder(TermTable):
+    """Encodes the objects of an input in the string pool of the output."""
 
     def __init__(
         self,
-        whose: Whose,
+        object: ObjectName,
         dictionary: TermDictionary,
         pools: Mapping[str, StringPool],
         name: str,
-        wanted: Callable[[str], bool] | None,
+        is_wanted: Callable[[str], bool] | None,
     ) -> None:
         self.pool = pools[name]
-        """The output's, as it was when names were last asked for."""
+        """The output's pool at the last call; the output replaces it when it forgets texts."""
         self._pools = pools
         self._name = name
-        self._whose = whose
+        self._object = object
         self._dictionary = dictionary
-        self._wanted = wanted
-        self._table = ObjectTable(dictionary, whose.namespace)
+        self._is_wanted = is_wanted
+        self._table = ObjectTable(dictionary, object.namespace)
         self._codes: dict[int, int] = {}
         dictionary.follow(self)
 
@@ -298,26 +306,27 @@ class _Naming(TermTable):
         """See `dictionary.TermTable`."""
         self._codes = {id: code for id, code in self._codes.items() if not freed[id]}
 
-    def of(self, batch: SampleBatch) -> tuple[Codes, Mask]:
-        """The codes of the objects in the output's pool, and where there is one that is meant."""
+    def encode(self, batch: SampleBatch) -> tuple[Codes, Mask]:
+        """Return the codes of the samples' objects in the output's pool, and a mask of the samples
+        with a wanted object."""
         if self.pool is not self._pools[self._name]:
             self.pool = self._pools[self._name]
             self._codes.clear()
-        if self._whose.object is not None or self._whose.id_field is None:
-            code = self._code_of(self._whose.object or "")
+        if self._object.object is not None or self._object.id_field is None:
+            code = self._code_of(self._object.object or "")
             return np.full(len(batch), max(code, 0), np.int32), np.full(len(batch), code >= 0)
-        ids, present = self._table.ids(batch.columns[self._whose.id_field])
+        ids, present = self._table.ids(batch.columns[self._object.id_field])
         distinct, place = np.unique(ids[present], return_inverse=True)
-        known = np.array([self._code(id) for id in distinct.tolist()], np.int32)
+        distinct_codes = np.array([self._code(id) for id in distinct.tolist()], np.int32)
         codes = np.zeros(len(batch), np.int32)
-        meant = present.copy()
-        if len(known):
-            codes[present] = np.maximum(known[place], 0)
-            meant[present] = known[place] >= 0
-        return codes, meant
+        is_wanted = present.copy()
+        if len(distinct_codes):
+            codes[present] = np.maximum(distinct_codes[place], 0)
+            is_wanted[present] = distinct_codes[place] >= 0
+        return codes, is_wanted
 
-    def ask_again(self) -> None:
-        """Forget of each object whether it is meant."""
+    def refresh(self) -> None:
+        """Forget which objects are wanted."""
         self._codes.clear()
 
     def _code(self, id: int) -> int:
@@ -327,12 +336,12 @@ class _Naming(TermTable):
         return code
 
     def _code_of(self, iri: str) -> int:
-        """The code of an object; -1 for one that is not meant."""
-        if self._wanted is not None and not self._wanted(iri):
+        """Return the code of an object; -1 for one that is not wanted."""
+        if self._is_wanted is not None and not self._is_wanted(iri):
             return -1
         return int(self.pool.encode([object_name(iri, DYKNOW)])[0])
 
 
 def object_fields(arity: int) -> tuple[str, ...]:
-    """``object``, ``object2``, … for the arguments of a feature."""
+    """Return the field names ``object``, ``object2``, … for the arguments of a feature."""
     return tuple(OBJECT if i == 0 else f"{OBJECT}{i + 1}" for i in range(arity))

@@ -1,7 +1,7 @@
-"""Units that make streams of streams without computing values: adaptation to a policy, `join`,
-state synchronization ([DyKnow10 Def. 5.11, 5.35], SPEC §1).
+"""Units that derive streams without computing values: adaptation to a policy, `join`, state
+synchronization ([DyKnow10 Def. 5.11, 5.35], SPEC §1).
 
-The kernels stand in `streams`; here they are connected to generators.
+The kernels are in `streams`; these units connect them to generators.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .violations import Violations
 
 
 class PolicyUnit(ComputationalUnit):
-    """A unit that follows a policy, and tells what it did not let through."""
+    """A unit with a policy; ``violations`` gets the samples that the policy refuses."""
 
     def __init__(self, *args: Any, violations: Violations | None = None) -> None:
         super().__init__(*args)
@@ -36,7 +36,7 @@ class PolicyUnit(ComputationalUnit):
     @property
     @abstractmethod
     def policy_counters(self) -> PolicyCounters | StateCounters | None:
-        """What became of the samples; None of a unit without a policy."""
+        """The fates of the samples; None for a unit without a policy."""
 
     def stop(self) -> None:
         super().stop()
@@ -50,23 +50,22 @@ class PolicyUnit(ComputationalUnit):
 
 
 def counts_of(unit: PolicyUnit) -> dict[str, object]:
-    """What a unit counts, by name: of samples dropped by the kind of constraint, of those that
-    came after what they belong to was decided, in all."""
+    """Return the counters of a unit by name. Dropped samples are counted by kind of constraint."""
     counters = unit.policy_counters
-    counted: dict[str, object] = {} if counters is None else asdict(counters)
+    counts: dict[str, object] = {} if counters is None else asdict(counters)
     if isinstance(counters, PolicyCounters):
-        counted["dropped"] = {str(kind): count for kind, count in counters.dropped.items()}
+        counts["dropped"] = {str(kind): count for kind, count in counters.dropped.items()}
     else:
-        counted["late"] = unit.late + (0 if counters is None else counters.late)
+        counts["late"] = unit.late + (0 if counters is None else counters.late)
     if isinstance(unit, TupleUnit) and unit.held:
-        counted |= {"held": unit.held, "waits for fields of": unit.open_inputs}
-    return counted
+        counts |= {"held": unit.held, "waits for fields of": unit.open_inputs}
+    return counts
 
 
 class AdaptationUnit(PolicyUnit):
     """A subscription with a policy: its output is in eval_fsterm(label with policy) (Def. 5.35).
 
-    With ``keys``, fields that name objects, it is so for the samples of each object by themselves.
+    ``keys`` are fields that name objects; with them the policy holds for each object separately.
     """
 
     def __init__(
@@ -79,12 +78,12 @@ class AdaptationUnit(PolicyUnit):
         super().__init__(*args, violations=violations)
         self.policy = policy
         self.keys = tuple(keys)
-        on_drop = None if violations is None else violations.dropped
+        on_drop = None if violations is None else violations.add_dropped
         self._adaptation = adapt_each(policy, keys, on_drop, rules=self.output.rules)
 
     @property
     def policy_counters(self) -> PolicyCounters:
-        """What became of the samples: sent, dropped and why, delayed, approximated."""
+        """The fates of the samples: sent, dropped with the reason, delayed, approximated."""
         return self._adaptation.counters
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
@@ -101,19 +100,20 @@ class AdaptationUnit(PolicyUnit):
 
     def _offer(self, batches: Sequence[SampleBatch]) -> None:
         for batch in batches:
-            # Samples of several objects may have to be sent at one time.
+            # Without keys the times increase. Several objects may have samples at one time, which
+            # the rules `UNIQUE_TIMES` do not allow.
             stamps = self.output.stamps_at(batch.available) if self.keys else batch.available
             self.output.emit(batch.with_available(stamps))
 
 
 class TupleUnit(PolicyUnit):
-    """``join(w1 … wn)`` or ``sync(w1 … wn; policy)``: one sample a tuple, whose fields are those of
-    the inputs under the names of `flat_names`; where an input has none they are no_value.
+    """``join(w1 … wn)`` or ``sync(w1 … wn; policy)``: one sample for each tuple. Its fields are
+    those of the inputs under the names of `flat_names`, with no_value for an input without sample.
 
-    ``identifiers`` name the inputs. With ``inner_times`` the available and the valid time (ns) of
-    each input's sample are fields as well, ``NAME_available`` and ``NAME_valid``. The same stream
-    may be given twice. While an input is open, tuples wait for it to have fields, or to end without
-    any; as many as the output keeps in its history, more are an error.
+    ``identifiers`` name the inputs, which may contain a stream twice. With ``inner_times`` the
+    available and valid time (ns) of each input's sample are the fields ``NAME_available`` and
+    ``NAME_valid``. While an input is open, tuples wait until it has fields or ends without any.
+    More waiting tuples than the output retains are an error.
     """
 
     def __init__(
@@ -141,12 +141,12 @@ class TupleUnit(PolicyUnit):
 
     @property
     def field_names(self) -> Sequence[Sequence[str]]:
-        """The names that the fields of each input have in a tuple; none before they are known."""
+        """The names of each input's fields in a tuple; empty before they are known."""
         return self._names or [[] for _ in self.inputs]
 
     @property
     def policy_counters(self) -> StateCounters | None:
-        """What became of samples and states; None of a join, which has no policy."""
+        """The fates of samples and states; None for a join, which has no policy."""
         return self._kernel.counters if isinstance(self._kernel, Synchronization) else None
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
@@ -154,8 +154,8 @@ class TupleUnit(PolicyUnit):
             own = None if self._names is None else len(self._names[place]) - 2 * self.inner_times
             if own is not None and own != len(batch.columns):
                 raise SampleError(
-                    f"stream {source.name!r} has got its fields after it had ended without any, "
-                    f"and {self.output.name} had gone on without them: declare them in its sort"
+                    f"stream {source.name!r} has fields now, but it had ended without any, and "
+                    f"{self.output.name} has gone on without them: declare them in its sort"
                 )
             timely = self.in_time(source, batch, self._kernel.decided(place))
             if len(timely):
@@ -182,8 +182,9 @@ class TupleUnit(PolicyUnit):
     def _places(self, source: StreamGenerator) -> list[int]:
         return [i for i, given in enumerate(self.inputs) if given is source]
 
-    def _offer(self, given: TupleBatch | Sequence[TupleBatch] | None) -> None:
-        batches = [given] if isinstance(given, TupleBatch) else given or []
+    def _offer(self, found: TupleBatch | Sequence[TupleBatch] | None) -> None:
+        """Emit tuples, or hold them while the fields are not known."""
+        batches = [found] if isinstance(found, TupleBatch) else found or []
         tuples = [batch for batch in batches if len(batch)]
         self._held += tuples
         self.held += sum(map(len, tuples))
@@ -192,14 +193,14 @@ class TupleUnit(PolicyUnit):
             self._hold(tuples)
             return
         held, self._held, self.held = self._held, [], 0
-        for made in held:
-            # An input that has no sample yet has no columns either.
+        for part in held:
+            # A batch from before the input had fields has no columns.
             inputs = tuple(
                 batch if batch.columns else empty_batch(source.schema, source.stream.pools)
-                for batch, source in zip(made.inputs, self.inputs, strict=True)
+                for batch, source in zip(part.inputs, self.inputs, strict=True)
             )
-            whole = TupleBatch(made.available, made.valid, inputs, made.rows)
-            self.output.emit(whole.flatten(names, self.inner_times))
+            complete = TupleBatch(part.available, part.valid, inputs, part.rows)
+            self.output.emit(complete.flatten(names, self.inner_times))
 
     @property
     def open_inputs(self) -> list[str]:
@@ -208,7 +209,7 @@ class TupleUnit(PolicyUnit):
         return [source.name for source in open if source not in self._ended]
 
     def _hold(self, tuples: Sequence[TupleBatch]) -> None:
-        """Keep the last ones, which were just added, as small as they can be."""
+        """Compact the tuples that were just added, since they may wait for long."""
         if tuples:
             self._held[-len(tuples) :] = [batch.compact() for batch in tuples]
         if self.held > self.output.stream.retention.samples:
@@ -218,7 +219,8 @@ class TupleUnit(PolicyUnit):
             )
 
     def _find_names(self) -> list[list[str]] | None:
-        """The fields' names of each input, once they are known; the output has these fields."""
+        """Return the names of each input's fields, None while they are not known. The output adopts
+        the fields."""
         if self._names is not None:
             return self._names
         open = [source for source in self.sources if source.is_open]
@@ -237,10 +239,10 @@ class TupleUnit(PolicyUnit):
 
 
 class ObjectSelectionUnit(ComputationalUnit):
-    """``selectObject(w)``: of a stream about many objects the samples of one, as they are.
+    """``selectObject(w)``: passes on the samples of one object, unchanged.
 
-    Whose a sample is stands in the field ``object``, else ``id``, else in the first text field;
-    ``object`` is compared as text. Cost: one comparison a sample.
+    The field ``object``, else ``id``, else the first text field names the object of a sample; it is
+    compared with ``object`` as text. Cost: one comparison a sample.
     """
 
     def __init__(self, *args: Any, object: str) -> None:
@@ -254,6 +256,6 @@ class ObjectSelectionUnit(ComputationalUnit):
             raise SampleError("no field names the object of a sample: there is no text field")
         column = batch.columns[name]
         assert column.pool is not None
-        chosen = (column.values == column.pool.find(self._object)) & column.present
-        if bool(chosen.any()):
-            self.output.emit(batch.take(chosen))
+        selected = (column.values == column.pool.find(self._object)) & column.present
+        if bool(selected.any()):
+            self.output.emit(batch.take(selected))

@@ -1,4 +1,4 @@
-"""Continuous queries at work: the C-SPARQL computational unit ([Events14 §V.B, Fig. 2])."""
+"""The unit of a continuous query: the C-SPARQL computational unit ([Events14 §V.B, Fig. 2])."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ..processes.supervision import ErrorCounters
 from .windowed import WindowUnit
 
 
-class Answer:
-    """The results of a query as samples of ``output``.
+class ResultEmitter:
+    """Emits the results of a query as samples of ``output``.
 
-    The samples of a result are one instant, right after its window's end, which is their valid time
-    (by `UNIQUE_TIMES` they are 1 ns apart, and after those of the window before). ``hear`` is told
-    the result of each window as the query gave it. Of values that their fields cannot hold,
-    ``counters`` note the first of each field and window.
+    The samples of a result are one instant. They are valid at their window's end, and available
+    right after it. Under the rules `UNIQUE_TIMES` they are 1 ns apart, and after those of the
+    window before. ``on_result`` is called with the result of each window, as terms. ``counters``
+    note the first value of each field and window that its field cannot hold.
     """
 
     def __init__(
@@ -32,22 +32,22 @@ class Answer:
         output: StreamGenerator,
         results: ResultConverter,
         counters: ErrorCounters,
-        hear: Callable[[WindowResult], None] | None = None,
+        on_result: Callable[[WindowResult], None] | None = None,
     ) -> None:
         self.output = output
         self.results = results
         self.lost: list[ConversionError] = []
         results.lost = self.lost
         self.counters = counters
-        self.hear = hear
-        self._sent = TIME_MIN
+        self.on_result = on_result
+        self._last_available = TIME_MIN
         """The available time (ns) of the last sample."""
 
-    def give(self, result: WindowResult) -> None:
-        """The result of a window; windows come in order."""
-        if self.hear is not None:
-            self.hear(result)
-        batch = self.results.convert(result, max(result.end, self._sent) + 1)
+    def emit(self, result: WindowResult) -> None:
+        """Emit the result of the next window."""
+        if self.on_result is not None:
+            self.on_result(result)
+        batch = self.results.convert(result, max(result.end, self._last_available) + 1)
         for error in self.lost:
             text = f"the window that ends {format_time(result.end)} has no value"
             self.counters.note(f"{text} in field {error.field!r}: {error.message}", result.end)
@@ -56,14 +56,13 @@ class Answer:
             if self.output.rules.gap:
                 steps = np.arange(len(batch), dtype=np.int64)
                 batch = batch.with_available(batch.available + steps)
-            self._sent = int(batch.available[-1])
+            self._last_available = int(batch.available[-1])
             self.output.emit(batch)
 
 
 class QueryUnit(WindowUnit):
-    """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
-    triples, evaluated in windows, results converted back to samples (`Answer`, which tells
-    ``hear``).
+    """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): it converts samples to timed
+    triples, evaluates them in windows, and converts the results to samples (`ResultEmitter`).
     """
 
     def __init__(
@@ -72,17 +71,17 @@ class QueryUnit(WindowUnit):
         evaluator: ContinuousEvaluator,
         converters: Mapping[str, Sequence[SampleConverter]],
         results: ResultConverter,
-        hear: Callable[[WindowResult], None] | None = None,
+        on_result: Callable[[WindowResult], None] | None = None,
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: ContinuousEvaluator = evaluator
-        self._answer = Answer(self.output, results, self.counters, hear)
+        self._emitter = ResultEmitter(self.output, results, self.counters, on_result)
 
     def explain(self) -> str:
-        """How the query is evaluated; its costs are estimated from the rates of its streams."""
+        """Print the evaluation of the query, with costs estimated from the rates of its streams."""
         return self.evaluator.explain(self.flows())
 
     def emit(self, results: Sequence[WindowResult]) -> None:
         self.windows += len(results)
         for result in results:
-            self._answer.give(result)
+            self._emitter.emit(result)

@@ -1,4 +1,4 @@
-"""Sample-based sources: functions of time that are read at a period ([DyKnow10 Def. 5.9, 5.33])."""
+"""Sample-based sources: functions of time, called periodically ([DyKnow10 Def. 5.9, 5.33])."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 from ...streams.generator import StreamGenerator
 from ...streams.time import TIME_MAX
-from ..model.process_reports import OnReport, unheard
+from ..model.process_reports import OnReport, ignore_report
 from ..processes.call_adapter import Answers, Row
-from ..processes.external_io import Reading, Turn
+from ..processes.external_io import Reading, ReadingTurn
 from ..processes.registry import SourceImplementation
 from ..processes.supervision import (
     DIRECT,
@@ -27,17 +27,16 @@ from ..processes.supervision import (
 
 
 class SampledSource:
-    """A source at work: reads at ``start + k * period`` for every due time, when `tick` says that
-    the time has come. ``start`` None: the first tick is the first due time.
+    """A running source. Each `tick` reads it at the due times ``start + k * period`` that have
+    passed. ``start`` None: the first tick is the first due time.
 
-    A sample is available at its due time unless it brings a later one, and valid at its due time
-    unless it says otherwise. A tick reads at most ``behind`` due times, the latest; earlier ones
-    are counted in ``missed``: a sensor that is asked late tells nothing of the past. Where what it
-    says is written down, and there is no room for it, it is not asked: ``without_room`` counts
-    these due times (`Tape`). A source that stops by its rule ends its output; ``failure`` says why.
+    A sample is available and valid at its due time, unless its code states other times. A tick
+    reads at most ``behind`` due times, the latest; ``missed`` counts earlier ones, since a sensor
+    that is read late does not report the past. If readings are recorded and the disk has no room,
+    the source is not read; ``without_room`` counts these due times (`Tape`). A source that its rule
+    stops ends its output; ``failure`` is the reason.
 
-    ``parameters`` are those of the code, as text. Cost: Python per reading. Memory: none that
-    grows.
+    ``parameters`` are those of the code, as text. Cost: Python per reading. Memory: constant.
     """
 
     def __init__(
@@ -51,7 +50,7 @@ class SampledSource:
         behind: int = 100,
         name: str | None = None,
         parameters: Mapping[str, str] | None = None,
-        on_report: OnReport = unheard,
+        on_report: OnReport = ignore_report,
     ) -> None:
         self.implementation = implementation
         self.output = output
@@ -77,7 +76,7 @@ class SampledSource:
         )
 
     def tick(self, now: int) -> None:
-        """The time is ``now`` (ns): read what is due, and promise that nothing comes before."""
+        """Read the source at the due times up to ``now`` (ns), and advance the output to it."""
         if self.failure is not None:
             return
         if self._next is None:
@@ -94,7 +93,7 @@ class SampledSource:
             self.output.advance(now + 1)
 
     def stop(self) -> None:
-        """Read no more; the output ends."""
+        """Stop reading, and end the output."""
         self.failure = self.failure or "stopped"
         self.output.end()
         self.output.close()
@@ -107,36 +106,37 @@ class SampledSource:
         items = [(time, None) for time in times]
         tape = self._runner.tape
         if tape is None:
-            self._supervisor.run(items, lambda time, _: self._ask(time), self._answers.offer)
+            self._supervisor.run(items, lambda time, _: self._call(time), self._answers.offer)
             return
         turn = tape.turn(self.name, self.output.name)
-        came = self._supervisor.run(
+        returned = self._supervisor.run(
             items, lambda time, _: self._read(turn, time), self._answers.offer
         )
-        self.without_room += turn.end(came.calls, came.time, came.blocked)
+        self.without_room += turn.end(returned.calls, returned.time, returned.blocked)
 
-    def _read(self, turn: Turn, time: int) -> Row | None:
+    def _read(self, turn: ReadingTurn, time: int) -> Row | None:
+        """Read the source at ``time``, or replay its reading."""
         before = self._answers.mark()
-        reading = turn.ask(time, partial(self._reading, time))
+        reading = turn.read(time, partial(self._record, time))
         if reading is None:
-            self._answers.forget(before)
+            self._answers.rewind(before)
             return None
         if reading.is_blocked:
             raise RecordedBlock(reading.error)
         if reading.error is not None:
             raise RecordedError(reading.error)
-        if turn.is_playing:
-            self._answers.again(reading.sample, reading.report)
+        if turn.is_replaying:
+            self._answers.replay(reading.sample, reading.report)
         return reading.sample
 
-    def _ask(self, time: int) -> Row | None:
+    def _call(self, time: int) -> Row | None:
         return self._answers.row(self._instance.get()(time), time, time)
 
-    def _reading(self, time: int) -> Reading:
-        """What it says, to be recorded."""
+    def _record(self, time: int) -> Reading:
+        """Call the code, and return its sample, report or error for the tape."""
         before = len(self._answers.reports)
         try:
-            row = self._ask(time)
+            row = self._call(time)
         except BaseException as error:  # recorded, and raised in `_read`
             if is_interrupt(error):
                 raise

@@ -1,4 +1,4 @@
-"""One object's samples out of the stream of all ([Events14 §V.C])."""
+"""The unit that selects the samples of one object ([Events14 §V.C])."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .base import ComputationalUnit
 
 
 class SelectionUnit(ComputationalUnit):
-    """Selects one object's samples out of a stream of many ([Events14 §V.C]).
+    """Selects the samples of one object by its IRI ([Events14 §V.C]).
 
     Cost: a table look-up per sample; the table grows with the distinct ids of the stream.
     """
@@ -25,6 +25,6 @@ class SelectionUnit(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         ids, present = self._objects.ids(batch.columns[self._id_field])
-        chosen = (ids == self._object.ids[0]) & present
-        if bool(chosen.any()):
-            self.output.emit(batch.take(chosen))
+        selected = (ids == self._object.ids[0]) & present
+        if bool(selected.any()):
+            self.output.emit(batch.take(selected))

@@ -1,8 +1,8 @@
-"""A query that is evaluated once for many ([Events14 §V.B], DESIGN §3 "Sharing"): that of a
-template for its requests, or what registered queries have in common.
+"""One evaluation for several queries ([Events14 §V.B], DESIGN §3 "Sharing"): for the requests of a
+template, or for registered queries that differ in constants.
 
-A `TemplateUnit` reads the streams and keeps the windows. Each request or query that it serves has
-an `InstanceUnit`, which makes its stream out of its part of the results.
+A `TemplateUnit` reads the streams and has the windows. Each request or query that it serves has an
+`InstanceUnit`, which emits its part of the results.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from ...streams.generator import StreamGenerator
 from ...streams.sample import Column, Field, FieldType, SampleBatch, Schema
 from ...streams.time import TIME_MIN
 from .base import ComputationalUnit
-from .query import Answer
+from .query import ResultEmitter
 from .windowed import WindowUnit
 
 TALLY = Schema(
     (Field("instances", FieldType.INTEGER), Field("answered", FieldType.INTEGER)),
 )
-"""What the stream of a template's unit says of each window: how many instances there were, and how
-many of them had a result."""
+"""The output of a template's unit: for each window the number of instances, and of those with a
+result."""
 
 
 class TemplateUnit(WindowUnit):
-    """The instances of one template (`TemplateEvaluator`), or queries that differ in constants
-    (`AlikeEvaluator`), over the same streams, as one query.
+    """Evaluates the instances of one template (`TemplateEvaluator`), or queries that differ in
+    constants (`AlikeEvaluator`), over the same streams as one query.
 
-    Law (tests/laws/engine/test_shared_requests.py, test_shared_queries.py): the stream of a request
-    or query says what it would say had it a unit of its own, from the first window on that begins
-    after it came; of the windows that were open then it knows the samples before it as well. So do
-    the results that are kept of a registered query.
+    Law (tests/laws/engine/test_shared_requests.py, test_shared_queries.py): from the first window
+    that begins after its start, an instance's stream equals that of a unit of its own. In windows
+    that are open at its start, the instance also sees the earlier samples. The same holds for the
+    kept results of a registered query.
 
-    Cost: a window as the evaluator says, then some 0.2 ms for each instance that has a result in
-    it, and a microsecond for any other whose results are kept; a promise of time only reaches the
-    streams that somebody follows.
+    Cost: that of the evaluator for a window, some 0.2 ms for each instance with a result in it, and
+    a microsecond for each other one whose results are kept. Only instances with followers get
+    watermarks.
     """
 
     def __init__(
@@ -55,23 +55,23 @@ class TemplateUnit(WindowUnit):
         self.evaluator: SharedWindows = evaluator
         self._instances: dict[int, InstanceUnit] = {}
         self._followed: set[InstanceUnit] = set()
-        self._heard: dict[int, Callable[[WindowResult], None]] = {}
-        """Who hears of all results of an instance, of those without solutions as well."""
+        self._on_result: dict[int, Callable[[WindowResult], None]] = {}
+        """Callbacks for all results of an instance, by its number, the empty ones included."""
         self._late_of_instances: dict[StreamGenerator, dict[InstanceUnit, StreamGenerator]] = {}
-        self._sent = TIME_MIN
+        self._last_available = TIME_MIN
+        """The available time (ns) of the last sample."""
 
     def add(self, instance: InstanceUnit, number: int) -> None:
-        """A new instance, with its number in the evaluator; it has results from the next window
-        on."""
+        """Add an instance by its number in the evaluator, which evaluates it from now on."""
         self._instances[number] = instance
-        if instance.hear is not None:
-            self._heard[number] = instance.hear
+        if instance.on_result is not None:
+            self._on_result[number] = instance.on_result
 
     def remove(self, number: int) -> None:
-        """The instance with this number is no more."""
+        """Remove the instance with this number."""
         instance = self._instances.pop(number)
         self._followed.discard(instance)
-        self._heard.pop(number, None)
+        self._on_result.pop(number, None)
         for sides in self._late_of_instances.values():
             sides.pop(instance, None)
         self.between_windows(lambda: self.evaluator.remove(number))
@@ -79,12 +79,12 @@ class TemplateUnit(WindowUnit):
     def pass_late_of(
         self, instance: InstanceUnit, source: StreamGenerator, side: StreamGenerator
     ) -> None:
-        """From now on ``side`` gets the samples of ``source`` that are late for ``instance``."""
+        """Emit the samples of ``source`` that are late for ``instance`` to ``side`` from now on."""
         self._late_of_instances.setdefault(source, {})[instance] = side
-        self.tell_late(source, side)
+        self.start_late(source, side)
 
-    def keep_late_of(self, instance: InstanceUnit, source: StreamGenerator) -> None:
-        """Those of ``instance`` are only counted again."""
+    def drop_late_of(self, instance: InstanceUnit, source: StreamGenerator) -> None:
+        """Only count the samples that are late for ``instance`` from now on."""
         self._late_of_instances[source].pop(instance, None)
 
     def late_streams_of(self, source: StreamGenerator) -> Sequence[StreamGenerator]:
@@ -92,19 +92,19 @@ class TemplateUnit(WindowUnit):
         return (*own, *self._late_of_instances.get(source, {}).values())
 
     @property
-    def waits_as_its_inputs_do(self) -> bool:
-        """Whether samples that are in time for the inputs are in time for the windows: not so when
-        an input has ended, and with it all windows, and may go on."""
+    def accepts_timely_samples(self) -> bool:
+        """Whether every sample in time for its input is in time for the windows. It is not if an
+        input has ended, which closed all windows, and goes on."""
         for source in self.sources:
-            limit = self.evaluator.limit(source.name)
-            known = source.watermark
-            if limit is not None and not source.is_idle and (known is None or limit >= known):
+            limit, watermark = self.evaluator.limit(source.name), source.watermark
+            is_late = limit is not None and (watermark is None or limit >= watermark)
+            if is_late and not source.is_idle:
                 return False
         return True
 
-    def follow(self, instance: InstanceUnit, followed: bool) -> None:
-        """Somebody reads an instance's stream and has to hear of time, or nobody any more."""
-        if not followed:
+    def follow(self, instance: InstanceUnit, is_followed: bool) -> None:
+        """Send watermarks to the stream of an instance while it has readers, which need them."""
+        if not is_followed:
             self._followed.discard(instance)
             return
         self._followed.add(instance)
@@ -113,11 +113,11 @@ class TemplateUnit(WindowUnit):
 
     def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
         late = self.late
-        kept = super().in_time(source, batch, decided)
+        timely = super().in_time(source, batch, decided)
         if self.late > late:
             for instance in self._instances.values():
                 instance.late += self.late - late
-        return kept
+        return timely
 
     def advance_output(self, watermark: int) -> None:
         super().advance_output(watermark)
@@ -132,9 +132,9 @@ class TemplateUnit(WindowUnit):
                     instance.output.advance(self.output.watermark)
                 instance.output.end()
 
-    def tell_idle(self, is_idle: bool) -> None:
+    def set_output_idle(self, is_idle: bool) -> None:
         was_idle = self.output.is_idle
-        super().tell_idle(is_idle)
+        super().set_output_idle(is_idle)
         if self.output.is_idle != was_idle:
             for instance in tuple(self._instances.values()):
                 instance.idleness_changed(self.output)
@@ -152,31 +152,32 @@ class TemplateUnit(WindowUnit):
                 instance = self._instances.get(number)
                 result = window.of(number)
                 if instance is not None and result is not None:
-                    instance.tell(result)
-            if self._heard:
-                for numbers, nothing in window.silent():
+                    instance.emit(result)
+            if self._on_result:
+                for numbers, empty in window.silent():
                     for number in numbers.tolist():
-                        hear = self._heard.get(number)
-                        if hear is not None:
-                            hear(nothing)
-            self._tally(window.end, len(answered))
+                        on_result = self._on_result.get(number)
+                        if on_result is not None:
+                            on_result(empty)
+            self._emit_tally(window.end, len(answered))
 
-    def _tally(self, end: int, answered: int) -> None:
-        self._sent = max(end, self._sent) + 1
+    def _emit_tally(self, end: int, answered: int) -> None:
+        self._last_available = max(end, self._last_available) + 1
         columns = {
             name: Column(FieldType.INTEGER, np.array([count], np.int64))
             for name, count in (("instances", len(self._instances)), ("answered", answered))
         }
-        times = np.array([self._sent], np.int64)
+        times = np.array([self._last_available], np.int64)
         self.output.emit(SampleBatch(times, np.array([end], np.int64), columns))
 
 
 class InstanceUnit(ComputationalUnit):
-    """The part of a request or query in the results of those that share one, as samples.
+    """Emits the results of one request or query of a shared evaluation.
 
-    Its template tells it what it has to know: it does not subscribe to that one's stream, which
-    says other things. ``enter`` gives it a number in the template's evaluator, ``evaluation``
-    explains that for people; ``hear`` is told the result of each window as the query gave it.
+    The template's unit calls it directly. It does not subscribe to the template's output, which has
+    only the tally. ``enter`` adds it to the template's evaluator and returns its number;
+    ``evaluation`` prints the evaluation. ``on_result`` is called with the result of each window, as
+    terms.
     """
 
     waits_for_all = False
@@ -188,20 +189,20 @@ class InstanceUnit(ComputationalUnit):
         enter: Callable[[], int],
         evaluation: Callable[[], str],
         results: ResultConverter,
-        hear: Callable[[WindowResult], None] | None = None,
+        on_result: Callable[[WindowResult], None] | None = None,
     ) -> None:
         super().__init__(*args)
-        self.hear = hear
+        self.on_result = on_result
         self._template = template
         self._enter = enter
         self._evaluation = evaluation
-        self._answer = Answer(self.output, results, self.counters, hear)
+        self._emitter = ResultEmitter(self.output, results, self.counters, on_result)
         self._number: int | None = None
 
     def connect(self, source: StreamGenerator) -> None:
         self._number = self._template.between_windows(self._enter)
         self._template.add(self, self._number)
-        self.output.on_followed = lambda followed: self._template.follow(self, followed)
+        self.output.on_followed = lambda is_followed: self._template.follow(self, is_followed)
         if source.is_ended:
             self.output.end()
         elif source.is_idle:
@@ -209,7 +210,7 @@ class InstanceUnit(ComputationalUnit):
 
     @property
     def template(self) -> TemplateUnit:
-        """The unit that evaluates for it and others."""
+        """The unit that evaluates this query together with others."""
         return self._template
 
     @property
@@ -219,7 +220,7 @@ class InstanceUnit(ComputationalUnit):
 
     @property
     def lag(self) -> int | None:
-        # What it promises itself is told only where somebody follows it.
+        # Its own output has watermarks only while it is followed.
         return self._template.lag
 
     @property
@@ -233,19 +234,19 @@ class InstanceUnit(ComputationalUnit):
     def pass_late_to(self, source: StreamGenerator, side: StreamGenerator) -> None:
         self._template.pass_late_of(self, source, side)
 
-    def forget_late(self, source: StreamGenerator) -> None:
-        self._template.keep_late_of(self, source)
+    def drop_late(self, source: StreamGenerator) -> None:
+        self._template.drop_late_of(self, source)
 
     def explain(self) -> str:
-        """The query with its arguments, and how it is evaluated together with others."""
+        """Print the query with its arguments, and the shared evaluation."""
         return f"{self.parameters['query'].rstrip()}\n\n{self._evaluation()}"
 
-    def tell(self, result: WindowResult) -> None:
-        """Its result of a window."""
-        self._guarded(lambda: self._answer.give(result))
+    def emit(self, result: WindowResult) -> None:
+        """Emit the result of its next window."""
+        self._guarded(lambda: self._emitter.emit(result))
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        raise NotImplementedError("the template's unit tells it its results")
+        raise NotImplementedError("the template's unit calls `emit`")
 
     def _leave_inputs(self) -> None:
         if self._number is not None:

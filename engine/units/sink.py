@@ -22,13 +22,13 @@ from ..processes.supervision import (
 
 
 class Sink:
-    """A sink at work: a receiver of one stream or several.
+    """A running sink, a receiver of one stream or several.
 
-    It is called with each sample of an input in order; the samples of different inputs come as
-    they come, with the number of the input. A batch form gets the batches as the streams cut
-    them. A sink that stops by its rule leaves its inputs; ``failure`` says why. A sample that
-    failed is not given again. Where commands are recorded, what went wrong counts and is told when
-    it is written down (`hear`).
+    It calls the code with each sample of an input in order. With several inputs, the number of the
+    input is a second argument, and their samples come in the order of arrival. A batch form gets
+    the batches as the streams cut them. A sink that its rule stops leaves its inputs; ``failure``
+    is the reason. A failed sample is not repeated. With a log, failures are counted and reported
+    when they are in the log (`apply_outcome`).
 
     Cost: Python per sample, one call a batch in the batch form. Memory: one batch as objects.
     """
@@ -48,7 +48,7 @@ class Sink:
         self.implementation = implementation
         self.inputs = tuple(inputs)
         self.knows_codes = implementation.batch
-        """Batches are the user's, to keep what he likes."""
+        """A batch form may keep parts of batches, so the streams must not free their texts."""
         self.name = name or implementation.name
         self.counters = ErrorCounters()
         self.failure: str | None = None
@@ -62,11 +62,11 @@ class Sink:
             self._instance.forget,
             self._stop_by_rule,
             lambda event, text: on_event(self, event, text),
-            self._put_off,
+            self._defer_outcome,
         )
 
     def start(self, since: Since = Since.NOW) -> None:
-        """Subscribe to the inputs; from the start of what they keep, if asked."""
+        """Subscribe to the inputs; first read their retained samples if ``since`` is start."""
         for source in dict.fromkeys(self.inputs):
             if since is Since.START:
                 for segment in source.stream.since(0):
@@ -76,33 +76,34 @@ class Sink:
                 source.subscribe(self)
 
     def stop(self) -> None:
-        """Leave the inputs."""
+        """Unsubscribe from the inputs."""
         while self._subscribed:
             self._subscribed.pop().unsubscribe(self)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        """Samples of an input."""
+        """Call the code with samples of an input."""
         for number, input in enumerate(self.inputs):
             if input is source and self.failure is None:
-                self._give(number, batch)
+                self._call(number, batch)
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
-        """A sink waits for nothing."""
+        """Do nothing, since a sink does not wait for time."""
 
     def ended(self, source: StreamGenerator) -> None:
-        """The stream may be taken up again; the sink stays."""
+        """Do nothing, since the stream may go on."""
 
     def resumed(self, source: StreamGenerator) -> None:
-        """It is taken up again."""
+        """Do nothing, since the sink has stayed subscribed."""
 
     def idleness_changed(self, source: StreamGenerator) -> None:
-        """A sink waits for nothing."""
+        """Do nothing, since a sink does not wait for time."""
 
-    def hear(self, outcome: Outcome) -> None:
-        """What came of its calls is written down: it is told now, and counts."""
-        self._supervisor.hear(outcome.failed, outcome.in_a_row)
+    def apply_outcome(self, outcome: Outcome) -> None:
+        """Count and report the failures of earlier calls, which are in the log now."""
+        self._supervisor.apply_failures(outcome.failed, outcome.in_a_row)
 
-    def _put_off(self, failed: Sequence[Failed], in_a_row: int) -> bool:
+    def _defer_outcome(self, failed: Sequence[Failed], in_a_row: int) -> bool:
+        """Leave failures to the log if there is one; return whether."""
         tape = self._runner.tape
         if tape is None:
             return False
@@ -113,10 +114,10 @@ class Sink:
         self.failure = reason
         self.stop()
 
-    def _give(self, number: int, batch: SampleBatch) -> None:
+    def _call(self, number: int, batch: SampleBatch) -> None:
         tape = self._runner.tape
-        if tape is not None and tape.is_playing:
-            return  # it was told when this was done first
+        if tape is not None and tape.is_replaying:
+            return  # the code got these samples when the command was executed first
         more = () if len(self.inputs) == 1 else (number,)
         items: list[tuple[int, Any]]
         if self.implementation.batch:
@@ -124,7 +125,7 @@ class Sink:
         else:
             items = list(zip(batch.available.tolist(), samples_of(batch), strict=True))
 
-        def step(_: int, given: Any) -> None:
-            self._instance.get()(given, *more)
+        def step(_: int, item: Any) -> None:
+            self._instance.get()(item, *more)
 
         self._supervisor.run(items, step, lambda _: None)

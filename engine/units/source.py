@@ -1,4 +1,4 @@
-"""A source that is started because somebody needs what it provides ([Introspection15 §3.1])."""
+"""A source that is started because a request needs its stream ([Introspection15 §3.1])."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any
 
 from ...streams.generator import StreamGenerator
 from ...streams.sample import SampleBatch
-from ..model.process_reports import OnReport, unheard
+from ..model.process_reports import OnReport, ignore_report
 from ..model.status_changes import Role
 from ..processes.registry import SourceImplementation
-from ..processes.supervision import DIRECT, ProcessEvent, Runner, Tell
+from ..processes.supervision import DIRECT, OnEvent, ProcessEvent, Runner
 from .base import ComputationalUnit
 from .sampled_source import SampledSource
 
@@ -17,7 +17,7 @@ from .sampled_source import SampledSource
 class SourceUnit(ComputationalUnit):
     """A computational unit with zero input streams: it reads ``implementation`` at its period.
 
-    ``on_event`` hears of failures, restarts and the stop, as of other user-written code.
+    ``on_event`` is called with failures, restarts and the stop, as for other user-written code.
     """
 
     role = Role.SOURCE
@@ -27,8 +27,8 @@ class SourceUnit(ComputationalUnit):
         *args: Any,
         implementation: SourceImplementation,
         parameters: dict[str, str],
-        on_event: Tell,
-        on_report: OnReport = unheard,
+        on_event: OnEvent,
+        on_report: OnReport = ignore_report,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
@@ -37,7 +37,7 @@ class SourceUnit(ComputationalUnit):
             implementation,
             self.output,
             None,
-            on_event=self._told,
+            on_event=self._handle_event,
             runner=runner,
             name=self.name,
             parameters=parameters,
@@ -46,14 +46,14 @@ class SourceUnit(ComputationalUnit):
         self.counters = self._source.counters
 
     def tick(self, now: int) -> None:
-        """The time is ``now`` (ns): read what is due."""
+        """Read the source at the due times up to ``now`` (ns)."""
         if self.failure is None:
             self._source.tick(now)
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         raise AssertionError("a source has no inputs")
 
-    def _told(self, _: SampledSource, event: ProcessEvent, text: str) -> None:
+    def _handle_event(self, _: SampledSource, event: ProcessEvent, text: str) -> None:
         if event is ProcessEvent.STOPPED:
             self.failure = text
         self._on_event(event, text)

@@ -1,8 +1,8 @@
-"""The unit that makes one stream of several, object by object, for a transformation whose inputs
-stand in different streams ([Introspection15 §4.3-4.4]).
+"""The unit that joins several streams object by object, for a transformation whose inputs are in
+different streams ([Introspection15 §4.3-4.4]).
 
-The kernel is streams/joins/keyed_join.py. It is another thing than `sync` of KPL, whose states are
-of one valid time: here each input stands with its latest sample (Def. 5.11).
+The kernel is streams/joins/keyed_join.py. It differs from KPL's `sync`, whose states have one valid
+time: here each input contributes its latest sample (Def. 5.11).
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ class TakenField:
 
 
 class SynchronizationUnit(ComputationalUnit):
-    """A sample for an object whenever one of it comes and all inputs have something to say of it:
-    the fields of the latest sample of each input. When that is says `KeyedJoin`.
+    """Emits a sample for an object whenever an input has a new one and all inputs have one: the
+    fields of the latest sample of each input. `KeyedJoin` defines the times.
 
-    ``keys`` are the id fields of each input; none: it is about one object that stands for all. All
-    keyed inputs have as many, in the same order of roles. Who is the same object says ``objects``,
-    which gives a table of an input's names that keeps them: an object is the same however
-    its id is spelled in different streams. ``id_fields`` are pairs (id field of the first
-    keyed input, field of the output); there an id is spelled as in that input. The output has the
-    schema and pools of `schema_of`, or is open and gets them.
+    ``keys`` are the id fields of each input; an input without any joins with every object. All
+    keyed inputs have the same number of id fields, in the same order of roles. ``objects`` returns
+    a table that maps the names in an input to objects: the same object may have another id in
+    another stream. ``id_fields`` are pairs (id field of the first keyed input, field of the
+    output); the output has the ids of that input. The output has the schema and pools of
+    `schema_of`, or is open and adopts them.
 
-    Numbers are converted and become floats; text and booleans stay as they are. A sample that
-    lacks a value of those fields is no sample of its input, and counted in `incomplete`; one that
-    names no object in `keyless`. The same stream may be given twice, as two inputs.
+    Numbers are converted and become floats; strings and booleans stay as they are. A sample without
+    a value in one of the fields is dropped and counted in `incomplete`, a sample without an object
+    in `keyless`. Two inputs may be the same stream.
 
-    Law (tests): what it makes does not depend on batch cuts. Cost: O(n log n) numpy for n samples
-    decided, O(1) Python a batch, and an IRI for each name that is new. Integer ids cost Python a
+    Law (tests): the output does not depend on batch cuts. Cost: O(n log n) numpy for n decided
+    samples, O(1) Python a batch, and an IRI for each new name. Integer ids cost Python for each
     distinct one in a batch (`ObjectTable`). Memory: the latest sample of each object and input.
     """
 
@@ -73,25 +73,26 @@ class SynchronizationUnit(ComputationalUnit):
             [objects(source) for _ in own] for source, own in zip(self.inputs, keys, strict=True)
         ]
         arity = 0 if first is None else len(keys[first])
-        # Two ids are one key; of more, the first ones are numbered before the next is added.
+        # A 64-bit key has room for two ids. With more, number the pairs before adding the next id.
         self._numberings = [Numbering() for _ in range(arity - 2)]
         self._join = KeyedJoin([bool(own) for own in keys], self.output.rules)
         self.incomplete = 0
-        """Samples that lack a value; of a stream that is given twice counted for each input."""
+        """Samples without a value, counted for each input that they are in."""
 
     @property
     def keyless(self) -> int:
-        """Samples that name no object."""
+        """Samples without an object."""
         return self._join.keyless
 
     @property
     def retained(self) -> int:
-        """How many samples are kept: those that wait, and the latest of each object and input."""
+        """The number of samples in memory: the waiting ones, and the latest of each object and
+        input."""
         return self._join.retained
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         places = self._places(source)
-        # Equal for all places of one stream, which are told the same.
+        # `decided` is equal for all places of one stream: they get the same samples and times.
         batch = self.in_time(source, batch, self._join.decided(places[0]))
         if not len(batch):
             return
@@ -99,7 +100,7 @@ class SynchronizationUnit(ComputationalUnit):
             samples, keys = self._samples(place, batch)
             if len(samples):
                 self._offer(self._join.push(place, samples, keys))
-            # What was left out has been there too.
+            # Dropped samples advance the input, too.
             self._offer(self._join.advance(place, source.promise_after(batch)))
         self._promise()
 
@@ -129,36 +130,37 @@ class SynchronizationUnit(ComputationalUnit):
 
     def _offer(self, tuples: TupleBatch | None) -> None:
         if tuples is not None:
-            made = tuples.flatten([tuple(batch.columns) for batch in tuples.inputs])
-            columns = {name: made.columns[name] for name in self.output.schema.names}
-            self.output.emit(SampleBatch(made.available, made.valid, columns))
+            flat = tuples.flatten([tuple(batch.columns) for batch in tuples.inputs])
+            columns = {name: flat.columns[name] for name in self.output.schema.names}
+            self.output.emit(SampleBatch(flat.available, flat.valid, columns))
 
     def _samples(self, place: int, batch: SampleBatch) -> tuple[SampleBatch, Column | None]:
-        """What an input gives to the output, where no value is missing, and the keys of that."""
-        taken = {
-            port.target_field: _converted(batch.columns[port.source_field], port.conversion)
+        """Return the complete samples of an input with the fields of the output, and their keys."""
+        values = {
+            port.target_field: _convert(batch.columns[port.source_field], port.conversion)
             for port in self._ports[place]
         }
-        lacking = [column.null for column in taken.values() if column.null is not None]
-        if lacking and bool((incomplete := np.logical_or.reduce(lacking)).any()):
+        nulls = [column.null for column in values.values() if column.null is not None]
+        if nulls and bool((incomplete := np.logical_or.reduce(nulls)).any()):
             self.incomplete += int(np.count_nonzero(incomplete))
             rows = np.flatnonzero(~incomplete)
             batch = batch.take(rows)
-            taken = {name: column.take(rows) for name, column in taken.items()}
+            values = {name: column.take(rows) for name, column in values.items()}
         columns = {
             name: Column(column.type, column.values, None, column.pool)
-            for name, column in taken.items()
+            for name, column in values.items()
         }
         columns |= {target: batch.columns[field] for field, target in self._ids[place]}
         return SampleBatch(batch.available, batch.valid, columns), self._keys_of(place, batch)
 
     def _keys_of(self, place: int, batch: SampleBatch) -> Column | None:
-        """A key for the objects that the id fields name together; None for a constant input."""
+        """Return a key for the objects that the id fields name; None for an input without any."""
         if not self._keys[place]:
             return None
         keys, null = np.zeros(len(batch), np.int64), np.zeros(len(batch), np.bool_)
-        named = zip(self._keys[place], self._objects[place], strict=True)
-        for k, (field, table) in enumerate(named):
+        for k, (field, table) in enumerate(
+            zip(self._keys[place], self._objects[place], strict=True)
+        ):
             ids, present = table.ids(batch.columns[field])
             null |= ~present
             own = np.where(present, ids, 0).astype(np.int64)
@@ -174,36 +176,36 @@ def schema_of(
     keys: Sequence[tuple[str, ...]],
     id_fields: Sequence[tuple[str, str]],
 ) -> tuple[Schema, dict[str, StringPool]]:
-    """The fields of a `SynchronizationUnit`'s output, ids first, and the pools of its text fields,
-    which are those of the inputs.
+    """Return the schema of a `SynchronizationUnit`'s output, ids first, and the pools of its string
+    fields, which are those of the inputs.
 
-    Raises `ValueError` where inputs, ports and keys do not fit together: a field that is not
-    there, a text or boolean with another unit, keyed inputs of different arity, a name twice.
+    Raises `ValueError` if inputs, ports and keys do not fit together: for a missing field, a string
+    or boolean with another unit, keyed inputs of different arity, a repeated name.
     """
     if not len(inputs) == len(ports) == len(keys):
         raise ValueError(f"{len(inputs)} inputs, {len(ports)} lists of fields, {len(keys)} of ids")
     if len({len(own) for own in keys if own}) > 1:
-        raise ValueError("all keyed inputs name objects by as many fields")
+        raise ValueError("all keyed inputs need the same number of id fields")
     for source, own in zip(inputs, keys, strict=True):
         for name in own:
             if _field(source, name).type not in (FieldType.STRING, FieldType.INTEGER):
-                raise ValueError(f"id field {_called(source, name)} is neither text nor integer")
+                raise ValueError(f"id field {_name_of(source, name)} is not a string or integer")
     fields: list[Field] = []
     pools: dict[str, StringPool] = {}
     first = _first_keyed(keys)
     for name, target in id_fields:
         if first is None or name not in keys[first]:
-            raise ValueError(f"{name!r} is no id field of the first keyed input")
+            raise ValueError(f"{name!r} is not an id field of the first keyed input")
         fields.append(Field(target, _field(inputs[first], name).type))
         if fields[-1].type is FieldType.STRING:
             pools[target] = inputs[first].stream.pools[name]
-    for source, taken in zip(inputs, ports, strict=True):
-        for port in taken:
+    for source, own_ports in zip(inputs, ports, strict=True):
+        for port in own_ports:
             kind = _field(source, port.source_field).type
             is_number = kind in _NUMBERS
             if not is_number and not port.conversion.is_identity:
                 raise ValueError(
-                    f"field {_called(source, port.source_field)} is a {kind}: it has no unit"
+                    f"field {_name_of(source, port.source_field)} is a {kind}, which has no unit"
                 )
             fields.append(Field(port.target_field, FieldType.FLOAT if is_number else kind))
             if kind is FieldType.STRING:
@@ -214,11 +216,11 @@ def schema_of(
 def _field(source: StreamGenerator, name: str) -> Field:
     field = source.schema.get(name)
     if field is None:
-        raise ValueError(f"there is no field {_called(source, name)}")
+        raise ValueError(f"there is no field {_name_of(source, name)}")
     return field
 
 
-def _called(source: StreamGenerator, name: str) -> str:
+def _name_of(source: StreamGenerator, name: str) -> str:
     return f"{name!r} of stream {source.name!r}"
 
 
@@ -226,15 +228,16 @@ def _first_keyed(keys: Sequence[tuple[str, ...]]) -> int | None:
     return next((i for i, own in enumerate(keys) if own), None)
 
 
-def _converted(column: Column, conversion: Conversion) -> Column:
-    """A number as a float in the other unit, no value where that is beyond floats; else itself."""
+def _convert(column: Column, conversion: Conversion) -> Column:
+    """Convert numbers to floats in the other unit, and to no value beyond the range of floats.
+    Return other columns as they are."""
     if column.type not in _NUMBERS:
         return column
     values, null = column.values.astype(np.float64), column.null
     if not conversion.is_identity:
         with np.errstate(over="ignore", invalid="ignore"):
             values = conversion.apply(values)
-        beyond = ~np.isfinite(values)
-        if bool(beyond.any()):
-            null = beyond if null is None else null | beyond
+        overflow = ~np.isfinite(values)
+        if bool(overflow.any()):
+            null = overflow if null is None else null | overflow
     return Column(FieldType.FLOAT, values, null)

@@ -1,9 +1,9 @@
 """A computational unit that runs user-written code as a transformation, object by object
 ([Introspection15 §3.1, §4.3], [DyKnow10 Def. 5.10]).
 
-`join` runs the same code over the join of KPL streams; here one stream brings all inputs
-(synchronized before, if they were several), and the samples of each object are a stream of their
-own: with its own state, and of a class with its own instance.
+`join` runs the same code over the join of KPL streams. Here one stream has all inputs; a
+`SynchronizationUnit` has joined them if they were several. The code has a state for each object,
+and a class an instance for each object.
 """
 
 from __future__ import annotations
@@ -25,36 +25,35 @@ from ...streams.sample import (
 )
 from ...streams.single_sample import Sample
 from ...streams.tuples import TupleBatch
-from ..model.process_reports import OnReport, Report, unheard
-from ..processes.call_adapter import Answers, Row, samples_of
+from ..model.process_reports import OnReport, Report, ignore_report
+from ..processes.call_adapter import Answers, Row, check_pair, samples_of
 from ..processes.registry import UnitImplementation
 from ..processes.supervision import (
     DIRECT,
     Instance,
+    OnEvent,
     ProcessError,
     Runner,
     Supervisor,
-    Tell,
 )
 from .base import ComputationalUnit
 from .function import InputPort
 
 Objects: TypeAlias = tuple[Value, ...]
-"""The values of the id fields of a sample: whose it is."""
+"""The values of a sample's id fields, which name its objects."""
 
 
 class TransformationUnit(ComputationalUnit):
-    """Runs ``implementation`` on the samples of one stream, each object by itself.
+    """Runs ``implementation`` on the samples of one stream, separately for each object.
 
-    ``ports`` are pairs of an input's name and where its value comes from; the code gets a sample
-    for each of its inputs, or one with all values where it declares a single input. ``carried``
-    are pairs of an id field of the input and of the output: the objects pass through. What the
-    code answers stands in the output's other fields. A sample that lacks a value or an object
-    gives nothing.
+    ``ports`` are pairs of an input's name and the field of its value. The code gets a sample for
+    each of its inputs, or one with all values if it declares a single input. ``carried`` are pairs
+    of an id field of the input and its field of the output. The answer of the code fills the other
+    fields. A sample without a value or an object is dropped.
 
-    Law: output, counters and what is told do not depend on batch cuts; a batch form has to keep
-    that by itself. Cost: Python per sample in the sample form; in the batch form a call for each
-    object of a batch. Memory: the state of each object.
+    Law: output, counters and reports do not depend on batch cuts. A batch form must obey this
+    itself. Cost: Python per sample in the sample form; in the batch form a call for each object of
+    a batch. Memory: the state of each object.
     """
 
     def __init__(
@@ -65,15 +64,15 @@ class TransformationUnit(ComputationalUnit):
         ports: Sequence[tuple[str, InputPort]],
         id_fields: Sequence[str],
         carried: Sequence[tuple[str, str]],
-        on_event: Tell,
-        on_report: OnReport = unheard,
+        on_event: OnEvent,
+        on_report: OnReport = ignore_report,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
         self.implementation = implementation
         self.knows_codes = implementation.batch
-        """Batches are the user's, to keep what he likes."""
-        self._code = dict(parameters)
+        """A batch form may keep parts of batches, so the streams must not free their texts."""
+        self._code_parameters = dict(parameters)
         self._ports = tuple(ports)
         self._id_fields = tuple(id_fields)
         self._carried = tuple(carried)
@@ -107,8 +106,8 @@ class TransformationUnit(ComputationalUnit):
         return batch if bool(complete.all()) else batch.take(complete)
 
     def _inputs_of(self, batch: SampleBatch) -> tuple[SampleBatch, ...]:
-        """A batch for each input of the code, converted."""
-        columns = {name: _converted(batch, port) for name, port in self._ports}
+        """Return a batch for each input of the code, in the units of its ports."""
+        columns = {name: _convert(batch, port) for name, port in self._ports}
         if len(self.implementation.inputs) == 1:
             return (SampleBatch(batch.available, batch.valid, columns),)
         return tuple(
@@ -136,31 +135,37 @@ class TransformationUnit(ComputationalUnit):
     def _step(self, time: int, item: tuple[Objects, tuple[Sample, ...]]) -> Row | None:
         objects, samples = item
         valid = samples[0].valid
-        made, state = self._call(objects, time, samples)
-        row = self._answers.row(self._with_objects(made, objects), time, valid)
-        self._states[objects] = state  # kept once the sample is fit
+        answer, state = self._call(objects, time, samples)
+        row = self._answers.row(self._with_objects(answer, objects), time, valid)
+        self._states[objects] = state  # only after `row` has accepted the answer
         return row
 
-    def _with_objects(self, made: object, objects: Objects) -> object:
-        """The answer, with the objects that pass through."""
-        if isinstance(made, Report):
-            return replace(made, answer=self._with_objects(made.answer, objects))
-        if made is None or not self._carried:
-            return made
-        named = dict(zip(self._id_fields, objects, strict=True))
-        ids = {output: named[field] for field, output in self._carried}
-        match made:
+    def _with_objects(self, answer: object, objects: Objects) -> object:
+        """Return the answer with the carried id fields."""
+        if isinstance(answer, Report):
+            return replace(answer, answer=self._with_objects(answer.answer, objects))
+        has_form = isinstance(answer, SampleBatch) == self.implementation.batch
+        if answer is None or not self._carried or not has_form:
+            return answer  # `Answers` refuses one of the other form
+        values = dict(zip(self._id_fields, objects, strict=True))
+        ids = {output: values[field] for field, output in self._carried}
+        match answer:
             case Sample():
-                return Sample(made.valid, {**made.values, **ids}, made.available)
+                return Sample(answer.valid, {**answer.values, **ids}, answer.available)
             case Mapping():
-                return {**made, **ids}
+                return {**answer, **ids}
+            case SampleBatch():
+                columns = dict(answer.columns)
+                for output, value in ids.items():
+                    columns[output] = _constant(self.output, output, value, len(answer))
+                return SampleBatch(answer.available, answer.valid, columns)
             case _:
                 others = [name for name in self.output.schema.names if name not in ids]
                 if len(others) != 1:
                     raise ProcessError(
-                        f"the output has the fields {', '.join(others)}: name which one"
+                        f"the output has the fields {', '.join(others)}: give a mapping"
                     )
-                return {others[0]: made, **ids}
+                return {others[0]: answer, **ids}
 
     # -- batch by batch ----------------------------------------------------------------------
 
@@ -170,41 +175,27 @@ class TransformationUnit(ComputationalUnit):
             rows.setdefault(objects, []).append(row)
         items = []
         for objects, places in rows.items():
-            chosen = np.array(places)
+            own = np.array(places)
             part = TupleBatch(
-                batch.available[chosen], batch.valid[chosen], tuple(inputs), (chosen,) * len(inputs)
+                batch.available[own], batch.valid[own], tuple(inputs), (own,) * len(inputs)
             )
             items.append((int(part.available[0]), (objects, part)))
-        made: list[tuple[Objects, SampleBatch]] = []
+        results: list[SampleBatch] = []
 
-        def step(time: int, item: tuple[Objects, TupleBatch]) -> tuple[Objects, SampleBatch] | None:
+        def step(time: int, item: tuple[Objects, TupleBatch]) -> SampleBatch | None:
             objects, part = item
             answer, state = self._call(objects, part)
-            checked = self._checked(answer, time, objects)
+            result = self._answers.batch(self._with_objects(answer, objects), time)
             self._states[objects] = state
-            return None if checked is None else (objects, checked)
+            return result
 
-        self._supervisor.run(items, step, lambda found: made.extend(filter(None, found)))
-        self._offer([part for _, part in made])
-
-    def _checked(self, answer: object, time: int, objects: Objects) -> SampleBatch | None:
-        if isinstance(answer, Report):
-            made = self._named(answer.answer, objects)
-            return self._answers.batch(replace(answer, answer=made), time)
-        return self._answers.batch(self._named(answer, objects), time)
-
-    def _named(self, answer: object, objects: Objects) -> object:
-        """The samples, with the objects that pass through."""
-        if isinstance(answer, SampleBatch) and self._carried:
-            named = dict(zip(self._id_fields, objects, strict=True))
-            columns = dict(answer.columns)
-            for field, output in self._carried:
-                columns[output] = _constant(self.output, output, named[field], len(answer))
-            return SampleBatch(answer.available, answer.valid, columns)
-        return answer
+        self._supervisor.run(
+            items, step, lambda found: results.extend(each for each in found if each is not None)
+        )
+        self._offer(results)
 
     def _offer(self, batches: Sequence[SampleBatch]) -> None:
-        """The objects' samples together, in order of available time."""
+        """Emit the samples of all objects in order of available time."""
         pools = self.output.stream.pools
         parts = [
             SampleBatch(
@@ -218,29 +209,23 @@ class TransformationUnit(ComputationalUnit):
             for batch in batches
         ]
         if parts:
-            whole = concatenate(parts)
-            self.output.emit(whole.take(np.argsort(whole.available, kind="stable")))
-        self._answers.offer_batches(())
+            batch = concatenate(parts)
+            self.output.emit(batch.take(np.argsort(batch.available, kind="stable")))
+        self._answers.offer_batches(())  # passes the reports on
 
     # -- the code ----------------------------------------------------------------------------
 
     def _call(self, objects: Objects, *arguments: Any) -> tuple[object, Any]:
-        """The pair ``(sample, new state)``."""
+        """Call the code; return the pair ``(sample, new state)``."""
         self._objects = objects
         instance = self._instances.get(objects)
         if instance is None:
-            instance = Instance(lambda: self.implementation.make(self._code))
+            instance = Instance(lambda: self.implementation.make(self._code_parameters))
             self._instances[objects] = instance
-        answer = instance.get()(*arguments, self._states.get(objects))
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise ProcessError(
-                f"a unit gives a pair (sample, new state), got {type(answer).__name__}: "
-                "`return None, state` gives no sample"
-            )
-        return answer
+        return check_pair(instance.get()(*arguments, self._states.get(objects)))
 
     def _restart(self) -> None:
-        """The object whose sample failed begins anew; the others go on."""
+        """Drop the state of the object whose sample failed; the others keep theirs."""
         self._states.pop(self._objects, None)
         self._instances.pop(self._objects, None)
 
@@ -249,7 +234,7 @@ class TransformationUnit(ComputationalUnit):
         self.output.end()
 
 
-def _converted(batch: SampleBatch, port: InputPort) -> Column:
+def _convert(batch: SampleBatch, port: InputPort) -> Column:
     column = batch.columns[port.field]
     if port.conversion.is_identity:
         return column

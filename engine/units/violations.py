@@ -1,7 +1,7 @@
-"""What a policy did not let through, as a stream of its own (SPEC §1: never lost from sight).
+"""The samples that a policy refused, as a stream of their own (SPEC §1: never lost from sight).
 
-The stream ``<name>_violations`` belongs to stream ``<name>``. It comes into being with the first
-sample that was not passed on, or when somebody asks for it.
+The stream ``<name>_violations`` belongs to stream ``<name>``. The first refused sample or the first
+request makes it.
 """
 
 from __future__ import annotations
@@ -19,20 +19,19 @@ from ...streams.string_pool import StringPool
 from ...streams.synchronization.synchronization import Late
 
 SUFFIX: Final = "_violations"
-"""Names of these streams end so."""
+"""The suffix of these names."""
 _LATE: Final = "late"
 
 
 class Violations:
     """The violations of one policy; ``open`` makes the stream when it is needed.
 
-    A sample is available when it was decided that the original is not passed on, and valid when
-    that was. ``reason`` is the kind of constraint, ``arrived`` the available time (ns) of the
-    original. Of one stream's subscription the fields of the original follow, under their names
-    (with ``_`` behind where those are taken); of a synchronization ``input`` says which it was, and
-    ``sample`` has its values as JSON.
+    A sample is available at the time of the decision, with the valid time of the original.
+    ``reason`` is the kind of constraint, ``arrived`` the available time (ns) of the original. For a
+    subscription the fields of the original follow, with ``_`` after a name that is taken. For a
+    synchronization ``input`` is the label of the input, and ``sample`` has the values as JSON.
 
-    Cost: O(n) numpy a batch of one stream's; Python per sample of a synchronization's.
+    Cost: O(n) numpy a batch for a subscription; Python per sample for a synchronization.
     """
 
     def __init__(self, open: Callable[[], StreamGenerator]) -> None:
@@ -43,18 +42,18 @@ class Violations:
 
     @property
     def stream(self) -> StreamGenerator:
-        """The stream, made now if nobody has needed it."""
+        """The stream; the first use makes it."""
         if self._stream is None:
             self._stream = self._open()
         return self._stream
 
     @property
     def name(self) -> str | None:
-        """The name of the stream; None as long as there is none."""
+        """The name of the stream; None before it is made."""
         return None if self._stream is None else self._stream.name
 
-    def dropped(self, dropped: Dropped) -> None:
-        """Samples that were not passed on to a subscription."""
+    def add_dropped(self, dropped: Dropped) -> None:
+        """Add samples that a subscription's policy has dropped."""
         batch = dropped.batch
         columns = {
             "reason": self._text(dropped.reasons.astype(np.int32), self._reasons),
@@ -64,8 +63,8 @@ class Violations:
             columns[f"{name}_" if name in columns else name] = column
         self._offer(dropped.at, batch.valid, columns)
 
-    def late(self, late: Late, label: str) -> None:
-        """Samples of the input ``label`` that no state has used."""
+    def add_late(self, late: Late, label: str) -> None:
+        """Add samples of the input ``label`` that are in no state."""
         batch, count = late.batch, len(late.batch)
         reason = str(late.constraint) if str(late.constraint) == "order" else _LATE
         texts = [
@@ -78,13 +77,13 @@ class Violations:
             "reason": self._text(codes, self._reasons),
             "input": self._text(self._inputs.encode([label] * count), self._inputs),
             "arrived": Column(FieldType.INTEGER, batch.available),
-            # A pool for each time: each sample is another text, and the stream forgets them.
+            # A new pool each time: the texts all differ, and the stream's pool frees old ones.
             "sample": self._text(samples.encode(texts), samples),
         }
         self._offer(late.at, batch.valid, columns)
 
     def end(self) -> None:
-        """The stream they belong to has come to its end."""
+        """End the stream, since the policy's output has ended."""
         if self._stream is not None:
             self._stream.end()
 

@@ -165,11 +165,11 @@ class WindowUnit(ComputationalUnit):
         """Promise that the output brings nothing before ``watermark`` any more."""
         self.output.advance(watermark)
 
-    def tell_idle(self, is_idle: bool) -> None:
+    def set_output_idle(self, is_idle: bool) -> None:
         if self._has_due_windows:
             self._pending_idle = is_idle
         else:
-            super().tell_idle(is_idle)
+            super().set_output_idle(is_idle)
 
     def _advance_output(self) -> None:
         """Advance the output to the inputs' watermark, unless windows have to close before."""
@@ -188,7 +188,7 @@ class WindowUnit(ComputationalUnit):
             self.end_output()
         if self._pending_idle is not None:
             is_idle, self._pending_idle = self._pending_idle, None
-            self.tell_idle(is_idle)
+            self.set_output_idle(is_idle)
 
     def report_overruns(self) -> None:
         """Report windows that exceeded their budget. Raises `Quarantined` for too many in a row:

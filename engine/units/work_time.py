@@ -1,6 +1,6 @@
-"""How long units work: each one's own time, without that of units that its output sets to work.
+"""The time that each unit works, without the time of the units that read its output.
 
-The engine reads no clock; whoever runs it gives it a stopwatch, or does not want to know.
+The engine reads no clock: the service gives it a stopwatch, and without one nothing is measured.
 """
 
 from __future__ import annotations
@@ -9,29 +9,30 @@ from collections.abc import Callable
 from typing import Protocol
 
 Stopwatch = Callable[[], int]
-"""Nanoseconds since some moment; never less than before."""
+"""Returns nanoseconds since some moment; the value never decreases."""
 
 
 class Busy(Protocol):
-    """Whose time is measured."""
+    """An object whose working time is measured."""
 
     busy: int
 
 
 class BusyTime:
-    """Measures the work of all units of an engine, which is nested: a unit's output calls the next.
+    """Measures the work of all units of an engine. It is nested: a unit's output calls the next
+    unit.
 
-    Law (tests/engine): the times of all units add up to the time of the outermost works. Cost: two
-    looks at the stopwatch a call.
+    Law (tests/engine): the times of all units add up to the time of the outermost calls. Cost: two
+    readings of the stopwatch a call.
     """
 
     def __init__(self, stopwatch: Stopwatch) -> None:
         self._stopwatch = stopwatch
         self._within = 0
-        """What the works took that the present one has set to work."""
+        """The time of the nested calls within the present one."""
 
     def run(self, unit: Busy, work: Callable[[], None]) -> None:
-        """Do ``work``; what it takes, less what others take meanwhile, is the unit's ``busy``."""
+        """Do ``work``, and add its time without nested calls to the unit's ``busy``."""
         outer, self._within = self._within, 0
         begin = self._stopwatch()
         try:

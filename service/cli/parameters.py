@@ -69,11 +69,11 @@ START: Final = "start"
 def _checked(text: str) -> str:
     if text in (NOW, START):
         return text
-    from ...engine.model.beginning import beginning_of
+    from ...engine.model.beginning import parse_beginning
     from ...engine.model.errors import BadArguments
 
     try:
-        beginning_of(text)
+        parse_beginning(text)
     except BadArguments as error:
         raise typer.BadParameter(f"{error.detail}: {error.hint}") from error
     return text

@@ -58,7 +58,7 @@ async def publish_live(
         return Response(status_code=400)  # nobody reads it
     except Exception as error:
         if isinstance(error, AheadOfClock):
-            service.engine.intake.refuse_ahead(name)
+            service.engine.intake.count_ahead(name)
         # What the answer says of it holds.
         await service.keeper.settled()
         raise _refusal(error, live) from error

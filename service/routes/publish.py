@@ -98,6 +98,6 @@ async def publish_samples(
     try:
         batch.check_ahead(service.engine, incoming)
     except AheadOfClock:
-        service.engine.intake.refuse_ahead(name)
+        service.engine.intake.count_ahead(name)
         raise
     return AcceptedModel.of(await service.do(batch, incoming), incoming.rounded)

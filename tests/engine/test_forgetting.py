@@ -11,7 +11,7 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.model.result_windows import KeptWindows
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.engine.planning import query_start
-from dyknow.engine.units.merge import Whose, _Naming
+from dyknow.engine.units.merge import ObjectName, _ObjectEncoder
 from dyknow.rdf import dictionary as module
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.sample import Column, Field, FieldType, SampleBatch
@@ -63,12 +63,12 @@ def test_an_hour_of_new_names_is_flat(integers, monkeypatch) -> None:
 
 def test_merged_objects_keep_their_names() -> None:
     dictionary, own, pool = TermDictionary(), StringPool(), StringPool()
-    naming = _Naming(Whose(None, "id"), dictionary, {"object": pool}, "object", None)
+    encoder = _ObjectEncoder(ObjectName(None, "id"), dictionary, {"object": pool}, "object", None)
     for turn in range(6):
         names = [f"o{turn}", "always", f"o{turn - 2}"][:: 1 if turn % 2 else -1]
         times = np.arange(3, dtype=np.int64)
         column = Column(FieldType.STRING, own.encode(names), None, own)
-        codes, known = naming.of(SampleBatch(times, times, {"id": column}))
+        codes, known = encoder.encode(SampleBatch(times, times, {"id": column}))
         assert [pool[code] for code in codes.tolist()] == names
         assert known.all()
         dictionary._sweep()

@@ -242,11 +242,11 @@ def test_registered_transformations_survive_a_restart(processes, tmp_path):
 def test_a_unit_in_use_is_not_forgotten(robot):
     robot.annotate("source gps provides v:GPS(self)")
     view = robot.subscribe_to_feature("GPS", objects=["self"])
-    with pytest.raises(Conflict, match="used by dyknow_cu"):
+    with pytest.raises(Conflict, match="has units: dyknow_cu"):
         robot.transformations.remove("gps")
     robot.unsubscribe(view.id)
     robot.transformations.remove("gps")
-    with pytest.raises(Conflict, match="comes with the system"):
+    with pytest.raises(Conflict, match="is built in"):
         robot.transformations.remove("coordinatesToSpeed")
 
 

@@ -7,7 +7,7 @@ import pytest
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import Conflict, UnknownFeature, UnknownStream
-from dyknow.engine.model.object_sets import sets_of
+from dyknow.engine.model.object_sets import read_sets
 from dyknow.engine.processes.registry import Processes
 from dyknow.languages.errors import LanguageError
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -241,7 +241,7 @@ def test_a_set_that_names_nothing_is_told_and_left_out(engine):
     assert "speed[car2]" in labels(engine)
     view, _ = engine.kpl_declaration("foreach car in cars: pos[car], speed[car]")
     assert view.errors == 1
-    assert "no JSON list" in view.last_error
+    assert "not a JSON list" in view.last_error
 
 
 def test_removal(engine):
@@ -360,22 +360,24 @@ def test_a_sink_that_fails_is_told(engine, processes):
 def test_ways_to_write_a_set(text, found):
     schema = Schema((Field("other", FieldType.FLOAT), Field("value", FieldType.STRING)))
     batch = batch_from_rows(schema, [(7, 0, {"other": 1.0, "value": text})])
-    assert list(sets_of(batch)) == [(7, found)]
+    assert list(read_sets(batch)) == [(7, found)]
 
 
 @pytest.mark.parametrize("text", ["[car1", "[1]", "[" * 100_000, '["\\ud800"]', '[""]', "[{}]"])
 def test_what_is_no_set_says_why(text):
     schema = Schema((Field("value", FieldType.STRING),))
-    ((_, reason),) = sets_of(batch_from_rows(schema, [(0, 0, {"value": text})]))
+    ((_, reason),) = read_sets(batch_from_rows(schema, [(0, 0, {"value": text})]))
     assert isinstance(reason, str)
     assert len(reason) < 150
 
 
 def test_numbers_name_objects_too():
     schema = Schema((Field("mmsi", FieldType.INTEGER),))
-    assert list(sets_of(batch_from_rows(schema, [(0, 0, {"mmsi": 265})]))) == [(0, ("265",))]
+    assert list(read_sets(batch_from_rows(schema, [(0, 0, {"mmsi": 265})]))) == [(0, ("265",))]
     floats = batch_from_rows(Schema((Field("x", FieldType.FLOAT),)), [(0, 0, {"x": 1.0})])
-    assert list(sets_of(floats)) == [(0, "no field names objects: there is no text among x")]
+    assert list(read_sets(floats)) == [
+        (0, "no field names objects: there is no text or integer among x")
+    ]
 
 
 def test_what_is_told_of_streams_that_others_replace_is_told_in_one_order():

@@ -325,7 +325,7 @@ def test_a_key_goes_with_its_stream(engine):
 
 def test_names_of_the_ontology_are_not_for_code(engine, processes):
     processes.computational_unit("float", ["float"], name="Stream")(lambda t, s, i: (None, i))
-    with pytest.raises(Refused, match="system's own"):
+    with pytest.raises(Refused, match="the system uses the name"):
         engine.add_kpl("compunit float Stream(float)")
 
 

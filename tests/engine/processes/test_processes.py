@@ -168,11 +168,11 @@ def test_an_open_output_is_fixed_by_its_first_sample():
         ({"y": 1.0}, "field 'x' is missing"),
         ({"x": 1.0, "y": 1.0}, "no field 'y'"),
         ({1: 1.0, "x": 1.0}, "no field 1"),
-        (Sample(1, 5.0), "values of a sample are a mapping"),
-        (Sample(1.5, {"x": 1.0}), "valid time is an integer in ns, got float"),
+        (Sample(1, 5.0), "values of a sample must be a mapping"),
+        (Sample(1.5, {"x": 1.0}), "valid time must be an integer in ns, not float"),
         (Sample(2**63, {"x": 1.0}), "outside signed 64-bit"),
         (Sample(1, {"x": 1.0}, 9), "made at 10 cannot have been available at 9"),
-        (Sample(1, {"x": 1.0}, "now"), "available time is an integer"),
+        (Sample(1, {"x": 1.0}, "now"), "available time must be an integer"),
     ],
 )
 def test_what_a_unit_must_not_give(answer, problem):
@@ -192,7 +192,7 @@ def test_a_unit_gives_a_pair(answer):
     pos = stream(v="integer")
     made = unit(lambda t, s, state: answer, [pos], on_error="skip")
     offer(pos, (1, 1, 0))
-    assert "gives a pair (sample, new state)" in made.counters.last_error
+    assert "returns a pair (sample, new state)" in made.counters.last_error
 
 
 def test_an_open_output_wants_values_of_known_types():
@@ -449,7 +449,7 @@ def test_an_error_that_cannot_be_shown_is_told_all_the_same():
     pos, events = stream(v="integer"), Events()
     made = unit(fail, [pos], events=events, on_error="skip")
     offer(pos, (1, 1, 0), (2, 2, 0))
-    assert "Silent: (its text cannot be had: ValueError)" in events[0][1]
+    assert "Silent: (its text raised ValueError)" in events[0][1]
     assert len(made.counters.last_error) == 500
     assert "\n" not in made.counters.last_error
     made.counters.last_error.encode()
@@ -465,22 +465,25 @@ def column(kind, values, **more):
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda t: [1.0], "gives a SampleBatch or None, got list"),
+        (lambda t: [1.0], "returns a SampleBatch or None, not list"),
         (
             lambda t: SampleBatch(t - 1, t, {"x": column("float", [1])}),
             "cannot have been available",
         ),
-        (lambda t: SampleBatch(t, t[:0], {"x": column("float", [1])}), "1 available and 0 valid"),
+        (
+            lambda t: SampleBatch(t, t[:0], {"x": column("float", [1])}),
+            "1 available times, but 0 valid",
+        ),
         (lambda t: SampleBatch(t, t * 1.0, {"x": column("float", [1])}), "int64"),
         (lambda t: SampleBatch(t, t, {"x": column("float", [np.nan])}), "'x' must be finite"),
         (lambda t: SampleBatch(t, t, {"x": column("float", [1, 2])}), "another length"),
         (lambda t: SampleBatch(t, t, {"x": column("integer", [1])}), "the output has x (float)"),
         (lambda t: SampleBatch(t, t, {"y": column("float", [1])}), "the output has x (float)"),
         (lambda t: SampleBatch(t, t, {}), "the batch has no fields"),
-        (lambda t: SampleBatch(t, t, {"x": column("string", [0])}), "text has a pool"),
+        (lambda t: SampleBatch(t, t, {"x": column("string", [0])}), "a string column needs a pool"),
         (
             lambda t: SampleBatch(t, t, {"x": Column(FieldType.FLOAT, np.ones(1, np.float32))}),
-            "float64, got float32",
+            "must be float64, not float32",
         ),
     ],
 )

@@ -52,17 +52,20 @@ def test_a_name_is_registered_once():
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda r: r.computational_unit("speed", "pos")(f), "inputs is a list"),
-        (lambda r: r.computational_unit("speed", [])(f), "inputs is a list"),
-        (lambda r: r.computational_unit("sp eed", ["pos"])(f), "a value sort is a name"),
-        (lambda r: r.computational_unit("speed", ["1"])(f), "a value sort is a name"),
+        (lambda r: r.computational_unit("speed", "pos")(f), "inputs must be a list"),
+        (lambda r: r.computational_unit("speed", [])(f), "inputs must be a list"),
+        (lambda r: r.computational_unit("sp eed", ["pos"])(f), "a value sort must be a name"),
+        (lambda r: r.computational_unit("speed", ["1"])(f), "a value sort must be a name"),
         (lambda r: r.computational_unit("s", ["p"])(lambda t, s, i: None), "name of a process"),
         (lambda r: r.computational_unit("s", ["p"])(5), "a function or a class"),
         (lambda r: r.computational_unit("s", ["p"])(type("No", (), {})), "cannot be called"),
-        (lambda r: r.computational_unit("s", ["p"], on_error="retry")(f), "on_error is restart"),
+        (
+            lambda r: r.computational_unit("s", ["p"], on_error="retry")(f),
+            "on_error must be one of restart",
+        ),
         (lambda r: r.computational_unit("s", ["p"], restarts=-1)(f), "restarts"),
         (lambda r: r.computational_unit("s", ["p"], deadline="soon")(f), "deadline: "),
-        (lambda r: r.sampled("s", "0s")(f), "period is longer than nothing"),
+        (lambda r: r.sampled("s", "0s")(f), "period must be more than 0"),
         (lambda r: r.sampled("s", 100)(f), "period: "),
     ],
 )
@@ -86,7 +89,7 @@ def test_look_ups_say_what_there_is():
     registry.consumer(["pos"], name="log")(f)
     with pytest.raises(UnknownFeature, match=r"no process called 'SpeedEst'.*there are: log"):
         registry.unit("SpeedEst")
-    with pytest.raises(UnknownFeature, match="'log' is no source"):
+    with pytest.raises(UnknownFeature, match="'log' is not a source"):
         registry.source("log")
 
 

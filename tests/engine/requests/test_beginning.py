@@ -112,7 +112,7 @@ def test_another_text_is_refused(flying, text):
         lambda: flying.subscribe_to_feature("speed", sort="UAV", since=text),
         lambda: flying.queries.register(QUERY, since=text),
     ):
-        with pytest.raises(BadArguments, match="neither now, start, a time nor a duration"):
+        with pytest.raises(BadArguments, match="not now, start, a time or a duration"):
             ask()
 
 

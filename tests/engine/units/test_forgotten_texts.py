@@ -215,7 +215,7 @@ def test_samples_that_came_too_late_for_a_state_are_forgotten() -> None:
     schema = Schema((Field("note", FieldType.STRING),))
     for number in range(300):
         batch = batch_from_rows(schema, [(number, number, {"note": f"told{number}"})])
-        violations.late(Late(0, batch, Constraint.ORDER, batch.available), "f[o]")
+        violations.add_late(Late(0, batch, Constraint.ORDER, batch.available), "f[o]")
     gc.collect()
     pools = [found for found in gc.get_objects() if isinstance(found, StringPool)]
     told = [sum("told" in text for text in pool.strings()) for pool in pools]

@@ -52,7 +52,7 @@ def test_a_namespace_is_an_iri(http: httpx.Client, namespace: str) -> None:
     declaration = fields(("id", "string")) | {"namespace": namespace}
     answer = http.put("/streams/z", json=declaration)
     assert answer.status_code == 400
-    assert "no IRI" in answer.json()["detail"]
+    assert "not an IRI" in answer.json()["detail"]
     assert http.get("/streams/z").status_code == 404
 
 
