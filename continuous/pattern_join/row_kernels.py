@@ -48,7 +48,7 @@ LOST = -2
 """Where a row is that has gone."""
 
 DONE, UNORDERED = 0, -1
-"""The answers of `turn`; else how many more rows there has to be room for."""
+"""The answers of `select`; else how many more rows there has to be room for."""
 
 
 def _wait(
@@ -87,7 +87,7 @@ def _wait(
         pending_times[start + n] = times[row]
 
 
-def _turn(
+def _select_rows(
     # By window, its bounds; by sort that was met, the windows, slots and classes it stands for.
     lows: Any,
     highs: Any,
@@ -363,7 +363,7 @@ def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
                 heads[bucket] = n
 
 
-def _of_turn() -> Any:
+def _of_select_rows() -> Any:
     from numba import types
 
     int32s, int64s, int32_rows = types.int32[::1], types.int64[::1], types.int32[:, ::1]
@@ -432,6 +432,6 @@ def chain_heads(
 
 
 wait = Kernel(_wait, _of_wait)
-turn = Kernel(_turn, _of_turn)
+select_rows = Kernel(_select_rows, _of_select_rows)
 pack = Kernel(_pack, _of_pack)
 link = Kernel(_link, _of_link)

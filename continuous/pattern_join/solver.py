@@ -89,7 +89,7 @@ class PatternJoin:
         encoded = terms.encoded(ObjectColumn(Kind.TERM, self._named.ids))
         self.constant_tags, self.constant_bits = encoded
         self._uniform = np.zeros(len(self._shown), np.int8)
-        self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
+        self._kept, self._seen, self._seen_selection = 0, 0, _NEVER
         """So many solutions are known, of so many rows, as of this turn."""
         self._entered = np.zeros(len(slots), np.int64)
         self._solutions: NDArray[np.int32] = np.empty((0, len(rows) + 1), np.int32)
@@ -114,7 +114,7 @@ class PatternJoin:
         """The solutions over these rows; None where a filter has to be judged by
         `expression_evaluation`."""
         # What came in a turn that it has not seen may have gone: then it is not told what is new.
-        whole = self._seen_turn != rows.turns - 1
+        whole = self._seen_selection != rows.selections - 1
         if whole:
             self._kept = 0
         most = _FIRST_CAPACITY + _MOST * rows.count
@@ -169,7 +169,7 @@ class PatternJoin:
         keeps = found <= most and self._solutions.shape[1] > 0
         relation = Relation(self._columns(found, copied=keeps), found)
         if keeps:
-            self._kept, self._seen, self._seen_turn = found, rows.count, rows.turns
+            self._kept, self._seen, self._seen_selection = found, rows.count, rows.selections
             self._entered = rows.entered.copy()
             if self._bits.shape[1] > 8 * max(found, _FIRST_CAPACITY):
                 self._make_room(2 * found)
@@ -195,7 +195,7 @@ class PatternJoin:
 
     def forget(self) -> None:
         """No solution is known."""
-        self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
+        self._kept, self._seen, self._seen_selection = 0, 0, _NEVER
 
     def moved(self, moved: NDArray[np.int64]) -> None:
         """Rows have gone to these places."""
@@ -270,7 +270,7 @@ class PatternSolver:
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept, _joins=_by_identity(kept["_parts"]))
 
-    def turn(self, lows: NDArray[np.int64], highs: NDArray[np.int64]) -> None:
+    def select(self, lows: NDArray[np.int64], highs: NDArray[np.int64]) -> None:
         """The windows whose bounds these are: what `solve` is about from now on."""
         version = self.static.background.version
         if version != self._version:
@@ -279,7 +279,7 @@ class PatternSolver:
                 for join in self._joins.values():
                     join.forget()
             self._version = version
-        self._move(self.rows.turn(lows, highs, self._sorts(), self._static_rows.arrays))
+        self._move(self.rows.select(lows, highs, self._sorts(), self._static_rows.arrays))
 
     def drop(self) -> None:
         """Forget what has left the windows."""

@@ -35,7 +35,7 @@ from .row_kernels import (
     chain_heads,
     link,
     pack,
-    turn,
+    select_rows,
     wait,
 )
 from .static_rows import StaticArrays
@@ -52,7 +52,7 @@ class PatternRows:
     ``windows``: the graph of each window, by its number. ``once``, ``needed``: by slot whether
     equal triples count once, and which chains joins walk along (`row_kernels`).
 
-    Law: what is visible after `turn` are the triples within the bounds, however they came; rows of
+    Law: `select` makes the triples within the bounds visible, however they came; rows of
     a slot stand in order of evaluation, time, window and kind.
     """
 
@@ -69,8 +69,8 @@ class PatternRows:
         self.terms = terms
         self.sorts: dict[int, int] = {}
         """The sorts of annotations that have been met, numbered."""
-        self.turns = 0
-        """How often `turn` was called."""
+        self.selections = 0
+        """How often `select` was called."""
         self.needed = needed
         self._once = once
         self._waiting: list[tuple[Any, ...]] = []
@@ -201,7 +201,7 @@ class PatternRows:
                     found[self.terms.dictionary.transient_id(slot.predicate)] = number
         return found
 
-    def turn(
+    def select(
         self,
         lows: NDArray[np.int64],
         highs: NDArray[np.int64],
@@ -215,10 +215,10 @@ class PatternRows:
         self._take_in()
         if not self._ordered:
             self._order()
-        self.turns += 1
+        self.selections += 1
         moved = None
         while True:
-            answer = turn(
+            answer = select_rows(
                 lows,
                 highs,
                 *sorts,
@@ -264,7 +264,7 @@ class PatternRows:
 
     def compact(self, wanted: int = 0) -> NDArray[np.int64]:
         """Rows that have gone are dropped, and there is room for so many more, and for as many
-        again; returns as `turn`."""
+        again; returns as `select`."""
         wanted += int(self.marks[KEPT])
         moved = np.empty(self.count, np.int64)
         pack(self.rows, self._times, self._details, self._swept, self.marks, moved)
@@ -281,8 +281,8 @@ class PatternRows:
         return moved
 
     def start_anew(self) -> None:
-        """All rows come again at the next `turn`: what is static, or what sorts mean, is other than
-        it was."""
+        """All rows come again at the next `select`: what is static, or what sorts mean, has
+        changed."""
         at = self._told()
         rows, times, windows = self.rows[at], self._times[at], self._details[at, WINDOW]
         self._take_in()

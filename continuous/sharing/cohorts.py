@@ -39,11 +39,11 @@ from ..estimation.estimates import estimate
 from ..estimation.input_rates import Flow
 from ..estimation.pattern_sizes import Known
 from ..evaluation.execution import Execution, WindowRows
-from ..evaluation.solver import Reading, Solver
+from ..evaluation.solver import QueryBody, Solver
 from ..operators.executor import distinct, execute, united
 from ..operators.result_forms import finish
 from ..operators.sources import StaticSide
-from ..windows.window_schedule import Windowing
+from ..windows.window_schedule import OpenWindows
 from .instance_results import Apart, Common, Joined
 from .instance_table import INSTANCE, InstanceTable
 
@@ -66,7 +66,7 @@ class Alone:
     """Instances with the same arguments, evaluated as their own query is."""
 
     def __init__(
-        self, query: ContinuousQuery, windows: Windowing, static: StaticSide, place: Place
+        self, query: ContinuousQuery, windows: OpenWindows, static: StaticSide, place: Place
     ) -> None:
         self.place = place
         self._solver = Solver(query, windows, static)
@@ -109,7 +109,7 @@ class Together:
     def __init__(
         self,
         own: OwnQuery,
-        windows: Windowing,
+        windows: OpenWindows,
         static: StaticSide,
         place: Place,
         joint: Joint,
@@ -249,7 +249,7 @@ class Together:
 
 
 def joint_of(
-    windows: Windowing,
+    windows: OpenWindows,
     query: ContinuousQuery,
     arguments: Mapping[str, Term],
     fixed: tuple[str, ...] = (),
@@ -261,17 +261,17 @@ def joint_of(
         why = f"{query.operator} compares the results of an instance"
         return None, dict.fromkeys(arguments, why)
     bound = bind(query, {Variable(name): term for name, term in arguments.items()})
-    reading = Reading.of(bound, windows.schedule)
+    body = QueryBody.of(bound, windows.schedule)
     before = {variable.value: term for variable, term in query.bindings.items()}
-    for name in arguments.keys() & _graph_names(reading.tree):
+    for name in arguments.keys() & _graph_names(body.tree):
         reasons[name] = f"?{name} is a graph"
     try:
-        head = reading.translated({**before, **arguments}).head
+        head = body.translate({**before, **arguments}).head
         while True:
             names = [name for name in arguments if name not in reasons]
             if not names:
                 return None, reasons
-            found = reading.translated(before | {name: arguments[name] for name in reasons})
+            found = body.translate(before | {name: arguments[name] for name in reasons})
             shown = head if isinstance(head, Select) else found.head
             plan, _ = optimize(found.plan)
             try:

@@ -26,7 +26,7 @@ from ..columns.budget import UNLIMITED, Budget
 from ..estimation.estimates import estimate
 from ..estimation.input_rates import NOTHING_KNOWN, Flow
 from ..estimation.pattern_sizes import Known
-from ..evaluation.solver import Reading
+from ..evaluation.solver import QueryBody
 from ..incremental.aggregate_shape import shape_of
 from ..operators.background import Background
 from ..operators.entailment import Asked
@@ -81,7 +81,7 @@ def form_of(
     windows = schedule(query, inputs, options)
     _refuse(own_windows(query, windows, options))
     try:
-        found = Reading.of(query, windows).translated({})
+        found = QueryBody.of(query, windows).translate({})
     except (Unsupported, ValueError) as error:
         raise Unshared(f"it runs on Oxigraph, because of {error}") from error
     _refuse(own_solutions(found))
@@ -229,7 +229,7 @@ class AlikeEvaluator(SharedWindows):
         told = "costs a window, of all of them: rows out, own time (estimates are rough):"
         return "\n".join([first, *own, *rest, told, *costs])
 
-    def _closed(self, end: int, reports: bool) -> bool:
+    def _evaluate(self, end: int, reports: bool) -> bool:
         self._cohort.fold(end)
         if reports and self._queries:
             parts = self._cohort.results(end, reports=reports)

@@ -20,7 +20,7 @@ from ..algebra.options import Options
 from ..algebra.plan import Ask
 from ..algebra.template_parameters import confined, described
 from ..columns.budget import UNLIMITED, Budget
-from ..evaluation.solver import Reading
+from ..evaluation.solver import QueryBody
 from ..operators.background import Background
 from .cohorts import Alone, Place, Together, joint_of
 from .instance_results import Apart, Common, InstanceResults, Joined
@@ -117,8 +117,8 @@ class TemplateEvaluator(SharedWindows):
         windows = self._windows
         if own_windows(self.query, windows.schedule, windows.options):
             return None
-        reading = Reading.of(bind(self.query, arguments), windows.schedule)
-        if own_solutions(reading.translated(given)):
+        body = QueryBody.of(bind(self.query, arguments), windows.schedule)
+        if own_solutions(body.translate(given)):
             return None
         if one_by_one and windows.entailment.tells_of_objects(streamed):
             return None
@@ -200,7 +200,7 @@ class TemplateEvaluator(SharedWindows):
         self._cohorts[key] = self._serials[place.serial] = made
         return made
 
-    def _closed(self, end: int, reports: bool) -> bool:
+    def _evaluate(self, end: int, reports: bool) -> bool:
         """The window that ends at ``end`` has closed: the result of every cohort."""
         parts: list[Common | Apart | Joined] = []
         if reports or self._windows.differs:

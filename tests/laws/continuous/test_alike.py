@@ -22,7 +22,7 @@ from dyknow.continuous.algebra.constant_lifting import (
 from dyknow.continuous.algebra.expressions import Var
 from dyknow.continuous.algebra.options import Options
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
-from dyknow.continuous.evaluation.solver import Reading
+from dyknow.continuous.evaluation.solver import QueryBody
 from dyknow.continuous.sharing import cohorts
 from dyknow.continuous.sharing.similar_queries import (
     AlikeEvaluator,
@@ -222,7 +222,7 @@ def test_a_form_with_the_constants_put_back_is_the_query(body, one, other):
     forms = []
     for chosen in (one, other):
         query = query_of(body, (3, 1), chosen)
-        found = Reading.of(query, schedule(query, [INPUT], Options())).translated({})
+        found = QueryBody.of(query, schedule(query, [INPUT], Options())).translate({})
         form = lifted(found)
         assert lowered(form.query, form.constants) == found
         forms.append(form)
