@@ -16,7 +16,7 @@ from ..algebra.options import Options
 from ..columns.budget import UNLIMITED, Budget
 from ..estimation.input_rates import Flow
 from ..operators.background import Background
-from ..operators.entailment import Asked
+from ..operators.entailment import PatternNeeds
 from ..operators.profile import Profile
 from ..operators.results import WindowResult
 from .solver import Solver
@@ -56,7 +56,7 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
         self._solver = Solver(query, self._windows, self._static, alone=True)
         if self._solver.translated is not None:
-            self._windows.entailment.asked = Asked.by(self._solver.translated.plan)
+            self._windows.entailment.needs = PatternNeeds.of(self._solver.translated.plan)
 
     @property
     def profile(self) -> Profile | None:

@@ -205,7 +205,7 @@ class Solver:
                 "" if oxigraph.counting is not None else oxigraph.merges,
                 self.known(flows),
                 () if execution is None else execution.served,
-                tuple(self.windows.entailment.described()),
+                tuple(self.windows.entailment.describe()),
                 self.profile,
             )
         )

@@ -27,7 +27,7 @@ from ..columns.budget import (
 )
 from ..columns.relation import TermValues
 from ..operators.background import Background
-from ..operators.entailment import Asked, StreamEntailment
+from ..operators.entailment import PatternNeeds, StreamEntailment
 from ..operators.sources import StaticSide
 from ..windows.grid import schedule
 from ..windows.window_schedule import OpenWindows
@@ -59,8 +59,8 @@ class WindowedEvaluator(ABC, Generic[Result]):
         """Why a replay skips the next window: it was stopped when it closed first. Or empty."""
         self.options = options or Options()
         self._results: list[Result] = []
-        needs = partial(_pattern_needs, query, tuple(inputs), self.options)
-        entailment = StreamEntailment(background, terms, needs)
+        find_needs = partial(_pattern_needs, query, tuple(inputs), self.options)
+        entailment = StreamEntailment(background, terms, find_needs)
         self._windows = OpenWindows(query, terms, inputs, self.options, entailment)
         self._static = StaticSide(background, terms)
 
@@ -166,9 +166,11 @@ class WindowedEvaluator(ABC, Generic[Result]):
         return self.take_results()
 
 
-def _pattern_needs(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> Asked:
+def _pattern_needs(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> PatternNeeds:
     """Return what the patterns of the query read, with its parameters unbound."""
     try:
-        return Asked.by(QueryBody.of(query, schedule(query, inputs, options)).translate({}).plan)
+        return PatternNeeds.of(
+            QueryBody.of(query, schedule(query, inputs, options)).translate({}).plan
+        )
     except (Unsupported, ValueError):
-        return Asked()
+        return PatternNeeds()

@@ -29,7 +29,7 @@ from ..estimation.pattern_sizes import Known
 from ..evaluation.solver import QueryBody
 from ..incremental.aggregate_shape import shape_of
 from ..operators.background import Background
-from ..operators.entailment import Asked
+from ..operators.entailment import PatternNeeds
 from ..operators.sources import StaticSide
 from ..pattern_join.plan_cut import pattern_parts, served_parts
 from ..windows.grid import Schedule, schedule
@@ -179,7 +179,7 @@ class AlikeEvaluator(SharedWindows):
         budget: Budget = UNLIMITED,
     ) -> None:
         super().__init__(query, dictionary, background, inputs, form.options, budget)
-        self._windows.entailment.asked = Asked.by(form.joint(pattern).plan)
+        self._windows.entailment.needs = PatternNeeds.of(form.joint(pattern).plan)
         self.pattern = pattern
         self._queries: dict[int, ContinuousQuery] = {}
         self._next = 0

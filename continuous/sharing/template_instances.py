@@ -120,7 +120,7 @@ class TemplateEvaluator(SharedWindows):
         body = QueryBody.of(bind(self.query, arguments), windows.schedule)
         if own_solutions(body.translate(given)):
             return None
-        if one_by_one and windows.entailment.tells_of_objects(streamed):
+        if one_by_one and windows.entailment.entails_of_objects(streamed):
             return None
         # ASK says no as well.
         alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)
