@@ -26,7 +26,7 @@ from ...streams.time import format_time
 from ..algebra.from_sparql import Graphs
 from ..algebra.plan import DEFAULT
 from ..algebra.unsupported import Unsupported
-from ..columns.oxigraph_port import NOTHING, Found, Kept, Table
+from ..columns.oxigraph_port import NO_QUADS, SparqlResult, StoredQuads, Table
 from ..columns.relation import TermValues, term_column
 from ..operators.results import Solutions, WindowResult
 from ..operators.sources import StaticSide, distinct_ids
@@ -66,7 +66,7 @@ class OxigraphWindows:
         self.seed = seed
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
-        self._kept = NOTHING
+        self._kept = NO_QUADS
 
     @cached_property
     def query(self) -> ast.Query:
@@ -125,11 +125,11 @@ class OxigraphWindows:
         merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
         budget = self.terms.budget
         with budget.pauses.released(waits=True):
-            found = budget.asking.ask(text.at(end), self._kept, asked)
+            found = budget.oxigraph.ask(text.at(end), self._kept, asked)
         found = self._named_again(found, end, asked)
         return replace(self._read(found, start, end), merged=merged)
 
-    def _named_again(self, found: Found, end: int, asked: Iterable[Quad]) -> Found:
+    def _named_again(self, found: SparqlResult, end: int, asked: Iterable[Quad]) -> SparqlResult:
         """What was found, with blank nodes that the query has made named by the window: Oxigraph
         calls them otherwise each time, and a window may be computed again."""
         if isinstance(found, bool):
@@ -148,7 +148,7 @@ class OxigraphWindows:
             return Table(found.variables, again)
         return [Triple(*(names.get(term, term) for term in triple)) for triple in found]
 
-    def _read(self, found: Found, start: int, end: int) -> WindowResult:
+    def _read(self, found: SparqlResult, start: int, end: int) -> WindowResult:
         dictionary = self.terms.dictionary
         if isinstance(found, bool):
             return WindowResult(start, end, answer=found)
@@ -182,7 +182,7 @@ class OxigraphWindows:
                 for s, p, o in background.triples(name)
                 if _is_node(s)
             ]
-            self._kept = Kept([*self._quads, *named_quads])
+            self._kept = StoredQuads([*self._quads, *named_quads])
         return self._quads
 
     def _content(

@@ -146,14 +146,14 @@ class PatternJoin:
                     self._tags,
                     self._bits,
                     self._uniform,
-                    self.terms.budget.looks,
+                    self.terms.budget.row_visits,
                 )
             if found == DOUBTFUL:
                 self.forget()
                 return None
             if found == OVERSPENT:
                 self.forget()
-                looks = self.terms.budget.looks
+                looks = self.terms.budget.row_visits
                 raise BudgetExceeded(f"a join looks at more than {looks} rows for a window")
             try:
                 self.terms.budget.check(found, "a join")

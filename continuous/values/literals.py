@@ -61,7 +61,7 @@ class Worth:
     long: Decimal | None = None
 
 
-def worth_of(term: Term) -> Worth:
+def value_of(term: Term) -> Worth:
     if not isinstance(term, Literal):
         return Worth(Sort.NODE)
     datatype, text = term.datatype.value, term.value
@@ -106,7 +106,7 @@ def canonical(term: Term) -> Term:
     datatype = term.datatype.value
     if datatype == XSD + "string":
         return term
-    found = worth_of(term)
+    found = value_of(term)
     match found.sort:
         case Sort.INTEGER:
             return Literal(str(found.integer), datatype=DATATYPES[Kind.INTEGER])

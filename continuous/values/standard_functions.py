@@ -17,7 +17,7 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions, Store
 from ...rdf.dictionary import Term
 from ...sparql.terms import term_text
 from .decimals import of_code
-from .literals import Sort, Worth, worth_of
+from .literals import Sort, Worth, value_of
 
 TRUTH: Final = NamedNode("urn:dyknow:truth")
 ORDER: Final = {
@@ -33,7 +33,7 @@ _TESTS: Final[dict[str, Callable[[Any, Any], bool]]] = {
 
 
 def _truth(term: Term) -> Literal | None:
-    worth = worth_of(term)
+    worth = value_of(term)
     return None if worth.sort in (Sort.NODE, Sort.OTHER) else Literal(worth.true)
 
 
@@ -41,7 +41,7 @@ def _ordering(sign: str) -> Callable[[Term, Term], Literal | None]:
     test = _TESTS[sign]
 
     def ordered(left: Term, right: Term) -> Literal | None:
-        a, b = worth_of(left), worth_of(right)
+        a, b = value_of(left), value_of(right)
         if a.sort is b.sort is Sort.BOOLEAN:
             return Literal(test(a.integer, b.integer))
         if a.sort is b.sort is Sort.STRING:
