@@ -25,7 +25,7 @@ from ..algebra.triple_times import names_now
 from ..algebra.volatile_functions import has_chance
 from ..columns.relation import Relation
 from ..incremental.aggregate_shape import Shape, shape_of
-from ..incremental.aggregation import Incremental
+from ..incremental.aggregation import IncrementalAggregate
 from ..operators.profile import Profile
 from ..operators.sources import StaticSide, WindowSource
 from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
@@ -51,7 +51,7 @@ class Execution:
         self.names_now = names_now(plan)
         self.has_chance = has_chance(plan)
         self.distinct = windows.options.semantics == "set"
-        self.incremental: Incremental | None = None
+        self.incremental: IncrementalAggregate | None = None
         self.patterns: PatternSolver | None = None
         self.served: tuple[Plan, ...] = ()
         """The parts that the compiled loop evaluates."""
@@ -143,7 +143,7 @@ class Execution:
         schedule = self.windows.schedule
         window = schedule.windows[0].range
         assert window is not None
-        self.incremental = Incremental(
+        self.incremental = IncrementalAggregate(
             shape,
             self.static,
             self.static.terms,
@@ -195,7 +195,7 @@ class _Source(WindowSource):
         self,
         execution: Execution,
         rows: WindowRows,
-        incremental: Incremental | None,
+        incremental: IncrementalAggregate | None,
         profile: Profile | None,
     ) -> None:
         named = execution.windows.schedule.named
