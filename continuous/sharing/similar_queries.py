@@ -1,8 +1,9 @@
 """Queries that differ in constants only, as one continuous query (DESIGN §3 "Sharing").
 
-`form_of` says of a query what it has to agree on with others; `AlikeEvaluator` computes those that
-do: the windows are kept once, the plan is computed once, and joined with the table of the constants
-in which the queries differ (`cohorts.Together`).
+`form_of` returns the part of a query that others must have in common with it.
+`SimilarQueriesEvaluator` evaluates queries of one form. It stores the windows once, computes the
+plan once, and joins it with the table of the constants in which the queries differ
+(`cohorts.JoinedCohort`).
 """
 
 from __future__ import annotations
@@ -33,27 +34,27 @@ from ..operators.entailment import PatternNeeds
 from ..operators.sources import StaticSide
 from ..pattern_join.plan_cut import pattern_parts, served_parts
 from ..windows.grid import Schedule, schedule
-from .cohorts import Place, Together
+from .cohorts import CohortId, JoinedCohort
 from .instance_results import InstanceResults
 from .shared_windows import SharedWindows, own_solutions, own_windows
 
-READING = 200_000, 300
-"""ns a step, and ns a sample, for a query by itself to read its streams (`bench/requests.py`: of
-1,000 samples 0.6 ms). Estimates of plans have only what their patterns select."""
-MOST_ALONE = 1_000_000_000
+READ_COST = 200_000, 300
+"""The cost of a single query to read its streams: ns per step, ns per sample (`bench/requests.py`:
+0.6 ms for 1,000 samples). Estimates of plans only include the triples that patterns select."""
+MOST_QUERIES = 1_000_000_000
 """The greatest number of queries to return: estimates have no such bound."""
 _MOST_CONSTANTS = 128
-"""Of a query that may share: what it might share is planned while everybody waits."""
+"""The limit of constants in a query that may share: planning it blocks other requests."""
 
 
 class Unshared(Exception):
-    """A query that is evaluated alone; the message says why."""
+    """The query is evaluated alone; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """What queries agree on that can share windows and plan: ``query`` has variables for their
-    constants (`constant_lifting`), but for those that the plan has to have."""
+    """The common part of queries that can share windows and plan. ``query`` has variables instead
+    of their constants (`constant_lifting`), except constants that the plan depends on."""
 
     schedule: Schedule
     options: Options
@@ -61,11 +62,11 @@ class Form:
     query: Query
 
     def joint(self, pattern: Pattern) -> Joint:
-        """How the queries that fit ``pattern`` are computed together; raises `Unshared`."""
+        """Return how queries that match ``pattern`` are computed together. Raises `Unshared`."""
         names = list(dict.fromkeys(one.name for one in pattern if isinstance(one, Var)))
-        found = lowered(self.query, pattern)
+        query = lowered(self.query, pattern)
         try:
-            return joint(Query(found.head, optimize(found.plan)[0]), names)
+            return joint(Query(query.head, optimize(query.plan)[0]), names)
         except Unfit as unfit:
             raise Unshared(str(unfit)) from unfit
 
@@ -73,19 +74,19 @@ class Form:
 def form_of(
     query: ContinuousQuery, inputs: Sequence[str], options: Options
 ) -> tuple[Form, tuple[Term, ...]]:
-    """The form of a query over these inputs, and its constants.
+    """Return the form of a query over these inputs, and its constants.
 
-    Raises `Unshared` for one that would say something else among others: where it matters when it
-    began, or in which order solutions are found. Cost: that of planning it.
+    Raises `Unshared` if sharing would change its results: they depend on when it started, or on the
+    order of solutions. Cost: that of planning it.
     """
     windows = schedule(query, inputs, options)
     _refuse(own_windows(query, windows, options))
     try:
-        found = QueryBody.of(query, windows).translate({})
+        translated = QueryBody.of(query, windows).translate({})
     except (Unsupported, ValueError) as error:
         raise Unshared(f"it runs on Oxigraph, because of {error}") from error
-    _refuse(own_solutions(found))
-    form, constants = _fit(found)
+    _refuse(own_solutions(translated))
+    form, constants = _fit(translated)
     return Form(windows, options, query.static_named, form), constants
 
 
@@ -95,7 +96,7 @@ def _refuse(reason: str) -> None:
 
 
 def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
-    """``query`` with the constants taken out that can be parameters."""
+    """Replace constants by parameters, as far as the plan allows."""
     found = lifted(query)
     if len(found.constants) > _MOST_CONSTANTS:
         raise Unshared(f"it has {len(found.constants)} constants, more than {_MOST_CONSTANTS}")
@@ -116,56 +117,55 @@ def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
         return lowered(found.query, pattern), tuple(found.constants[i] for i in kept)
 
 
-def worth_from(
+def break_even_count(
     form: Form,
     pattern: Pattern,
     constants: Sequence[Term],
     static: StaticSide,
     flows: Mapping[str, Flow],
 ) -> int:
-    """How many queries, each by itself, are likely to cost what one costs that computes all that
-    fit ``pattern``: one with these ``constants`` is an example. ``flows`` is what is known of the
-    inputs, by name.
+    """Return the break-even number of queries: that many single queries are likely to cost what the
+    joint plan of all queries matching ``pattern`` costs. ``constants`` are those of one such query;
+    ``flows`` are the known rates of the inputs, by name.
 
-    A plan without its constants may be far larger: where an object that a query names was all that
-    kept its joins small. Cost: that of planning both, and as `estimate`.
+    The joint plan may be far more expensive, if a constant object alone kept the joins of a single
+    query small. Cost: that of planning both, and of `estimate`.
     """
     own = optimize(lowered(form.query, constants).plan)[0]
     known = Known(form.schedule, static, flows, form.options.semantics == "set")
     together, alone = (_likely(plan, known) for plan in (form.joint(pattern).plan, own))
-    return max(1, min(ceil(together / alone), MOST_ALONE))
+    return max(1, min(ceil(together / alone), MOST_QUERIES))
 
 
 def _reading(known: Known) -> float:
-    """What a query by itself takes to read its streams, for a step, in ns."""
+    """Return the cost of a single query to read its streams for one step, in ns."""
     schedule = known.schedule
     inputs = dict.fromkeys(one.input for one in schedule.windows)
     step = 1.0 if schedule.ends is None else schedule.ends.step / SECOND
     rows = sum(known.flows.get(name, NOTHING_KNOWN).any.rate * step for name in inputs)
-    call, row = READING
+    call, row = READ_COST
     return call + row * rows
 
 
 def _likely(plan: Plan, known: Known) -> float:
-    """What a plan is likely to cost a window, in ns."""
-    found = shape_of(plan, known.static) if known.schedule.uniform else ""
-    if isinstance(found, str):
+    """Return the likely cost of a plan per window, in ns."""
+    shape = shape_of(plan, known.static) if known.schedule.uniform else ""
+    if isinstance(shape, str):
         plan = pattern_parts(plan)
         costs = estimate(plan, known, None, tuple(served_parts(plan)))
     else:
-        costs = estimate(plan, known, found)
+        costs = estimate(plan, known, shape)
     return _reading(known) + sum(cost.nanoseconds for cost in costs.values())
 
 
-class AlikeEvaluator(SharedWindows):
-    """The queries of one form that fit one pattern, over named inputs. ``query`` is any of them.
+class SimilarQueriesEvaluator(SharedWindows):
+    """The queries of one form that match one pattern, over named inputs. ``query`` is any of them.
 
-    Law (tests/laws/engine/test_shared_queries.py): ``of(i)`` of a window is what a
-    `ContinuousEvaluator` of query i gives for it, from the first window on that closes after `add`
-    and until `remove`.
+    Law (tests/laws/engine/test_shared_queries.py): ``of(i)`` of a window equals the result of a
+    `ContinuousEvaluator` of query i, from the first window that closes after `add` until `remove`.
 
-    Cost: that of one query, then O(its solutions + what it gives out). Memory: the rows of the open
-    windows, partial aggregates once; a query as `InstanceTable` says, and its text.
+    Cost: that of one query, then O(its solutions + all results). Memory: the rows of the open
+    windows and the partial aggregates once; per query that of `InstanceTable`, and its text.
     """
 
     def __init__(
@@ -183,22 +183,22 @@ class AlikeEvaluator(SharedWindows):
         self.pattern = pattern
         self._queries: dict[int, ContinuousQuery] = {}
         self._next = 0
-        self._cohort = Together(
+        self._cohort = JoinedCohort(
             lambda number, _: self._queries[number],
             self._windows,
             self._static,
-            Place((), 0),
+            CohortId((), 0),
             form.joint(pattern),
             alone=True,
         )
 
     def __len__(self) -> int:
-        """How many queries there are."""
+        """The number of queries."""
         return len(self._queries)
 
     def add(self, query: ContinuousQuery, constants: Sequence[Term]) -> int:
-        """A new query with its constants, which fit the pattern; by its number, never given again.
-        It has results from the next window on that closes."""
+        """Add a query whose constants match the pattern; return its number, which is never reused.
+        It has results from the next window that closes."""
         terms = fitted(self.pattern, constants)
         if terms is None:
             raise ValueError("the query differs in more than the parameters")
@@ -212,7 +212,7 @@ class AlikeEvaluator(SharedWindows):
         self._cohort.remove(instance)
 
     def explain(self) -> str:
-        """What the queries differ in, and the plan that is computed once."""
+        """Describe the differences of the queries, and the plan that is computed once."""
         lines = [f"one of {len(self)} queries that differ in constants, computed together"]
         lines += described(self._cohort.joint, {})
         lines.append("computed once, then joined with the table of their constants:")
@@ -220,19 +220,19 @@ class AlikeEvaluator(SharedWindows):
         return "\n".join(lines)
 
     def explain_of(self, constants: Sequence[Term], flows: Mapping[str, Flow]) -> str:
-        """The same for the query with these constants, with what the plan is likely to cost;
-        ``flows`` is what is known of the inputs, by name."""
+        """Do the same for the query with these constants, and add the estimated costs. ``flows``
+        are the known rates of the inputs, by name."""
         terms = fitted(self.pattern, constants) or {}
         first, *rest = self.explain().splitlines()
         own = [f"here {show(Var(name))} is {show(Const(term))}" for name, term in terms.items()]
         costs = [f"  {line.rstrip()}" for line in self._cohort.costs(flows)]
-        told = "costs a window, of all of them: rows out, own time (estimates are rough):"
-        return "\n".join([first, *own, *rest, told, *costs])
+        title = "costs a window, of all of them: rows out, own time (estimates are rough):"
+        return "\n".join([first, *own, *rest, title, *costs])
 
     def _evaluate(self, end: int, reports: bool) -> bool:
         self._cohort.fold(end)
         if reports and self._queries:
             parts = self._cohort.results(end, reports=reports)
             self._results.append(InstanceResults(*self._windows.span(end), parts))
-        # What is done to the joined solutions may need Oxigraph, which reads the rows.
+        # The steps after the join may need Oxigraph, which reads the rows.
         return True

@@ -33,7 +33,7 @@ many of them had a result."""
 
 class TemplateUnit(WindowUnit):
     """The instances of one template (`TemplateEvaluator`), or queries that differ in constants
-    (`AlikeEvaluator`), over the same streams, as one query.
+    (`SimilarQueriesEvaluator`), over the same streams, as one query.
 
     Law (tests/laws/engine/test_shared_requests.py, test_shared_queries.py): the stream of a request
     or query says what it would say had it a unit of its own, from the first window on that begins

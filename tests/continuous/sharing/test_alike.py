@@ -13,10 +13,10 @@ from dyknow.continuous.operators.background import Background
 from dyknow.continuous.operators.sources import StaticSide
 from dyknow.continuous.sharing import similar_queries
 from dyknow.continuous.sharing.similar_queries import (
-    AlikeEvaluator,
+    SimilarQueriesEvaluator,
     Unshared,
+    break_even_count,
     form_of,
-    worth_from,
 )
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
@@ -110,7 +110,7 @@ def likely(*parts, others, rate=1_000.0):
     members = [form(*(part.replace(*other) for part in parts)) for other in (("", ""), others)]
     pattern = generalized([constants for _, constants in members])
     static = StaticSide(Background(Store()), TermValues(TermDictionary()))
-    return worth_from(members[0][0], pattern, members[0][1], static, {"s": Flow(rate)})
+    return break_even_count(members[0][0], pattern, members[0][1], static, {"s": Flow(rate)})
 
 
 def test_a_plan_without_its_constants_may_be_larger():
@@ -125,7 +125,7 @@ def test_a_plan_without_its_constants_may_be_larger():
 def test_who_does_not_fit_is_refused():
     query = read("?o", "?o dyknow:speed ?v FILTER (?v > 1)")
     found, constants = form_of(query, ["s"], Options())
-    evaluator = AlikeEvaluator(
+    evaluator = SimilarQueriesEvaluator(
         query, found, constants, TermDictionary(), Background(Store()), ["s"]
     )
     number = evaluator.add(query, constants)

@@ -136,7 +136,7 @@ def test_constants_on_which_all_agree_stay_in_the_plan(flying):
 
 
 def test_constants_of_every_place_differ(flying, monkeypatch):
-    monkeypatch.setattr("dyknow.engine.planning.query_units.worth_from", lambda *_: 1)
+    monkeypatch.setattr("dyknow.engine.planning.query_units.break_even_count", lambda *_: 1)
     texts = [
         f"REGISTER STREAM q{i} AS CONSTRUCT {{ dyknow:base{i} dyknow:speed ?v }} "
         f"FROM STREAM {S5} {WINDOW} WHERE {{ dyknow:uav{i} dyknow:speed ?v ; dyknow:heading ?h "

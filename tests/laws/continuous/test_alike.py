@@ -25,7 +25,7 @@ from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.evaluation.solver import QueryBody
 from dyknow.continuous.sharing import cohorts
 from dyknow.continuous.sharing.similar_queries import (
-    AlikeEvaluator,
+    SimilarQueriesEvaluator,
     Unshared,
     form_of,
 )
@@ -125,7 +125,7 @@ def check(body, size, elements, cuts, some, opts):
         pattern = generalized(members)
         assert all(fitted(pattern, constants) is not None for constants in members)
         dictionary = TermDictionary()
-        evaluator = AlikeEvaluator(
+        evaluator = SimilarQueriesEvaluator(
             queries[0], form, pattern, dictionary, laws.background(), [INPUT]
         )
     except Unshared:
@@ -134,10 +134,10 @@ def check(body, size, elements, cuts, some, opts):
 
     def come(key):
         number = evaluator.add(queries[key], forms[key][1])
-        there[key] = [number, evaluator._windows._closed, None]
+        there[key] = [number, evaluator._windows._last_end, None]
 
     def go(key):
-        last = evaluator._windows._closed
+        last = evaluator._windows._last_end
         there[key][2] = -(10**9) if last is None else last
         evaluator.remove(there[key][0])
 
@@ -197,7 +197,7 @@ def test_also_where_terms_are_mixed(body, size, elements, cuts, some, opts):
 @given(st.sampled_from(BODIES), sizes, laws.elements_of(values), several)
 def test_many_are_looked_at_a_piece_at_a_time(body, size, elements, some):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cohorts, "LARGEST", 1)
+        patch.setattr(cohorts, "PAIRS_AT_ONCE", 1)
         check(body, size, elements, [], some, Options())
 
 

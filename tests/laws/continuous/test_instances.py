@@ -130,11 +130,11 @@ def check(body, size, elements, cuts, instances, opts) -> None:
     closed: list = []
 
     def come(key, given):
-        lives[key] = [evaluator.add(given), evaluator._windows._closed, None]
+        lives[key] = [evaluator.add(given), evaluator._windows._last_end, None]
 
     def go(key):
         evaluator.remove(lives[key][0])
-        last = evaluator._windows._closed
+        last = evaluator._windows._last_end
         lives[key][2] = -(10**9) if last is None else last
 
     given_to = {}
