@@ -12,7 +12,7 @@ from ...languages.csparql import term_text
 from ...rdf.dictionary import Term
 from ...rdf.timed import ObjectColumn
 from ..algebra.expressions import INFIX, Call, Const, Expression, Var, variables
-from ..algebra.volatile_functions import VOLATILE, drawn
+from ..algebra.volatile_functions import VOLATILE, draw_values
 from .oxigraph_port import NO_QUADS, OxigraphPort, SparqlResult, Table
 from .relation import Relation, TermValues, key_codes, term_column
 
@@ -66,7 +66,7 @@ def _draw_values(
         if not isinstance(expression, Call):
             return expression
         if expression.name in VOLATILE:
-            name, values = f"\0r{len(with_values)}", list(drawn(expression, rows))
+            name, values = f"\0r{len(with_values)}", list(draw_values(expression, rows))
             with_values[name] = term_column(values, terms.dictionary.transient_id)
             return Var(name)
         return Call(expression.name, tuple(map(go, expression.arguments)))

@@ -22,7 +22,7 @@ from ..algebra.plan import (
     walk,
 )
 from ..algebra.triple_times import names_now
-from ..algebra.volatile_functions import has_chance
+from ..algebra.volatile_functions import has_volatile
 from ..columns.relation import Relation
 from ..incremental.aggregate_shape import Shape, shape_of
 from ..incremental.aggregation import IncrementalAggregate
@@ -49,7 +49,7 @@ class Execution:
         self.windows = windows
         self.static = static
         self.names_now = names_now(plan)
-        self.has_chance = has_chance(plan)
+        self.has_volatile = has_volatile(plan)
         self.distinct = windows.options.semantics == "set"
         self.incremental: IncrementalAggregate | None = None
         self.patterns: PatternSolver | None = None
@@ -77,7 +77,13 @@ class Execution:
         variables of the plan's result that the query uses."""
         windows = self.windows.schedule.windows
         counted = any(one.counted for one in windows)
-        if self.incremental is not None or not JIT or self.names_now or self.has_chance or counted:
+        if (
+            self.incremental is not None
+            or not JIT
+            or self.names_now
+            or self.has_volatile
+            or counted
+        ):
             return
         plan = pattern_parts(self.plan)
         parts = tuple(served_parts(plan))
@@ -160,7 +166,7 @@ class Execution:
             return "windows without content are evaluated too"
         if self.names_now:
             return "it asks for NOW()"
-        if self.has_chance:
+        if self.has_volatile:
             return "it asks for what is drawn anew for each window"
         for node in walk(self.plan):
             if not isinstance(node, _SCANS):

@@ -20,7 +20,7 @@ from ..algebra.plan import Ask, Query
 from ..algebra.rewrite_rules import optimize
 from ..algebra.triple_times import asks_for_times, at_time
 from ..algebra.unsupported import Unsupported
-from ..algebra.volatile_functions import names_chance, with_seeds
+from ..algebra.volatile_functions import calls_volatile, with_seeds
 from ..columns.budget import BudgetExceeded
 from ..columns.relation import NeedsOxigraph
 from ..estimation.input_rates import Flow
@@ -120,7 +120,7 @@ class Solver:
                 self.execution.join_patterns(head_variables(self.translated.head))
         except Unsupported as unsupported:
             self.reason = str(unsupported)
-            if names_chance(body.tree):
+            if calls_volatile(body.tree):
                 raise ValueError(
                     f"RAND(), UUID() and STRUUID() do not go together with {unsupported}: "
                     "Oxigraph would draw other values when it computes a window again"
@@ -160,7 +160,7 @@ class Solver:
             head, plan = self.translated.head, execution.plan
             if execution.names_now:
                 plan = at_time(plan, shown)
-            if execution.has_chance:
+            if execution.has_volatile:
                 plan = with_seeds(plan, f"{self._seed} {shown}")
             for source in execution.sources(rows, self.profile):
                 try:
@@ -172,7 +172,7 @@ class Solver:
                     # The next source does not fold, which may suffice. Else Oxigraph evaluates
                     # exactly, usually bags too; if not, the result is marked `merged`.
                     continue
-            if execution.has_chance:
+            if execution.has_volatile:
                 raise BudgetExceeded(
                     "RAND(), UUID() and STRUUID() need values that columns can compute: "
                     "Oxigraph would draw others when it computes the window again"

@@ -36,9 +36,9 @@ from ..algebra.plan import (
     TypeScan,
     Union,
     Values,
-    asked,
     certain,
-    mentioned,
+    named_variables,
+    used_variables,
     walk,
     with_inputs,
 )
@@ -199,7 +199,7 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     """
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
-    names = mentioned(pattern) & child.columns.keys()
+    names = named_variables(pattern) & child.columns.keys()
     if _looks_outside(pattern, names) or _depends(pattern, names):
         found = _substituted(pattern, child, names, source, terms)
     else:
@@ -267,7 +267,7 @@ def _looks_outside(plan: Plan, names: Set[str]) -> bool:
             below = certain(node.child)
         elif isinstance(node, LeftJoin):
             below = certain(node.child) | certain(node.optional)
-        if asked(node) & names - below:
+        if used_variables(node) & names - below:
             return True
     return False
 
@@ -280,11 +280,13 @@ def _depends(plan: Plan, names: Set[str]) -> bool:
     EXISTS if the rows of ``plan`` do not bind all names.
     """
     for node in walk(plan):
-        if isinstance(node, LeftJoin) and mentioned(node.optional) & names - certain(node.child):
+        if isinstance(node, LeftJoin) and named_variables(node.optional) & names - certain(
+            node.child
+        ):
             return True
-        if isinstance(node, Minus) and mentioned(node.removed) & names:
+        if isinstance(node, Minus) and named_variables(node.removed) & names:
             return True
-        if isinstance(node, Exists) and mentioned(node.pattern) & names - certain(node.child):
+        if isinstance(node, Exists) and named_variables(node.pattern) & names - certain(node.child):
             return True
     return False
 
@@ -294,7 +296,7 @@ def _seeded(plan: Plan, given: Given) -> Plan:
     match plan:
         case Minus(child, removed):
             # Substituted names do not count as shared.
-            own = tuple(sorted(mentioned(removed) - frozenset(given.variables)))
+            own = tuple(sorted(named_variables(removed) - frozenset(given.variables)))
             return Minus(_seeded(child, given), Project((*own, SEED), _seeded(removed, given)))
         case Project() | Distinct() | Aggregate() | Slice() | Order() | Closure():
             return Join((given, plan))

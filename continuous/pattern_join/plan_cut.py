@@ -33,9 +33,9 @@ from ..algebra.plan import (
     Project,
     Scan,
     TypeScan,
-    asked,
     inputs,
     outputs,
+    used_variables,
     walk,
     with_inputs,
 )
@@ -175,7 +175,7 @@ def needed_outside(plan: Plan, parts: Sequence[Plan]) -> list[frozenset[str]]:
 
 def _used_names(node: Plan) -> frozenset[str]:
     """Return the variables of its inputs that one node uses."""
-    names = asked(node)
+    names = used_variables(node)
     if not inputs(node):
         names |= outputs(node)
     match node:

@@ -30,7 +30,7 @@ from ..algebra.plan import (
 )
 from ..algebra.plan_text import describe, describe_query
 from ..algebra.rewrite_rules import optimize
-from ..algebra.template_parameters import Joint, Step, Unfit, joint
+from ..algebra.template_parameters import Joint, Step, Unfit, build_joint
 from ..algebra.unsupported import Unsupported
 from ..columns.expression_evaluation import evaluate, holds
 from ..columns.relation import NeedsOxigraph, Relation
@@ -278,7 +278,7 @@ def find_joint(
             shown = head if isinstance(head, Select) else found.head
             plan, _ = optimize(found.plan)
             try:
-                return joint(Query(shown, plan), names), reasons
+                return build_joint(Query(shown, plan), names), reasons
             except Unfit as unfit:
                 reasons |= {name: str(unfit) for name in names if unfit.name in (name, "")}
     except (Unsupported, ValueError) as unsupported:

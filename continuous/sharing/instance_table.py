@@ -99,7 +99,7 @@ class InstanceTable:
             at, rows = at[alive], rows[alive]
         columns = {name: column.take(at) for name, column in relation.columns.items()}
         for name in self.joint.compared:
-            if name in self.joint.asked or not decided:
+            if name in self.joint.used_variables or not decided:
                 columns[name] = self.columns[name].column(rows)
         columns[INSTANCE] = ObjectColumn(Kind.INTEGER, rows)
         # Joined terms are constant within an instance, so the other variables of a key suffice.

@@ -15,13 +15,19 @@ from math import ceil
 from ...languages.csparql.ast import ContinuousQuery
 from ...rdf.dictionary import Term, TermDictionary
 from ...streams.time import SECOND
-from ..algebra.constant_lifting import Pattern, fitted, lifted, lowered, place
+from ..algebra.constant_lifting import (
+    Pattern,
+    constant_variable,
+    lift_constants,
+    match_constants,
+    put_constants,
+)
 from ..algebra.expressions import Const, Var
 from ..algebra.options import Options
 from ..algebra.plan import Plan, Query
 from ..algebra.plan_text import show
 from ..algebra.rewrite_rules import optimize
-from ..algebra.template_parameters import Joint, Unfit, described, joint
+from ..algebra.template_parameters import Joint, Unfit, build_joint, describe_parameters
 from ..algebra.unsupported import Unsupported
 from ..columns.budget import UNLIMITED, Budget
 from ..estimation.estimates import estimate
@@ -61,12 +67,12 @@ class Form:
     static_named: tuple[str, ...]
     query: Query
 
-    def joint(self, pattern: Pattern) -> Joint:
+    def build_joint(self, pattern: Pattern) -> Joint:
         """Return how queries that match ``pattern`` are computed together. Raises `Unshared`."""
         names = list(dict.fromkeys(one.name for one in pattern if isinstance(one, Var)))
-        query = lowered(self.query, pattern)
+        query = put_constants(self.query, pattern)
         try:
-            return joint(Query(query.head, optimize(query.plan)[0]), names)
+            return build_joint(Query(query.head, optimize(query.plan)[0]), names)
         except Unfit as unfit:
             raise Unshared(str(unfit)) from unfit
 
@@ -97,15 +103,17 @@ def _refuse(reason: str) -> None:
 
 def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
     """Replace constants by parameters, as far as the plan allows."""
-    found = lifted(query)
+    found = lift_constants(query)
     if len(found.constants) > _MOST_CONSTANTS:
         raise Unshared(f"it has {len(found.constants)} constants, more than {_MOST_CONSTANTS}")
-    pattern: list[Term | Var] = [Var(place(i)) for i in range(len(found.constants))]
+    pattern: list[Term | Var] = [Var(constant_variable(i)) for i in range(len(found.constants))]
     while True:
         kept = [i for i, one in enumerate(pattern) if isinstance(one, Var)]
-        form = lowered(found.query, pattern)
+        form = put_constants(found.query, pattern)
         try:
-            joint(Query(form.head, optimize(form.plan)[0]), [place(i) for i in kept])
+            build_joint(
+                Query(form.head, optimize(form.plan)[0]), [constant_variable(i) for i in kept]
+            )
         except Unfit as unfit:
             if not unfit.name:
                 raise Unshared(str(unfit)) from unfit
@@ -113,8 +121,8 @@ def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
             pattern = [found.constants[i] if one in fixed else one for i, one in enumerate(pattern)]
             continue
         for number, i in enumerate(kept):
-            pattern[i] = Var(place(number))
-        return lowered(found.query, pattern), tuple(found.constants[i] for i in kept)
+            pattern[i] = Var(constant_variable(number))
+        return put_constants(found.query, pattern), tuple(found.constants[i] for i in kept)
 
 
 def break_even_count(
@@ -131,9 +139,9 @@ def break_even_count(
     The joint plan may be far more expensive, if a constant object alone kept the joins of a single
     query small. Cost: that of planning both, and of `estimate`.
     """
-    own = optimize(lowered(form.query, constants).plan)[0]
+    own = optimize(put_constants(form.query, constants).plan)[0]
     known = Known(form.schedule, static, flows, form.options.semantics == "set")
-    together, alone = (_likely(plan, known) for plan in (form.joint(pattern).plan, own))
+    together, alone = (_likely(plan, known) for plan in (form.build_joint(pattern).plan, own))
     return max(1, min(ceil(together / alone), MOST_QUERIES))
 
 
@@ -179,7 +187,7 @@ class SimilarQueriesEvaluator(SharedWindows):
         budget: Budget = UNLIMITED,
     ) -> None:
         super().__init__(query, dictionary, background, inputs, form.options, budget)
-        self._windows.entailment.needs = PatternNeeds.of(form.joint(pattern).plan)
+        self._windows.entailment.needs = PatternNeeds.of(form.build_joint(pattern).plan)
         self.pattern = pattern
         self._queries: dict[int, ContinuousQuery] = {}
         self._next = 0
@@ -188,7 +196,7 @@ class SimilarQueriesEvaluator(SharedWindows):
             self._windows,
             self._static,
             CohortId((), 0),
-            form.joint(pattern),
+            form.build_joint(pattern),
             alone=True,
         )
 
@@ -199,7 +207,7 @@ class SimilarQueriesEvaluator(SharedWindows):
     def add(self, query: ContinuousQuery, constants: Sequence[Term]) -> int:
         """Add a query whose constants match the pattern; return its number, which is never reused.
         It has results from the next window that closes."""
-        terms = fitted(self.pattern, constants)
+        terms = match_constants(self.pattern, constants)
         if terms is None:
             raise ValueError("the query differs in more than the parameters")
         number, self._next = self._next, self._next + 1
@@ -214,7 +222,7 @@ class SimilarQueriesEvaluator(SharedWindows):
     def explain(self) -> str:
         """Describe the differences of the queries, and the plan that is computed once."""
         lines = [f"one of {len(self)} queries that differ in constants, computed together"]
-        lines += described(self._cohort.joint, {})
+        lines += describe_parameters(self._cohort.joint, {})
         lines.append("computed once, then joined with the table of their constants:")
         lines += [f"  {line}" for line in self._cohort.explain().splitlines()]
         return "\n".join(lines)
@@ -222,7 +230,7 @@ class SimilarQueriesEvaluator(SharedWindows):
     def explain_of(self, constants: Sequence[Term], flows: Mapping[str, Flow]) -> str:
         """Do the same for the query with these constants, and add the estimated costs. ``flows``
         are the known rates of the inputs, by name."""
-        terms = fitted(self.pattern, constants) or {}
+        terms = match_constants(self.pattern, constants) or {}
         first, *rest = self.explain().splitlines()
         own = [f"here {show(Var(name))} is {show(Const(term))}" for name, term in terms.items()]
         costs = [f"  {line.rstrip()}" for line in self._cohort.costs(flows)]

@@ -18,7 +18,7 @@ from ...languages.csparql.ast import ContinuousQuery
 from ...rdf.dictionary import Term, TermDictionary
 from ..algebra.options import Options
 from ..algebra.plan import Ask
-from ..algebra.template_parameters import confined, described
+from ..algebra.template_parameters import describe_parameters, is_confined
 from ..columns.budget import UNLIMITED, Budget
 from ..evaluation.solver import QueryBody
 from ..operators.background import Background
@@ -125,7 +125,7 @@ class TemplateEvaluator(SharedWindows):
         if one_by_one and windows.entailment.entails_of_objects(streamed):
             return None
         # An ASK also reports false, for which no triple about the term is needed.
-        alike = not isinstance(joint.head, Ask) and confined(joint.plan, one_by_one, streamed)
+        alike = not isinstance(joint.head, Ask) and is_confined(joint.plan, one_by_one, streamed)
         return frozenset(fixed) if alike or not one_by_one else None
 
     def remove(self, instance: int) -> None:
@@ -151,7 +151,7 @@ class TemplateEvaluator(SharedWindows):
             lines.append(f"given {given}: {count} instances in {len(mine)} cohorts")
             cohort = mine[0][1]
             if isinstance(cohort, JoinedCohort):
-                parameters = described(cohort.joint, family.fixed)
+                parameters = describe_parameters(cohort.joint, family.fixed)
                 lines += [f"  {line}" for line in parameters]
                 lines.append("  computed once a cohort, then joined with the table of instances:")
             else:

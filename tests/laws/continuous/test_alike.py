@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal
 
 from dyknow.continuous.algebra.constant_lifting import (
-    fitted,
-    generalized,
-    lifted,
-    lowered,
+    generalize,
+    lift_constants,
+    match_constants,
+    put_constants,
 )
 from dyknow.continuous.algebra.expressions import Var
 from dyknow.continuous.algebra.options import Options
@@ -122,8 +122,8 @@ def check(body, size, elements, cuts, some, opts):
         forms = [form_of(query, [INPUT], opts) for query in queries]
         form, _ = forms[0]
         members = [constants for other, constants in forms if other == form]
-        pattern = generalized(members)
-        assert all(fitted(pattern, constants) is not None for constants in members)
+        pattern = generalize(members)
+        assert all(match_constants(pattern, constants) is not None for constants in members)
         dictionary = TermDictionary()
         evaluator = SimilarQueriesEvaluator(
             queries[0], form, pattern, dictionary, laws.background(), [INPUT]
@@ -223,13 +223,13 @@ def test_a_form_with_the_constants_put_back_is_the_query(body, one, other):
     for chosen in (one, other):
         query = query_of(body, (3, 1), chosen)
         found = QueryBody.of(query, schedule(query, [INPUT], Options())).translate({})
-        form = lifted(found)
-        assert lowered(form.query, form.constants) == found
+        form = lift_constants(found)
+        assert put_constants(form.query, form.constants) == found
         forms.append(form)
     assume(forms[0].query == forms[1].query)
-    pattern = generalized([form.constants for form in forms])
+    pattern = generalize([form.constants for form in forms])
     for form in forms:
-        fit = fitted(pattern, form.constants)
+        fit = match_constants(pattern, form.constants)
         put = tuple(fit[one.name] if isinstance(one, Var) else one for one in pattern)
         assert put == form.constants
     # The most special one: a constant that both have is no parameter.
