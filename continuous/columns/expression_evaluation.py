@@ -25,7 +25,7 @@ from ..algebra.triple_times import LATEST
 from ..values import decimals
 from ..values.literals import LONG, Sort, canonical
 from .oxigraph_expressions import ask
-from .relation import TermValues, coalesce, either, exact_column, scattered
+from .relation import TermValues, coalesce, either, exact_column, scatter
 
 _Part: TypeAlias = tuple[NDArray[np.int64], list[ObjectColumn]]
 _SPLIT: Final = np.array(
@@ -148,7 +148,7 @@ def _native(
         _Rows(dict(zip(names, typed, strict=True)), len(at), terms).value(expression)
         for at, typed in parts
     ]
-    return scattered([at for at, _ in parts], values, terms.dictionary)
+    return scatter([at for at, _ in parts], values, terms.dictionary)
 
 
 def split_by_kind(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | None:
@@ -239,7 +239,7 @@ class _Rows:
         if parts is None:
             return self._operation(name, columns)
         values = [_Rows({}, len(at), self.terms)._operation(name, typed) for at, typed in parts]
-        return scattered([at for at, _ in parts], values, self.terms.dictionary)
+        return scatter([at for at, _ in parts], values, self.terms.dictionary)
 
     def _operation(self, name: str, columns: list[ObjectColumn]) -> ObjectColumn:
         match columns:
@@ -368,7 +368,7 @@ class _Rows:
         inputs = {name: column.take(at) for name, column in zip(names, columns, strict=True)}
         call = Call(name, tuple(map(Var, names)))
         foreign = ask(call, inputs, len(at), self.terms)
-        return scattered([at, rest], [foreign, certain.take(rest)], self.terms.dictionary)
+        return scatter([at, rest], [foreign, certain.take(rest)], self.terms.dictionary)
 
     def _ordered(self, name: str, a: ObjectColumn, b: ObjectColumn, kind: Kind) -> Mask:
         """Compare numbers after promotion to ``kind``."""
@@ -419,7 +419,7 @@ class _Rows:
         exact = exact if null is None else exact | null
         if exact.all():
             return column
-        return self._or_exact(column, exact, lambda x, y: decimals.computed(name, x, y), [a, b])
+        return self._or_exact(column, exact, lambda x, y: decimals.compute(name, x, y), [a, b])
 
     def _combined(
         self, name: str, a: ObjectColumn, b: ObjectColumn, null: Mask | None
@@ -439,7 +439,7 @@ class _Rows:
             if side is None:
                 return None
             sides.append(side)
-        return decimals.combined(name, *sides)
+        return decimals.combine(name, *sides)
 
     def _or_exact(
         self,
@@ -454,7 +454,7 @@ class _Rows:
         sides = [self.terms.exact(argument, rows) for argument in arguments]
         values = [operation(*numbers) for numbers in zip(*sides, strict=True)]
         found = exact_column(column.kind, values, self.terms.dictionary.transient_id)
-        return scattered([at, rest], [found, column.take(rest)], self.terms.dictionary)
+        return scatter([at, rest], [found, column.take(rest)], self.terms.dictionary)
 
     def _is_other(self, *columns: ObjectColumn) -> NDArray[np.bool_]:
         """Where all columns are bound, and one is a literal that Oxigraph may compute with."""
@@ -475,7 +475,7 @@ class _Rows:
         if a.kind is Kind.TERM or (a.kind is Kind.INTEGER and _is_least(name, a)):
             nothing = ObjectColumn(kind, np.zeros(self.rows, kind.dtype), a.null)
             exact = ~a.present
-            return self._or_exact(nothing, exact, lambda x: decimals.rounded(name, x), [a])
+            return self._or_exact(nothing, exact, lambda x: decimals.round_number(name, x), [a])
         if a.kind is Kind.INTEGER and name in ("CEIL", "FLOOR", "ROUND"):
             return a
         values = _FUNCTIONS[name](a.values)

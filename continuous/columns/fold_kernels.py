@@ -207,7 +207,7 @@ class Groups:
 NO_SKIP = np.zeros(0, np.bool_)
 
 
-def mirrored(values: NDArray[Any]) -> NDArray[Any]:
+def mirror(values: NDArray[Any]) -> NDArray[Any]:
     """Reverse the order of the values, so that the least result stands for the greatest value.
 
     An integer becomes its complement, since the negative of the least int64 does not fit.
@@ -252,7 +252,7 @@ class RowFold:
             if len(self.empty) == 4:
                 values = values + 0
                 np.minimum.at(self.state[:, 2], found, values)
-                np.minimum.at(self.state[:, 3], found, mirrored(values))
+                np.minimum.at(self.state[:, 3], found, mirror(values))
             self._listed = False
             return
         # If many groups are touched, a list of them costs more than a search.
@@ -275,7 +275,7 @@ class RowFold:
                 self._touched,
                 self._count,
                 self._listed,
-                mirrored(self.empty[:1])[0],
+                mirror(self.empty[:1])[0],
             )
             if row == len(subjects):
                 break
@@ -322,7 +322,7 @@ class RowFold:
             self._touched = touched
 
 
-def grown(state: NDArray[Any], capacity: int, fill: Any) -> NDArray[Any]:
+def grow(state: NDArray[Any], capacity: int, fill: Any) -> NDArray[Any]:
     """Return ``state`` with at least ``capacity`` rows; new ones have the value ``fill``."""
     if len(state) >= capacity:
         return state

@@ -111,7 +111,7 @@ class TermValues(TermTable):
             values = self._number[column.values]
         return ObjectColumn(kind, values, column.null)
 
-    def encoded(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+    def encode(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
         """Return each object as a tag (its `Kind`) and 64 bits. They are equal exactly if the terms
         are, in any kind of column and any spelling. No object may be null."""
         if column.kind is not Kind.TERM:
@@ -121,7 +121,7 @@ class TermValues(TermTable):
 
     @property
     def encodings(self) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-        """The results of `encoded` for terms, by id."""
+        """The results of `encode` for terms, by id."""
         self._follow()
         return self._tag, self._bits
 
@@ -271,7 +271,7 @@ def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
     if column.kind is Kind.TERM:
         return column
     distinct, inverse = np.unique(bits(column.values), return_inverse=True)
-    values = decoded(column.kind, distinct).values.tolist()
+    values = decode(column.kind, distinct).values.tolist()
     ids = dictionary.transient_ids(make_literal(column.kind, value) for value in values)
     return ObjectColumn(Kind.TERM, ids[inverse.reshape(-1)], column.null)
 
@@ -283,22 +283,22 @@ def bits(values: NDArray[Any]) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
+def decode(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
     """Return a column of this kind from its `bits`."""
     if kind.dtype == np.float64:
         return ObjectColumn(kind, bits.view(np.float64))
     return ObjectColumn(kind, bits.astype(kind.dtype, copy=False))
 
 
-def decoded_terms(
+def decode_terms(
     tags: NDArray[np.int8], bits: NDArray[np.int64], dictionary: TermDictionary
 ) -> ObjectColumn:
-    """Return objects of several kinds (`TermValues.encoded`) as terms. Cost: Python per distinct
+    """Return objects of several kinds (`TermValues.encode`) as terms. Cost: Python per distinct
     number."""
     ids = np.full(len(tags), NO_TERM, np.int32)
     for tag in np.unique(tags).tolist():
         at = np.flatnonzero(tags == tag)
-        ids[at] = as_terms(decoded(Kind(tag), bits[at]), dictionary).values
+        ids[at] = as_terms(decode(Kind(tag), bits[at]), dictionary).values
     return ObjectColumn(Kind.TERM, ids)
 
 
@@ -319,7 +319,7 @@ def take_or_null(column: ObjectColumn, rows: NDArray[np.int64]) -> ObjectColumn:
     return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
 
 
-def scattered(
+def scatter(
     places: Sequence[NDArray[np.int64]], parts: Sequence[ObjectColumn], dictionary: TermDictionary
 ) -> ObjectColumn:
     """Return one column of the parts, each at its places; together these are all rows."""

@@ -202,7 +202,7 @@ class Solver:
                 self.rules,
                 self.reason,
                 "" if execution is None else execution.shape,
-                "" if oxigraph.counting is not None else oxigraph.merges,
+                "" if oxigraph.bag_text is not None else oxigraph.merges,
                 self.known(flows),
                 () if execution is None else execution.served,
                 tuple(self.windows.entailment.describe()),

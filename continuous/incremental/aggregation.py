@@ -20,7 +20,7 @@ from ..algebra.expressions import Const, Var
 from ..algebra.plan import Plan
 from ..columns.budget import BudgetExceeded
 from ..columns.expression_evaluation import evaluate, holds
-from ..columns.fold_kernels import Groups, grown
+from ..columns.fold_kernels import Groups, grow
 from ..columns.relation import NeedsOxigraph, Pairs, Relation, TermValues
 from ..operators.executor import Source, execute, select_pairs
 from ..operators.grouping import group_keys, grouping
@@ -151,7 +151,7 @@ class IncrementalAggregate:
         """Return the groups that pass the HAVING. If few groups changed, only they are tested."""
         used = self.groups.used
         self._touched.reserve(used)
-        self._passing = grown(self._passing, used, False)
+        self._passing = grow(self._passing, used, False)
         touched = self._touched.groups(used)
         test_all = touched is None or DENSE * len(touched) > used
         tested: Rows = slice(used) if touched is None or test_all else touched

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
 from ...streams.sample import Mask
-from ..columns.relation import Pairs, TermValues, bits, decoded
+from ..columns.relation import Pairs, TermValues, bits, decode
 from ..values.literals import Sort
 from .pair_index import PairIndex
 
@@ -60,7 +60,7 @@ class DistinctPairs:
             left = index.leave(until)
             if left is not None:
                 subjects, keys = left
-                yield ObjectColumn(Kind.TERM, subjects), decoded(kind, keys)
+                yield ObjectColumn(Kind.TERM, subjects), decode(kind, keys)
 
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
         """Return which of the pairs are in the window."""

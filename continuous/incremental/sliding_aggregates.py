@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
 from ..columns.exact_sums import At, FloatTotals, IntegerTotals
-from ..columns.fold_kernels import Groups, grown, mirrored
+from ..columns.fold_kernels import Groups, grow, mirror
 from ..columns.relation import TermValues
 from ..operators.partial_aggregates import (
     Key,
@@ -138,7 +138,7 @@ class SlidingNumbers:
             if self._held is not None:
                 held[: len(self._held)] = self._held
             np.minimum.at(held[:, 0], at, values)
-            np.minimum.at(held[:, 1], at, mirrored(values))
+            np.minimum.at(held[:, 1], at, mirror(values))
             self._held = held
 
     def release(self) -> None:
@@ -322,7 +322,7 @@ class SlidingPartial:
 
     def _reserve(self, groups: int) -> None:
         if len(self._others) < groups:
-            self._others = grown(self._others, max(groups, 2 * len(self._others)), 0)
+            self._others = grow(self._others, max(groups, 2 * len(self._others)), 0)
 
 
 def _above(rows: Rows) -> int:

@@ -15,7 +15,7 @@ from ...rdf.namespaces import RDF_TYPE
 from ...rdf.timed import Kind, TripleRows
 from ..algebra.expressions import Const, Var
 from ..algebra.plan import TypeScan
-from ..columns.fold_kernels import Groups, grown
+from ..columns.fold_kernels import Groups, grow
 from ..operators.sources import StaticSide, distinct_ids
 
 
@@ -51,7 +51,7 @@ class SortFacts:
         else:
             ids = distinct_ids(parts, len(dictionary))
         if len(self._counts) < len(dictionary):
-            self._counts = grown(self._counts, 2 * len(dictionary), 0)
+            self._counts = grow(self._counts, 2 * len(dictionary), 0)
         self._counts[ids] += 1
         self._panes.append((end, ids))
         return ids
@@ -74,7 +74,7 @@ class SortFacts:
         static_ids = static.pairs(TypeScan(Var("s"), Const(self.sort)))[0].values
         size = len(static.terms.dictionary)
         if len(self._counts) < size:
-            self._counts = grown(self._counts, 2 * size, 0)
+            self._counts = grow(self._counts, 2 * size, 0)
         if static_ids is not self._static_ids or len(self._static) < size:
             self._static_ids = static_ids
             self._static = np.zeros(len(self._counts), np.bool_)
@@ -126,7 +126,7 @@ class GroupSorts:
         if version != self._version:
             self._version, self._covered = version, 0
         if self._covered < used:
-            self._of = grown(self._of, max(used, 2 * self._covered), False)
+            self._of = grow(self._of, max(used, 2 * self._covered), False)
             self._update(slice(self._covered, used))
             self._covered = used
         return self._of[rows]

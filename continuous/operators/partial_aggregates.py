@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from ...rdf.dictionary import Term
 from ...rdf.timed import Kind, ObjectColumn
 from ..columns.exact_sums import At
-from ..columns.fold_kernels import Groups, RowFold, mirrored
+from ..columns.fold_kernels import Groups, RowFold, mirror
 from ..columns.relation import (
     NeedsOxigraph,
     TermValues,
     either,
     exact_column,
-    scattered,
+    scatter,
     term_column,
 )
 from ..values import decimals
@@ -159,7 +159,7 @@ def _decimal_parts(subjects: NDArray[np.int32], codes: NDArray[np.float64]) -> I
     """Yield decimals of several scales, a part each."""
     rows = np.arange(len(subjects))
     for scale in decimals.SCALES:
-        fits, found = decimals.fitting(codes[rows], scale)
+        fits, found = decimals.fit_scale(codes[rows], scale)
         if fits.any():
             yield Part((Kind.DECIMAL, scale), subjects[rows[fits]], found.values[fits])
             rows = rows[~fits]
@@ -332,7 +332,7 @@ class Partial:
             at, rest = np.flatnonzero(single), np.flatnonzero(~single)
             found = [self._one_by_one(function, keys, group) for group in at.tolist()]
             few = term_column(found, terms.dictionary.transient_id)
-            column = scattered([at, rest], [few, column.take(rest)], terms.dictionary)
+            column = scatter([at, rest], [few, column.take(rest)], terms.dictionary)
         return ObjectColumn(column.kind, column.values, either(null, column.null))
 
     def _one_by_one(self, function: str, keys: list[Key], group: int) -> Term | None:
@@ -352,7 +352,7 @@ class Partial:
     def _end(self, key: Key, group: int, least: bool) -> Number:
         ends = self.numbers[key].ends
         assert ends is not None
-        return _number(key, ends[group, 0] if least else mirrored(ends[group : group + 1, 1])[0])
+        return _number(key, ends[group, 0] if least else mirror(ends[group : group + 1, 1])[0])
 
     def _total(
         self, average: bool, keys: list[Key], numbers: NDArray[np.int64], terms: TermValues
@@ -379,7 +379,7 @@ class Partial:
                     values = _exact_sum(values, part, scale - key[1])
             places.append(at)
             parts.append(_sum_column(Kind(code), values, scale, numbers[at], average, terms))
-        return scattered(places, parts, terms.dictionary)
+        return scatter(places, parts, terms.dictionary)
 
     def _extreme(
         self, function: str, keys: list[Key], rows: int, terms: TermValues
@@ -390,7 +390,7 @@ class Partial:
         for key in keys:
             found = self.numbers[key].ends
             assert found is not None
-            values = mirrored(found[:, 1]) if side else found[:, 0]
+            values = mirror(found[:, 1]) if side else found[:, 0]
             ends[key] = values / 10.0 ** key[1] if key[0] is Kind.DECIMAL else values
         doubtful = np.zeros(rows, np.bool_)
         if len(keys) == 1:
@@ -412,7 +412,7 @@ class Partial:
             key = keys[max(i, 0)]
             parts.append(ObjectColumn(key[0], ends[key][at]))
             places.append(at)
-        return scattered(places, parts, terms.dictionary), doubtful
+        return scatter(places, parts, terms.dictionary), doubtful
 
 
 def _number(key: Key, value: Any) -> Number:
@@ -457,7 +457,7 @@ def _sum_column(
     elif kind is Kind.INTEGER:
         values, exact = fitting, fits
     else:
-        values, exact = decimals.coded(Mantissas(fitting, scale))
+        values, exact = decimals.encode(Mantissas(fitting, scale))
         exact &= fits
     column = ObjectColumn(kind, values)
     if exact.all():
@@ -471,7 +471,7 @@ def _sum_column(
         else:
             numbers_one_by_one.append(decimals.scaled(int(value), scale))
     few = exact_column(kind, numbers_one_by_one, terms.dictionary.transient_id)
-    return scattered([at, rest], [few, column.take(rest)], terms.dictionary)
+    return scatter([at, rest], [few, column.take(rest)], terms.dictionary)
 
 
 def _nothing(dtype: np.dtype[Any]) -> Any:

@@ -29,7 +29,7 @@ def copy_graph(number: int) -> NamedNode:
     return NamedNode(f"urn:dyknow:copy:{number}")
 
 
-def counting(query: ast.Query) -> ast.Query:
+def count_copies(query: ast.Query) -> ast.Query:
     """Make each triple pattern of the query read the copy graphs.
 
     Raises `Unsupported` for GRAPH, other paths, and DISTINCT over ``*``. Cost: one pass over the

@@ -11,7 +11,7 @@ from ..values.standard_functions import ORDER, TRUTH
 _BOOLEANS: Final = (ast.Comparison, ast.Logical, ast.In, ast.Exists)
 
 
-def standard(query: ast.Query) -> ast.Query:
+def rewrite_to_standard(query: ast.Query) -> ast.Query:
     """Replace the parts of a query that Oxigraph evaluates otherwise by `standard_functions`."""
     return ast.rewrite(query, _changed)
 

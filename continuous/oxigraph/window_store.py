@@ -2,7 +2,7 @@
 triples that the query needs.
 
 A long-lived store would leak memory under additions and removals. A store merges equal triples: if
-a window has some under bag semantics, `bag_rewrite.counting` rewrites the query.
+a window has some under bag semantics, `bag_rewrite.count_copies` rewrites the query.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from ..columns.relation import TermValues, term_column
 from ..operators.results import Solutions, WindowResult
 from ..operators.sources import StaticSide, distinct_ids
 from ..values.literals import canonical
-from .bag_rewrite import HIDDEN, copy_graph, counting
-from .standard_rewrite import standard
+from .bag_rewrite import HIDDEN, copy_graph, count_copies
+from .standard_rewrite import rewrite_to_standard
 
 _DEFAULT = DefaultGraph()
 
@@ -83,7 +83,7 @@ class OxigraphWindows:
 
     @cached_property
     def _text(self) -> _Text:
-        return _Text(standard(self.query))
+        return _Text(rewrite_to_standard(self.query))
 
     @cached_property
     def _label(self) -> str:
@@ -92,21 +92,21 @@ class OxigraphWindows:
 
     @cached_property
     def _named(self) -> tuple[frozenset[NamedNode] | None, frozenset[NamedNode] | None]:
-        return named(self.query)
+        return named_predicates(self.query)
 
     @cached_property
-    def counting(self) -> _Text | None:
+    def bag_text(self) -> _Text | None:
         """The text for windows with equal triples; None if they count once."""
         if self.distinct:
             return None
         try:
-            return _Text(standard(counting(self.query)))
+            return _Text(rewrite_to_standard(count_copies(self.query)))
         except Unsupported as unsupported:
             self.merges = str(unsupported)
             return None
 
     merges: str = ""
-    """Why equal triples are merged although the query has bag semantics (`counting` is None)."""
+    """Why equal triples are merged although the query has bag semantics (`bag_text` is None)."""
 
     def solve(
         self, contents: Mapping[str, Sequence[TripleRows]], start: int, end: int
@@ -123,10 +123,10 @@ class OxigraphWindows:
             quads += named
         copies = [] if self.distinct else _copies(static, content)
         text = self._text
-        if copies and self.counting is not None:
+        if copies and self.bag_text is not None:
             quads += copies
-            text = self.counting
-        merged = (bool(copies) or (has_equal and not self.distinct)) and self.counting is None
+            text = self.bag_text
+        merged = (bool(copies) or (has_equal and not self.distinct)) and self.bag_text is None
         budget = self.terms.budget
         with budget.pauses.released(waits=True):
             result = budget.oxigraph.ask(text.at(end), self._kept, quads)
@@ -275,7 +275,7 @@ def _value(term: Any) -> Any:
     return canonical(term) if isinstance(term, Literal) else term
 
 
-def named(
+def named_predicates(
     query: ast.Query,
 ) -> tuple[frozenset[NamedNode] | None, frozenset[NamedNode] | None]:
     """Return the predicates and the classes that a query names; None if it may read any."""

@@ -425,7 +425,7 @@ def _match(
                             else:
                                 value = a / b
                         else:
-                            # As `decimals.combined`: mantissas of a common scale.
+                            # As `decimals.combine`: mantissas of a common scale.
                             scale = np.int64(0)
                             while scale <= 15:
                                 x = np.rint(a * POWERS[scale + 22])

@@ -1,7 +1,7 @@
 """The compiled loops that store the triples of windows for joins of patterns (`window_rows`).
 
 A triple is a row of numbers: its *slot* (a predicate in a graph that the query names), the id of
-its subject, its object as tag and bits (`relation.TermValues.encoded`), its time and its window. A
+its subject, its object as tag and bits (`relation.TermValues.encode`), its time and its window. A
 row stays from the first evaluation whose window contains it to the last. It is linked to the
 previous rows with the same slot, subject, object or triple. Such a chain goes from the newest row
 to the oldest, so a search stops at the first expired row, and nothing is unlinked. Each loop is the
@@ -58,7 +58,7 @@ def _append_pending(
     words: Any,
     times: Any,
     by: Any,
-    # By term: its tag and bits (`relation.TermValues.encoded`).
+    # By term: its tag and bits (`relation.TermValues.encode`).
     term_tags: Any,
     term_bits: Any,
     pending: Any,

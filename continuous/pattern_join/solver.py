@@ -32,7 +32,7 @@ from ..algebra.expressions import (
 )
 from ..algebra.plan import Plan, Position, TypeScan, outputs
 from ..columns.budget import BudgetExceeded
-from ..columns.relation import Relation, TermValues, decoded, decoded_terms
+from ..columns.relation import Relation, TermValues, decode, decode_terms
 from ..operators.sources import StaticSide
 from ..values.literals import canonical
 from .join_kernel import CONSTANT, DOUBTFUL, OVERSPENT, VARIABLE, match
@@ -85,7 +85,7 @@ class PatternJoin:
         self.filter_needs = self.filter_needs.reshape(len(needs), len(self.variables))
         # The loop compares ids of canonical terms. `HeldTerms` keeps those in the dictionary.
         self._named = HeldTerms(terms.dictionary, (canonical(one.term) for one in constants))
-        encoded = terms.encoded(ObjectColumn(Kind.TERM, self._named.ids))
+        encoded = terms.encode(ObjectColumn(Kind.TERM, self._named.ids))
         self.constant_tags, self.constant_bits = encoded
         self._uniform = np.zeros(len(self._shown), np.int8)
         self._kept, self._seen, self._seen_selection = 0, 0, _NEVER
@@ -185,10 +185,10 @@ class PatternJoin:
         for i, name in enumerate(self._shown):
             tag, words = self._uniform[i], self._bits[i, :found]
             if tag < 0:
-                columns[name] = decoded_terms(self._tags[i, :found], words, self.terms.dictionary)
+                columns[name] = decode_terms(self._tags[i, :found], words, self.terms.dictionary)
             else:
-                column = decoded(_KINDS[tag], words)
-                # Values that are not of 64 bits have been copied by `decoded`.
+                column = decode(_KINDS[tag], words)
+                # Values that are not of 64 bits have been copied by `decode`.
                 if copied and column.values.itemsize == words.itemsize:
                     column = ObjectColumn(column.kind, column.values.copy())
                 columns[name] = column

@@ -66,7 +66,7 @@ class StaticRows:
             else:
                 scan = Scan(Var("s"), slot.predicate, Var("o"), slot.graph)
             subjects, objects = self.static.pairs(scan)
-            parts.append((subjects.values, *terms.encoded(terms.canonical(objects))))
+            parts.append((subjects.values, *terms.encode(terms.canonical(objects))))
             counts[number] = len(subjects)
         total = int(counts.sum())
         rows = np.zeros((total, ROW), np.int32)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...rdf.namespaces import RDF_TYPE
 from ...rdf.timed import Kind, TripleRows
-from ..columns.relation import TermValues, bits, decoded
+from ..columns.relation import TermValues, bits, decode
 from .plan_cut import Slot
 from .row_kernels import (
     COUNT,
@@ -329,7 +329,7 @@ class PatternRows:
                 table = TripleRows(time[at], time[at], subject[at], {}, sorts[kind])
             else:
                 predicate = self.terms.dictionary.transient_id(names[number].predicate)
-                column = decoded(Kind(kind), words[at])
+                column = decode(Kind(kind), words[at])
                 table = TripleRows(time[at], time[at], subject[at], {predicate: column})
             tables.append(table)
         return found

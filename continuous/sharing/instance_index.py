@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
 from ..algebra.template_parameters import Joint
-from ..columns.relation import Relation, TermValues, as_terms, bits, decoded
+from ..columns.relation import Relation, TermValues, as_terms, bits, decode
 from ..values.literals import LONG
 from .instance_kernel import find_pairs, least_of
 from .instance_terms import InstanceTerms
@@ -153,7 +153,7 @@ class _Key:
             table = np.full(0, -1)
             for tag, distinct, first in self._first:
                 # A column of mixed kinds has numbers as terms, so they need ids, too.
-                ids = as_terms(decoded(Kind(tag), distinct), dictionary).values
+                ids = as_terms(decode(Kind(tag), distinct), dictionary).values
                 if len(ids) and ids.max() >= len(table):
                     table = np.concatenate([table, np.full(ids.max() + 1 - len(table), -1)])
                 table[ids] = np.arange(first, first + len(ids))
@@ -176,5 +176,5 @@ def _limits(column: InstanceTerms, rows: Rows) -> NDArray[np.float64]:
     for kind in (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE):
         at = tags == kind
         if at.any():
-            limits[at] = decoded(kind, values[at]).values
+            limits[at] = decode(kind, values[at]).values
     return limits

@@ -11,7 +11,7 @@ from pyoxigraph import Literal, NamedNode
 
 from ...rdf.dictionary import Term, TermDictionary
 from ...rdf.timed import DATATYPES, Kind, ObjectColumn, split_term
-from ..columns.relation import bits, decoded, decoded_terms
+from ..columns.relation import bits, decode, decode_terms
 from ..values.literals import canonical
 
 _BLOCK = 4096
@@ -45,7 +45,7 @@ class GrowingArray:
 
 
 class InstanceTerms:
-    """A growing column of terms, each a tag (`Kind`) and 64 bits, as in `TermValues.encoded`.
+    """A growing column of terms, each a tag (`Kind`) and 64 bits, as in `TermValues.encode`.
 
     Numbers never enter the dictionary, so a million thresholds take 9 bytes each.
     """
@@ -102,8 +102,8 @@ class InstanceTerms:
         if not len(tags):
             return ObjectColumn(Kind.TERM, np.zeros(0, np.int32))
         if (tags == tags[0]).all():
-            return decoded(Kind(int(tags[0])), values)
-        return decoded_terms(tags, values, self.dictionary)
+            return decode(Kind(int(tags[0])), values)
+        return decode_terms(tags, values, self.dictionary)
 
     def term(self, row: int) -> Term:
         return self.column(np.array([row])).term_at(0, self.dictionary)

@@ -79,7 +79,7 @@ def mantissas_of(integers: NDArray[np.int64]) -> Mantissas | None:
     return Mantissas(integers, 0)
 
 
-def fitting(codes: NDArray[np.float64], scale: int) -> tuple[NDArray[np.bool_], Mantissas]:
+def fit_scale(codes: NDArray[np.float64], scale: int) -> tuple[NDArray[np.bool_], Mantissas]:
     """Return which codes have a mantissa at ``scale``, and these mantissas (0 for the others)."""
     found, fits = _at_scale(codes, scale)
     return fits, Mantissas(np.where(fits, found, 0.0).astype(np.int64), scale)
@@ -92,21 +92,21 @@ def _at_scale(codes: Any, scale: int) -> tuple[NDArray[np.float64], NDArray[np.b
         return found, (np.abs(found) <= LIMIT) & (found / power == codes)
 
 
-def coded(found: Mantissas) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def encode(found: Mantissas) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the codes of mantissas, and which are valid: the others have over 15 digits."""
     values = found.values
     valid = (values >= -LIMIT) & (values <= LIMIT)
     return values / 10.0**found.scale, valid & (found.scale <= 22)
 
 
-def combined(name: str, a: Mantissas, b: Mantissas) -> tuple[Any, NDArray[np.bool_]] | None:
+def combine(name: str, a: Mantissas, b: Mantissas) -> tuple[Any, NDArray[np.bool_]] | None:
     """Return the codes of ``a name b``, and which are valid; None: none is.
 
     For ``/`` no divisor may be 0.
     """
     if name == "*":
         small = np.abs(a.values.astype(np.float64) * b.values) <= LIMIT
-        codes, valid = coded(Mantissas(a.values * b.values, a.scale + b.scale))
+        codes, valid = encode(Mantissas(a.values * b.values, a.scale + b.scale))
         return codes, valid & small
     if name == "/":
         dividend = _shifted(a, max(0, b.scale - a.scale))
@@ -116,7 +116,7 @@ def combined(name: str, a: Mantissas, b: Mantissas) -> tuple[Any, NDArray[np.boo
     if left is None or right is None:
         return None
     total = left + right if name == "+" else left - right
-    return coded(Mantissas(total, max(a.scale, b.scale)))
+    return encode(Mantissas(total, max(a.scale, b.scale)))
 
 
 def _shifted(found: Mantissas, by: int) -> NDArray[np.int64] | None:
@@ -205,7 +205,7 @@ def text(number: Decimal) -> str:
     return "0" if shown == "-0" else shown
 
 
-def parsed(lexical: str) -> Decimal | None:
+def parse(lexical: str) -> Decimal | None:
     """Return the value of a decimal or integer text; None if it has too many digits."""
     return _within_limit(Decimal(lexical)) if len(lexical) <= 2 * LONGEST + 3 else None
 
@@ -218,7 +218,7 @@ def _within_limit(number: Decimal) -> Decimal | None:
     return number if fits and number.adjusted() < LONGEST else None
 
 
-def computed(name: str, a: Decimal, b: Decimal) -> Decimal | None:
+def compute(name: str, a: Decimal, b: Decimal) -> Decimal | None:
     """Return ``a name b``; None if that is an error."""
     try:
         if name == "/":
@@ -283,7 +283,7 @@ def _power(number: int, factor: int) -> int:
     return found
 
 
-def rounded(name: str, number: Decimal) -> Decimal:
+def round_number(name: str, number: Decimal) -> Decimal:
     """NEGATE, ABS, CEIL, FLOOR or ROUND (a half towards positive infinity)."""
     match name:
         case "NEGATE":

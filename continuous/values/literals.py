@@ -82,7 +82,7 @@ def value_of(term: Term) -> LiteralValue:
     is_integer = datatype in INTEGERS
     if not is_integer and datatype != XSD + "decimal":
         return LiteralValue(Sort.OTHER)
-    exact = decimals.parsed(text) if (_WHOLE if is_integer else _DECIMAL).fullmatch(text) else None
+    exact = decimals.parse(text) if (_WHOLE if is_integer else _DECIMAL).fullmatch(text) else None
     if exact is None:
         return LiteralValue(Sort.ILL_TYPED)
     number, true = float(exact) + 0.0, bool(exact)

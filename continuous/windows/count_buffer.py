@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...languages.csparql.ast import CountWindow
 from ...rdf.dictionary import TermDictionary
 from ...rdf.timed import Kind, TripleRows
-from ..columns.relation import bits, decoded
+from ..columns.relation import bits, decode
 
 _NO_SORT = -1
 
@@ -166,6 +166,6 @@ class _Triples:
                 self.time[at],
                 self.valid[at],
                 self.subject[at].astype(np.int32),
-                {predicate: decoded(Kind(kind), self.object[at])},
+                {predicate: decode(Kind(kind), self.object[at])},
                 None if sort == _NO_SORT else sort,
             )

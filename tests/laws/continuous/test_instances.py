@@ -227,8 +227,8 @@ def test_the_kernel_equals_its_twins(groups, rows, strict) -> None:
         group, value, starts, ordered, least, strict, room[0], room[1]
     )
     found = [
-        instance_kernel.fired(group, value, starts, ordered, least, strict),
-        instance_kernel.fired_plain(group, value, starts, ordered, strict),
+        instance_kernel.find_pairs(group, value, starts, ordered, least, strict),
+        instance_kernel.find_pairs_plain(group, value, starts, ordered, strict),
         room[:, :count],
     ]
     found = [list(zip(at.tolist(), places.tolist(), strict=True)) for at, places in found]
