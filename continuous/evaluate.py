@@ -1,10 +1,10 @@
-"""Recorded streams through a continuous query, without a server: `dyknow.evaluate`."""
+"""`dyknow.evaluate`: a continuous query over recorded streams, without a server."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -28,12 +28,12 @@ _BATCH = 4096
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A window's result: ``end`` (ns) and what the query gives for it.
+    """The result of one window, which ends at ``end`` (ns).
 
-    ``solutions``: for SELECT a list of dicts name -> term (unbound names left out), for CONSTRUCT
-    a list of triples ``(subject, predicate, object)``, for ASK a bool. ``late``: how many elements
-    had been dropped as late by then. ``merged``: the bag was asked for, yet
-    equal triples counted once (docs/explanation/semantics.md says where).
+    ``solutions``: for SELECT a list of dicts name -> term (without unbound names), for CONSTRUCT a
+    list of triples ``(subject, predicate, object)``, for ASK a bool. ``late``: the number of
+    elements dropped as late so far. ``merged``: equal triples counted once although the query has
+    bag semantics (docs/explanation/semantics.md lists the cases).
     """
 
     start: int
@@ -55,35 +55,38 @@ def evaluate(
     explained: Explained | None = None,
     late: Callable[[TimedTerm], object] | None = None,
 ) -> Iterator[Window]:
-    """The windows of a continuous query over recorded streams, one by one, as they close.
+    """Yield the windows of a continuous query over recorded streams as they close.
 
-    ``streams`` gives the triples by stream IRI. A collection with a length is sorted by time
-    first; an iterator is read lazily, only as far as the next window needs, and an element more
-    than ``lateness`` ns (0 unless given) behind the greatest time seen is dropped and counted, and
-    ``late`` is called with it as it came. Streams are merged by time; there is no clock here, so
-    none is idle: one that says no more has ended. ``static`` are RDF files: a list of what is read
-    whatever the query's FROM clauses are, or a mapping from the names of graphs to files, of which
-    it reads those of FROM (all if it has none) and FROM NAMED. ``semantics`` is "bag" for C-SPARQL
-    and "set" for RSP-QL unless given; ``origin`` is 0; for ``report`` see `options`; ``explained``
-    takes how the query was computed. Raises `LanguageError`
-    for the text, ``ValueError`` for streams without a window, and when ``streams`` are not those
-    that the query's FROM STREAM clauses name (a query without them reads what it is given) or a
-    graph is not given, ``TypeError`` for what is no tuple ``(time in ns, subject, predicate,
-    object)`` of pyoxigraph's terms.
+    ``streams``: the triples by stream IRI. A collection with a length is sorted by time first. An
+    iterator is read lazily, only as far as the next window needs; an element more than ``lateness``
+    ns (default 0) behind the greatest time is dropped and counted, and passed to ``late``. Streams
+    are merged by time. There is no clock, so none is idle: a stream without further elements has
+    ended.
+
+    ``static``: RDF files. The query reads all files of a list, whatever its FROM clauses. Of a
+    mapping from graph names to files it reads those of FROM (all without FROM) and FROM NAMED.
+
+    ``semantics``: by default "bag" for C-SPARQL and "set" for RSP-QL; ``origin``: by default 0;
+    ``report``: see `options`; ``explained`` records how the query is computed.
+
+    Raises `LanguageError` for the text. Raises ``ValueError`` for a stream without a window, a
+    missing graph, and if the FROM STREAM clauses name other streams than ``streams`` (a query
+    without them reads all). Raises ``TypeError`` for an element that is no tuple ``(time in ns,
+    subject, predicate, object)`` of pyoxigraph's terms.
     """
     query = parse_query(query_text)
     named = {clause.iri for clause in query.streams}
     if named and named != set(streams):
-        strange, lacking = sorted(set(streams) - named), sorted(named - set(streams))
+        unread, missing = sorted(set(streams) - named), sorted(named - set(streams))
         raise ValueError(
             "; ".join(
-                [f"the query does not read <{iri}>" for iri in strange]
-                + [f"the query reads <{iri}>, which is not given" for iri in lacking]
+                [f"the query does not read <{iri}>" for iri in unread]
+                + [f"the query reads <{iri}>, which is not given" for iri in missing]
             )
         )
-    usual: Semantics = "set" if query.dialect is Dialect.RSP_QL else "bag"
-    options = Options(semantics or usual, bounds, origin or 0, report)
-    columns = [given for given in streams.values() if isinstance(given, TimedTriples)]
+    default: Semantics = "set" if query.dialect is Dialect.RSP_QL else "bag"
+    options = Options(semantics or default, bounds, origin or 0, report)
+    columns = [stream for stream in streams.values() if isinstance(stream, TimedTriples)]
     dictionary = columns[0].dictionary if columns else TermDictionary()
     evaluator = ContinuousEvaluator(
         query, dictionary, _background(query, static), tuple(streams), options
@@ -91,22 +94,23 @@ def evaluate(
     if explained is not None:
         explained.attach(evaluator)
     counts = any(window.counted for window in evaluator.schedule.windows)
-    feeds = [_Feed(name, given, lateness, counts, late) for name, given in streams.items()]
+    feeds = [_Feed(name, stream, lateness, counts, late) for name, stream in streams.items()]
     return _run(evaluator, feeds, dictionary, explained)
 
 
 class Explained:
-    """How a query is computed: each stage, and what operators cost; as far as `evaluate` has come.
+    """A record of how `evaluate` computes a query: each stage, and the cost of the operators so
+    far.
 
-    ``clock`` tells ns (`time.perf_counter_ns`). Costs are estimated from what the streams have
-    given; of one that has given nothing yet, from its ``rates`` (samples a second, by IRI), or as
-    `input_rates` assumes. Measuring costs about a microsecond an operator, and a sort of the ids of
-    what is read.
+    ``clock`` returns ns (`time.perf_counter_ns`). Cost estimates use the rates measured so far; for
+    a stream without elements, those of ``rates`` (samples a second, by IRI), or else the
+    assumptions of `input_rates`. Measuring costs about a microsecond per operator, and a sort of
+    the ids of the rows.
     """
 
     def __init__(self, clock: Callable[[], int], rates: Mapping[str, float] | None = None) -> None:
         self._profile = Profile(clock)
-        self._told = {name: Flow(rate) for name, rate in (rates or {}).items()}
+        self._assumed = {name: Flow(rate) for name, rate in (rates or {}).items()}
         self._traffic: dict[str, Traffic] = {}
         self._evaluator: ContinuousEvaluator | None = None
 
@@ -117,33 +121,33 @@ class Explained:
         self._traffic = {name: Traffic() for name in evaluator.inputs}
 
     def count(self, name: str, triples: TimedTriples) -> None:
-        """Triples came in the stream ``name``."""
+        """Count triples of the stream ``name``."""
         self._traffic[name].add(triples)
 
     def __str__(self) -> str:
         if self._evaluator is None:
             return ""
-        measured = {name: traffic.flow() for name, traffic in self._traffic.items()}
-        known = {name: flow for name, flow in measured.items() if flow is not None}
-        return self._evaluator.explain(self._told | known)
+        flows = {name: traffic.flow() for name, traffic in self._traffic.items()}
+        measured = {name: flow for name, flow in flows.items() if flow is not None}
+        return self._evaluator.explain(self._assumed | measured)
 
 
 def _background(
     query: ContinuousQuery, static: Iterable[str | Path] | Mapping[str, str | Path]
 ) -> Background:
-    known = static if isinstance(static, Mapping) else {}
-    wanted = (*query.static, *query.static_named) if known else query.static_named
-    lacking = [iri for iri in wanted if iri not in known]
-    if lacking:
-        given = ", ".join(f"<{iri}>" for iri in known) or "no graph with a name"
+    by_name = static if isinstance(static, Mapping) else {}
+    wanted = (*query.static, *query.static_named) if by_name else query.static_named
+    missing = [iri for iri in wanted if iri not in by_name]
+    if missing:
+        names = ", ".join(f"<{iri}>" for iri in by_name) or "no graph with a name"
         raise ValueError(
-            f"the query names the graph <{lacking[0]}>, and `static` gives {given}: "
+            f"the query names the graph <{missing[0]}>, and `static` gives {names}: "
             "give a mapping from the names of graphs to files"
         )
     if not isinstance(static, Mapping):
         return Background.from_files(static)
-    default = query.static or tuple(iri for iri in known if iri not in query.static_named)
-    used = {iri: known[iri] for iri in dict.fromkeys((*default, *query.static_named))}
+    default = query.static or tuple(iri for iri in by_name if iri not in query.static_named)
+    used = {iri: by_name[iri] for iri in dict.fromkeys((*default, *query.static_named))}
     return Background.from_files(used, default)
 
 
@@ -153,7 +157,7 @@ def _run(
     dictionary: TermDictionary,
     explained: Explained | None,
 ) -> Iterator[Window]:
-    """Always the feed that is furthest behind goes on."""
+    """Push batches, always from the feed that is furthest behind, and yield the windows."""
     open_feeds = list(feeds)
     batch: TimedTriples | None = None
     while open_feeds:
@@ -169,7 +173,7 @@ def _run(
                 explained.count(feed.name, batch)
             evaluator.push(feed.name, batch)
             waits = any(one.greatest is None for one in open_feeds)
-            # Nothing closes before every stream has been looked at.
+            # No window closes before each stream has delivered its first element.
             results = [] if waits or feed.watermark is None else _advance(evaluator, open_feeds)
         late = sum(one.late for one in feeds) + evaluator.late
         for result in results:
@@ -178,7 +182,7 @@ def _run(
 
 def _advance(evaluator: ContinuousEvaluator, feeds: Sequence[_Feed]) -> list[WindowResult]:
     results: list[WindowResult] = []
-    # The least watermark first: it holds the others back even when they are new.
+    # The least watermark first: a new stream holds the others back.
     for feed in sorted(feeds, key=lambda one: one.progress):
         if feed.watermark is not None:
             results.extend(evaluator.advance(feed.name, feed.watermark))
@@ -197,30 +201,30 @@ def _window(result: WindowResult, late: int) -> Window:
 
 
 class _Feed:
-    """One stream on its way in: how far it has come, what was late."""
+    """One input stream: its elements, its watermark, its count of late elements."""
 
     def __init__(
         self,
         name: str,
-        given: Iterable[TimedTerm] | TimedTriples,
+        stream: Iterable[TimedTerm] | TimedTriples,
         lateness: int | None,
         counts: bool,
-        hear_late: Callable[[TimedTerm], object] | None,
+        report_late: Callable[[TimedTerm], object] | None,
     ) -> None:
         self.name = name
         self.greatest: int | None = None
         self.late = 0
         self.lateness = lateness or 0
         self._counts = counts
-        self._hear_late = hear_late
-        self._columns = given if isinstance(given, TimedTriples) else None
-        self._sorted = isinstance(given, Sized)
+        self._report_late = report_late
+        self._columns = stream if isinstance(stream, TimedTriples) else None
+        self._sorted = isinstance(stream, Sized)
         if self._columns is None and self._sorted:
             self._items: Iterator[TimedTerm] = iter(
-                sorted(given, key=lambda item: _checked(item)[0])
+                sorted(stream, key=lambda item: _checked(item)[0])
             )
         else:
-            self._items = iter(()) if self._columns is not None else iter(given)
+            self._items = iter(()) if self._columns is not None else iter(stream)
 
     @property
     def watermark(self) -> int | None:
@@ -233,7 +237,7 @@ class _Feed:
         return -np.inf if self.watermark is None else self.watermark
 
     def read(self, dictionary: TermDictionary, until: int | None) -> TimedTriples | None:
-        """The next elements, up to the first that could close the window at ``until``."""
+        """Return the next elements, up to the first that could close the window at ``until``."""
         if self._columns is not None:
             columns, self._columns = self._columns, None
             times = [int(table.time.max()) for table in columns.tables if len(table)]
@@ -241,37 +245,36 @@ class _Feed:
             if columns.dictionary is dictionary:
                 return columns
             return from_terms(list(columns), dictionary)
-        taken: list[TimedTerm] = []
+        items: list[TimedTerm] = []
         for item in islice(self._items, _BATCH):
             time = _checked(item)[0]
             if self.watermark is not None and time < self.watermark:
                 self.late += 1
-                if self._hear_late is not None:
-                    self._hear_late(item)
+                if self._report_late is not None:
+                    self._report_late(item)
                 continue
-            taken.append(item)
+            items.append(item)
             self.greatest = time if self.greatest is None else max(self.greatest, time)
             if until is None or (self.watermark is not None and self.watermark > until):
                 break
-        if not taken and self._exhausted():
+        if not items and self._exhausted():
             return None
-        taken.sort(key=lambda item: item[0])
-        return _in_order(taken, dictionary) if self._counts else from_terms(taken, dictionary)
+        items.sort(key=lambda item: item[0])
+        return _in_order(items, dictionary) if self._counts else from_terms(items, dictionary)
 
     def _exhausted(self) -> bool:
-        following = next(self._items, None)
-        if following is None:
+        first = next(self._items, None)
+        if first is None:
             return True
-        rest = self._items
-        self._items = _chain(following, rest)
+        self._items = chain((first,), self._items)
         return False
 
 
-def _in_order(taken: Sequence[TimedTerm], dictionary: TermDictionary) -> TimedTriples:
-    """A table each time the predicate or the kind of object changes: for windows that count, which
-    of two triples of one time came first matters."""
+def _in_order(items: Sequence[TimedTerm], dictionary: TermDictionary) -> TimedTriples:
+    """Return a table per run of equal predicate and kind of object. Counting windows need the order
+    of triples of one time, which one table per shape would lose."""
     tables: list[TripleRows] = []
-    for _, run in groupby(taken, key=_shape):
+    for _, run in groupby(items, key=_shape):
         tables.extend(from_terms(run, dictionary).tables)
     return TimedTriples(dictionary, tuple(tables))
 
@@ -281,14 +284,9 @@ def _shape(item: TimedTerm) -> tuple[NamedNode, str]:
     return item[2], object.datatype.value if isinstance(object, Literal) else ""
 
 
-def _chain(first: TimedTerm, rest: Iterator[TimedTerm]) -> Iterator[TimedTerm]:
-    yield first
-    yield from rest
-
-
 def _checked(item: Any) -> TimedTerm:
-    """``item`` if it is a timed triple; else ``TypeError``, for anything else would only match
-    nothing."""
+    """Return ``item`` if it is a timed triple. Raises ``TypeError`` for anything else, which would
+    silently match nothing."""
     if not isinstance(item, tuple) or len(item) != 4:
         raise TypeError(f"a timed triple is (time, subject, predicate, object), not {item!r}")
     time, subject, predicate, object = item

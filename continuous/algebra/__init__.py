@@ -1,1 +1,1 @@
-"""The query as a plan: from the SPARQL tree to operators of an algebra, rewritten and printed."""
+"""The logical plan of a query: translated from the SPARQL tree, rewritten, printed."""

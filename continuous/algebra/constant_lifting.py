@@ -1,7 +1,7 @@
-"""The normal form of a query with its constants taken out (DESIGN §3 "Sharing").
+"""The normal form of a query with variables instead of its constants (DESIGN §3 "Sharing").
 
-Queries of one form differ in constants only. What several of them have in common is their least
-general generalization [Plotkin70]: the form with the constants on which they agree put back.
+Queries of one form differ in constants only. The common part of several is their least general
+generalization [Plotkin70]: the form with the constants on which they agree.
 """
 
 from __future__ import annotations
@@ -26,55 +26,56 @@ from .plan import (
     Scan,
     TemplatePosition,
     TypeScan,
-    mentioned,
+    named_variables,
     with_expressions,
     with_inputs,
 )
 
 Pattern: TypeAlias = tuple[Term | Var, ...]
-"""What stands for each constant of a form: the one that all agree on, or a parameter. Constants
-that are the same in each query are one parameter."""
+"""For each constant of a form the common constant, or a parameter. Constants that are equal to each
+other in every query share a parameter."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lifted:
-    """``query`` with a variable that no text can name, `place`, for each of ``constants``.
+class LiftedQuery:
+    """``query`` with a variable for each of ``constants``; no text can contain its name.
 
-    A name (IRI) is one constant wherever it stands, a literal is one wherever it is written: so
-    that patterns about one object stay joined, and two limits are two though they be equal.
+    An IRI is one constant at all its places, a literal one per place. So patterns about one object
+    stay joined, but two limits that happen to be equal stay independent.
     """
 
     query: Query
     constants: tuple[Term, ...]
 
 
-def place(number: int) -> str:
-    """The variable for the constant with this number."""
+def constant_variable(number: int) -> str:
+    """Return the variable for the constant with this number."""
     return f"\0constant{number}"
 
 
-def lifted(query: Query) -> Lifted:
-    """``query`` with the constants of its patterns (subjects and objects), expressions and head
-    taken out. Not predicates, sorts, ends of paths, VALUES: they decide what is computed.
+def lift_constants(query: Query) -> LiftedQuery:
+    """Replace the constants in patterns (subjects and objects), expressions and head by variables.
+    Predicates, sorts, ends of paths and VALUES stay: they decide what is computed.
 
-    Law (tests/laws/continuous/test_alike.py): ``lowered(form, constants)`` is ``query`` again.
-    Cost: one pass over the plan.
+    Law (tests/laws/continuous/test_alike.py): ``put_constants(form, constants)`` restores
+    ``query``. Cost: one pass over the plan.
     """
     lifting = _Lifting()
     plan = lifting.plan(query.plan)
-    return Lifted(Query(lifting.head(query.head), plan), tuple(lifting.constants))
+    return LiftedQuery(Query(lifting.head(query.head), plan), tuple(lifting.constants))
 
 
-def lowered(query: Query, pattern: Sequence[Term | Var]) -> Query:
-    """A form with ``pattern`` in the places of its constants."""
+def put_constants(query: Query, pattern: Sequence[Term | Var]) -> Query:
+    """Put ``pattern`` into the places of a form's constants."""
     put: dict[str, Var | Const] = {
-        place(i): one if isinstance(one, Var) else Const(one) for i, one in enumerate(pattern)
+        constant_variable(i): one if isinstance(one, Var) else Const(one)
+        for i, one in enumerate(pattern)
     }
     return Query(_with_head(query.head, put), _with_plan(query.plan, put))
 
 
-def generalized(members: Sequence[tuple[Term, ...]]) -> Pattern:
-    """The most special pattern that fits all ``members``, which are of one form."""
+def generalize(members: Sequence[tuple[Term, ...]]) -> Pattern:
+    """Return the most specific pattern that all ``members`` match; they have one form."""
     parameters: dict[tuple[Term, ...], Var] = {}
     pattern: list[Term | Var] = []
     for column in zip(*members, strict=True):
@@ -86,15 +87,15 @@ def generalized(members: Sequence[tuple[Term, ...]]) -> Pattern:
     return tuple(pattern)
 
 
-def fitted(pattern: Pattern, constants: Sequence[Term]) -> dict[str, Term] | None:
-    """The terms of the pattern's parameters in a query with these constants; None if it does not
-    fit."""
-    found: dict[str, Term] = {}
+def match_constants(pattern: Pattern, constants: Sequence[Term]) -> dict[str, Term] | None:
+    """Return the terms of the pattern's parameters for these constants; None if they do not
+    match."""
+    terms: dict[str, Term] = {}
     for one, term in zip(pattern, constants, strict=True):
-        known = found.setdefault(one.name, term) if isinstance(one, Var) else one
-        if known != term:
+        expected = terms.setdefault(one.name, term) if isinstance(one, Var) else one
+        if expected != term:
             return None
-    return found
+    return terms
 
 
 class _Lifting:
@@ -110,10 +111,10 @@ class _Lifting:
             case TypeScan(subject):
                 return replace(plan, subject=self.position(subject))
             case Aggregate(keys, _, child, implicit) if not implicit:
-                # A constant is the same in each row of a group.
-                known = mentioned(child)
-                own = (place(i) for i in range(len(self.constants)))
-                return replace(plan, keys=(*keys, *(name for name in own if name in known)))
+                # A constant is equal in all rows of a group, so its variable can be a key.
+                below = named_variables(child)
+                own = (constant_variable(i) for i in range(len(self.constants)))
+                return replace(plan, keys=(*keys, *(name for name in own if name in below)))
             case _:
                 return plan
 
@@ -138,7 +139,7 @@ class _Lifting:
         term = position.term
         if isinstance(term, NamedNode) and term in self._names:
             return self._names[term]
-        variable = Var(place(len(self.constants)))
+        variable = Var(constant_variable(len(self.constants)))
         self.constants.append(term)
         if isinstance(term, NamedNode):
             self._names[term] = variable

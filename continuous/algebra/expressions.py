@@ -45,7 +45,7 @@ INFIX: Final = frozenset({*COMPARISONS, *ARITHMETIC, "&&", "||"})
 
 
 def postorder(expression: Expression) -> list[Expression]:
-    """``expression`` and all that is in it, arguments before their call, from left to right."""
+    """Return ``expression`` and all its parts, arguments before their call, from left to right."""
     found, left = [], [expression]
     while left:
         one = left.pop()
@@ -57,12 +57,12 @@ def postorder(expression: Expression) -> list[Expression]:
 
 
 def variables(expression: Expression) -> frozenset[str]:
-    """The variables that ``expression`` names."""
+    """Return the variables in ``expression``."""
     return frozenset([one.name for one in postorder(expression) if isinstance(one, Var)])
 
 
 def conjuncts(expression: Expression) -> tuple[Expression, ...]:
-    """The parts of a conjunction: a FILTER with them is a FILTER each."""
+    """Return the parts of a conjunction: a FILTER of it equals a FILTER per part."""
     if isinstance(expression, Call) and expression.name == "&&":
         return tuple(part for side in expression.arguments for part in conjuncts(side))
     return (expression,)

@@ -1,5 +1,5 @@
-"""From the expressions of a query's tree to those of plans (SPARQL 1.1 §17): operators in a row
-become binary ones."""
+"""Translates expressions of a SPARQL tree to those of plans (SPARQL 1.1 §17): operators become
+binary."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _NAMES = {"ISURI": "ISIRI", "URI": "IRI"}
 
 
 class ExpressionTranslation:
-    """``term`` reads a variable or constant; ``exists`` a pattern, as the variable of its mark.
-    IRI() resolves against ``base``, which is part of the name of its call."""
+    """``term`` translates a variable or constant; ``exists`` a pattern, to the variable of its
+    mark. IRI() resolves against ``base``, which is part of the name of its call."""
 
     def __init__(
         self,
@@ -30,7 +30,7 @@ class ExpressionTranslation:
         self.base = base
 
     def of(self, node: ast.Expression) -> Expression:
-        """``node`` as an `Expression`."""
+        """Translate ``node`` to an `Expression`."""
         go = self.of
         match node:
             case Variable() | NamedNode() | Literal():
@@ -67,7 +67,7 @@ class ExpressionTranslation:
     def _listed(
         self, operand: Expression, options: Sequence[ast.Expression], negated: bool
     ) -> Expression:
-        """IN, which is ``=`` of each option (SPARQL 1.1 §17.4.1.9)."""
+        """Translate IN: ``=`` of each option (SPARQL 1.1 §17.4.1.9)."""
         if not options:
             return Const(Literal(negated))
         found = _either("||", [Call("=", (operand, self.of(one))) for one in options])
@@ -75,8 +75,8 @@ class ExpressionTranslation:
 
 
 def _either(operator: str, tests: Sequence[Expression]) -> Expression:
-    """All tests by ``&&`` or ``||``, which are associative, errors included (SPARQL 1.1 §17.2): so
-    many of them are halved until they are few, for who reads an expression recurses."""
+    """Join tests by ``&&`` or ``||``, which are associative, errors included (SPARQL 1.1 §17.2). A
+    long list becomes a balanced tree: evaluation is recursive, and a chain would be too deep."""
     if len(tests) > _IN_A_ROW:
         half = len(tests) // 2
         return Call(operator, (_either(operator, tests[:half]), _either(operator, tests[half:])))

@@ -1,8 +1,8 @@
-"""From the tree of a query to the logical plan (SPARQL 1.1 §18.2), template arguments in their
-places.
+"""Translates the tree of a query to the logical plan (SPARQL 1.1 §18.2), with template arguments in
+their places.
 
-What the plan has no word for raises `Unsupported` with the reason: the query is then evaluated by
-Oxigraph, and `explain` says why.
+A part that plans cannot express raises `Unsupported` with the reason. Oxigraph then evaluates the
+query, and `explain` shows the reason.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from .plan import (
     Union,
     Values,
     certain,
-    mentioned,
+    named_variables,
     outputs,
 )
 from .property_paths import path_plan
@@ -59,8 +59,8 @@ from .unsupported import Unsupported
 
 @dataclass(frozen=True, slots=True)
 class Graphs:
-    """What GRAPH may name: windows and static graphs, by IRI. ``window_variables``: the variables
-    that stand for windows (``WINDOW ?w``); any other stands for static graphs."""
+    """The graphs that GRAPH may name: windows and static graphs, by IRI. ``window_variables``: the
+    variables that mean windows (``WINDOW ?w``); any other variable means static graphs."""
 
     windows: tuple[str, ...] = ()
     static: tuple[str, ...] = ()
@@ -70,9 +70,9 @@ class Graphs:
 def translate(
     query: ast.Query, bindings: Mapping[str, Term], graphs: Graphs | None = None
 ) -> Query:
-    """The logical plan of ``query``, ``bindings`` put in their variables' places.
+    """Return the logical plan of ``query``, with ``bindings`` in place of their variables.
 
-    Raises ``ValueError`` for an accessor of times that no pattern fits.
+    Raises ``ValueError`` for an accessor of times that matches no pattern.
     """
     return _Translation(bindings, graphs or Graphs()).query(query)
 
@@ -85,7 +85,7 @@ class _Translation:
         self.hidden = 0
         self.expressions = ExpressionTranslation(self._term, self.exists)
         self.waiting: list[tuple[str, Plan]] = []
-        """EXISTS of the expression that is being translated: its mark and its pattern."""
+        """The EXISTS of the expression being translated: marks and patterns."""
 
     def query(self, query: ast.Query) -> Query:
         if query.form is ast.Form.DESCRIBE:
@@ -103,7 +103,7 @@ class _Translation:
     # -- queries ---------------------------------------------------------------------------
 
     def solutions(self, query: ast.Query) -> Plan:
-        """What a query finds, with its modifiers (§18.2.4, §18.2.5)."""
+        """Translate a query with its solution modifiers (§18.2.4, §18.2.5)."""
         assert query.where is not None, "only DESCRIBE has no WHERE"
         plan, expressions = self._grouped(query, self.group(query.where))
         for condition in query.having:
@@ -132,8 +132,8 @@ class _Translation:
     def _grouped(
         self, query: ast.Query, plan: Plan
     ) -> tuple[Plan, dict[ast.Expression, ast.Expression]]:
-        """The groups of a query that groups (§18.2.4.1), and its expressions over them: with a
-        variable for each aggregate, which is one wherever it is written."""
+        """Return the groups of an aggregating query (§18.2.4.1), and its expressions over them with
+        a variable for each aggregate. Equal aggregates share a variable."""
         if not query.is_aggregated:
             return plan, {}
         keys: list[str] = []
@@ -144,8 +144,8 @@ class _Translation:
             name = self.fresh() if key.alias is None else key.alias.value
             plan = self._extended(name, key.expression, plan)
             keys.append(name)
-        given = [one.expression for one in query.projection or () if one.expression is not None]
-        given += [*query.having, *(order.expression for order in query.order)]
+        written = [one.expression for one in query.projection or () if one.expression is not None]
+        written += [*query.having, *(order.expression for order in query.order)]
         named: dict[ast.Aggregate, Variable] = {}
         assert query.where is not None, "only DESCRIBE has no WHERE"
         sampled = visible_variables(query.where).keys() - set(keys)
@@ -162,19 +162,20 @@ class _Translation:
 
             return ast.rewrite(expression, change)
 
-        expressions = {expression: over_groups(expression) for expression in given}
+        expressions = {expression: over_groups(expression) for expression in written}
         aggregations = []
         for one, variable in named.items():
             argument = None if one.argument is None else self.expression(one.argument)
             plan = self.marked(plan)
             separator = " " if one.separator is None else one.separator
-            made = Aggregation(variable.value, one.function, argument, one.distinct, separator)
-            aggregations.append(made)
+            aggregations.append(
+                Aggregation(variable.value, one.function, argument, one.distinct, separator)
+            )
         free = tuple(key for key in keys if key not in self.bindings)
         return Aggregate(free, tuple(aggregations), plan, implicit=not keys), expressions
 
     def _shown(self, names: tuple[str, ...], plan: Plan) -> Plan:
-        """A bound parameter that is to be seen becomes a column again."""
+        """Project to ``names``. A bound parameter among them becomes a column again."""
         for name in names:
             if name in self.bindings:
                 plan = Extend(name, Const(self.bindings[name]), plan)
@@ -183,12 +184,12 @@ class _Translation:
     # -- graph patterns --------------------------------------------------------------------
 
     def group(self, group: ast.Group) -> Plan:
-        """A group graph pattern (§18.2.2)."""
+        """Translate a group graph pattern (§18.2.2)."""
         plan, conditions = self._unfiltered(group)
         return self._filtered_by(conditions, plan)
 
     def _unfiltered(self, group: ast.Group) -> tuple[Plan, list[ast.Expression]]:
-        """A group without its filters, and these."""
+        """Return a group without its filters, and these."""
         parts, conditions = split_group(group)
         plan: Plan | None = None
         for part in parts:
@@ -237,11 +238,11 @@ class _Translation:
         return Join(tuple(parts))
 
     def pattern(self, subject: Position, predicate: Position, object: Position) -> Plan:
-        """A triple pattern in the graph that is being translated."""
+        """Translate a triple pattern in the present graph."""
         if isinstance(predicate, Var):
             return AnyScan(subject, predicate, object, self.graph)
         if not isinstance(predicate.term, NamedNode):
-            # A parameter that is given a literal: no triple has such a predicate.
+            # A parameter bound to a literal: no triple has such a predicate.
             names = outputs(Scan(subject, RDF_TYPE, object))
             return Values(tuple(sorted(names)), ())
         if predicate.term == RDF_TYPE:
@@ -249,7 +250,7 @@ class _Translation:
         return Scan(subject, predicate.term, object, self.graph)
 
     def fresh(self) -> str:
-        """A variable that no text can name."""
+        """Return a variable that no text can contain."""
         self.hidden += 1
         return f"\0{self.hidden}"
 
@@ -257,20 +258,20 @@ class _Translation:
         return Var(f"_:{term.value}") if isinstance(term, BlankNode) else self._term(term)
 
     def _term(self, term: Variable | NamedNode | Literal) -> Position:
-        """A variable (or the parameter given for it) or a constant of the text."""
+        """Return a variable, or the constant that it is bound to, or a constant of the text."""
         if isinstance(term, Variable):
             bound = self.bindings.get(term.value)
             return Var(term.value) if bound is None else Const(bound)
         return Const(canonical(term) if isinstance(term, Literal) else term)
 
     def _optional(self, child: Plan, group: ast.Group) -> Plan:
-        """OPTIONAL; the filters of its group see both sides."""
+        """Translate OPTIONAL; the filters of its group apply to both sides."""
         optional, conditions = self._unfiltered(group)
         condition = None
         if conditions:
             condition = self.expression(_all_of(conditions))
             outer = outputs(child) - certain(optional)
-            if any(mentioned(pattern) & outer for _, pattern in self.waiting):
+            if any(named_variables(pattern) & outer for _, pattern in self.waiting):
                 raise Unsupported("EXISTS over outer variables in a condition of OPTIONAL")
             # What it asks about is bound here: so it holds of the optional side alone.
             optional = self.marked(optional)
@@ -308,13 +309,13 @@ class _Translation:
             ),
         )
 
-    # -- what stands on a pattern ----------------------------------------------------------
+    # -- expressions -----------------------------------------------------------------------
 
     def expression(self, node: ast.Expression) -> Expression:
         return self.expressions.of(node)
 
     def exists(self, group: ast.Group) -> Expression:
-        """EXISTS as a variable, which whoever takes the expression has to bind (`marked`)."""
+        """Translate EXISTS to a variable; the caller must bind it by `marked`."""
         waiting, self.waiting = self.waiting, []
         pattern = self.group(group)
         mark = self.fresh()
@@ -322,7 +323,7 @@ class _Translation:
         return Var(mark)
 
     def marked(self, plan: Plan) -> Plan:
-        """``plan`` with the marks of the expression that was just translated."""
+        """Bind the marks of the last translated expression on top of ``plan``."""
         waiting, self.waiting = self.waiting, []
         for mark, pattern in waiting:
             plan = Exists(mark, pattern, plan)

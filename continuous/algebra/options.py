@@ -1,4 +1,4 @@
-"""How a continuous query is to be read where the text leaves it open."""
+"""Options of a continuous query that its text does not state."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Report = Literal["non-empty", "change", "close"]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """``semantics``: whether equal triples of a window count each ("bag") or once ("set").
+    """``semantics``: equal triples of a window count each ("bag") or once ("set").
 
     ``bounds``: a window with end e is ``(e - RANGE, e]`` or ``[e - RANGE, e)``. ``origin`` (ns):
     ends are ``origin + k * STEP``. ``report``: an evaluation gives a result if it has content
-    ("non-empty"), if its content is another than that of the last evaluation ("change"), or in any
-    case, from the first content on ("close").
+    ("non-empty"), if its content differs from that of the last evaluation ("change"), or always,
+    from the first content on ("close").
     """
 
     semantics: Semantics = "bag"

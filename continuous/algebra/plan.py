@@ -1,7 +1,7 @@
-"""The logical plan of a continuous query: what is computed over named variables, not how.
+"""The logical plan of a continuous query: the result over named variables, not the way to it.
 
-Made by `from_sparql`, improved by `rewrite_rules`, printed by `plan_text`, executed by `executor`
-and `aggregation`.
+`from_sparql` makes it, `rewrite_rules` improve it, `plan_text` prints it, `executor` and
+`aggregation` execute it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from .expressions import Const, Expression, Var, variables
 Position: TypeAlias = Var | Const
 
 DEFAULT = ""
-"""The graph outside GRAPH and WINDOW: the static side and the windows without a name."""
+"""The graph outside GRAPH and WINDOW: the static side and the windows without names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """The variables that a scan binds to when its element was available (τ) and valid, in ns."""
+    """The variables that a scan binds to its element's available time (τ) and valid time, in ns."""
 
     available: str | None = None
     valid: str | None = None
@@ -38,7 +38,7 @@ NO_TIMES = Times()
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The triples of one predicate in a graph: of its windows and of the static side together."""
+    """The triples of one predicate in a graph, of its windows and the static side together."""
 
     subject: Position
     predicate: NamedNode
@@ -49,7 +49,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class TypeScan:
-    """``?x a <Sort>``: a set of facts, static, told by the stream, or by the annotation of rows."""
+    """``?x a <Sort>``: a set of facts, from the static side, the stream, or rows' annotations."""
 
     subject: Position
     sort: Position
@@ -58,7 +58,7 @@ class TypeScan:
 
 @dataclass(frozen=True, slots=True)
 class AnyScan:
-    """The triples of every predicate, those of rdf:type as `TypeScan` has them."""
+    """The triples of every predicate, with those of rdf:type as in `TypeScan`."""
 
     subject: Position
     predicate: Var
@@ -69,8 +69,8 @@ class AnyScan:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """``p*``, ``p+``, ``p?``: each pair of ends once. ``step`` are the solutions of p, from `START`
-    to `STOP`; ``zero``: a node reaches itself; ``more``: by more than one step too."""
+    """``p*``, ``p+``, ``p?``: each pair of ends once. ``step`` has the solutions of p, from `START`
+    to `STOP`; ``zero``: a node reaches itself; ``more``: more than one step is allowed."""
 
     subject: Position
     object: Position
@@ -85,7 +85,7 @@ START, STOP = "\0start", "\0stop"
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Rows given in the query; None is UNDEF."""
+    """Rows of the query text; None is UNDEF."""
 
     variables: tuple[str, ...]
     rows: tuple[tuple[Term | None, ...], ...]
@@ -93,21 +93,21 @@ class Values:
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """Solutions that are at hand when the plan is executed (`executor.Source.ready`)."""
+    """Solutions that exist before the plan is executed (`executor.Source.ready`)."""
 
     variables: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """The natural join of the parts; of none: one solution that binds nothing."""
+    """The natural join of the parts; without parts, one solution that binds nothing."""
 
     parts: tuple[Plan, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class LeftJoin:
-    """OPTIONAL: the join where ``condition`` holds, and the solutions of ``child`` without any."""
+    """OPTIONAL: the join where ``condition`` holds, and solutions of ``child`` without a match."""
 
     child: Plan
     optional: Plan
@@ -116,15 +116,15 @@ class LeftJoin:
 
 @dataclass(frozen=True, slots=True)
 class Union:
-    """The solutions of one part after the other."""
+    """The solutions of all parts, part by part."""
 
     parts: tuple[Plan, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Minus:
-    """The solutions of ``child`` but those that share a binding with, and contradict no, solution
-    of ``removed``."""
+    """The solutions of ``child`` except those with a compatible solution of ``removed`` that shares
+    a binding."""
 
     child: Plan
     removed: Plan
@@ -132,7 +132,7 @@ class Minus:
 
 @dataclass(frozen=True, slots=True)
 class Exists:
-    """``variable`` bound to whether ``pattern`` has a solution that fits the one of ``child``."""
+    """``variable`` bound to whether ``pattern`` has a solution that fits that of ``child``."""
 
     variable: str
     pattern: Plan
@@ -149,7 +149,7 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class Extend:
-    """``variable`` bound to the value of ``expression``, unbound where that is an error."""
+    """``variable`` bound to the value of ``expression``; unbound if that is an error."""
 
     variable: str
     expression: Expression
@@ -161,7 +161,7 @@ class Aggregation:
     """``function`` over ``argument`` (None: ``*``), as ``variable``.
 
     COUNT SUM AVG MIN MAX SAMPLE GROUP_CONCAT; ``distinct``: each value of a group once;
-    ``separator`` is GROUP_CONCAT's.
+    ``separator``: that of GROUP_CONCAT.
     """
 
     variable: str
@@ -173,7 +173,7 @@ class Aggregation:
 
 @dataclass(frozen=True, slots=True)
 class Aggregate:
-    """A row a group. ``implicit``: no GROUP BY was written, so nothing gives one row too."""
+    """A row per group. ``implicit``: without GROUP BY, no solutions give one row, too."""
 
     keys: tuple[str, ...]
     aggregations: tuple[Aggregation, ...]
@@ -183,7 +183,7 @@ class Aggregate:
 
 @dataclass(frozen=True, slots=True)
 class Project:
-    """Only these variables go on."""
+    """The solutions with these variables only."""
 
     variables: tuple[str, ...]
     child: Plan
@@ -191,14 +191,14 @@ class Project:
 
 @dataclass(frozen=True, slots=True)
 class Distinct:
-    """No two solutions equal."""
+    """The distinct solutions."""
 
     child: Plan
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """The solutions in order of the keys, each an expression and whether it descends."""
+    """The solutions in order of the keys, each an expression and whether it is descending."""
 
     keys: tuple[tuple[Expression, bool], ...]
     child: Plan
@@ -242,7 +242,7 @@ class Select:
 
 @dataclass(frozen=True, slots=True)
 class Blank:
-    """A blank node of a template: another one for each solution."""
+    """A blank node of a template: a new one for each solution."""
 
     label: str
 
@@ -270,14 +270,14 @@ Head: TypeAlias = Select | Construct | Ask
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """A whole query: what is shown of the solutions of ``plan``."""
+    """A query: a head that uses the solutions of ``plan``."""
 
     head: Head
     plan: Plan
 
 
 def inputs(plan: Plan) -> tuple[Plan, ...]:
-    """The plans that ``plan`` reads."""
+    """Return the plans that ``plan`` reads."""
     match plan:
         case Scan() | TypeScan() | AnyScan() | Values() | Given():
             return ()
@@ -298,17 +298,17 @@ def inputs(plan: Plan) -> tuple[Plan, ...]:
 
 
 def with_inputs(plan: Plan, change: Callable[[Plan], Plan]) -> Plan:
-    """The same node over ``change(input)`` for each of its inputs: ``plan`` itself where no input
-    becomes another."""
+    """Return the same node over ``change(input)`` for each of its inputs; ``plan`` itself if no
+    input changes."""
     is_same = True
 
-    def noted(child: Plan) -> Plan:
+    def recorded(child: Plan) -> Plan:
         nonlocal is_same
-        found = change(child)
-        is_same &= found is child
-        return found
+        changed = change(child)
+        is_same &= changed is child
+        return changed
 
-    found = _over(plan, noted)
+    found = _over(plan, recorded)
     return plan if is_same else found
 
 
@@ -335,7 +335,7 @@ def _over(plan: Plan, change: Callable[[Plan], Plan]) -> Plan:
 
 
 def expressions_of(node: Plan) -> tuple[Expression, ...]:
-    """The expressions of one node, not of its inputs."""
+    """Return the expressions of one node, without those of its inputs."""
     match node:
         case Filter(condition) | Extend(_, condition):
             return (condition,)
@@ -350,7 +350,7 @@ def expressions_of(node: Plan) -> tuple[Expression, ...]:
 
 
 def with_expressions(node: Plan, change: Callable[[Expression], Expression]) -> Plan:
-    """The same node over ``change(expression)`` for each of its expressions."""
+    """Return the same node over ``change(expression)`` for each of its expressions."""
     match node:
         case Filter(condition, child):
             return Filter(change(condition), child)
@@ -371,7 +371,7 @@ def with_expressions(node: Plan, change: Callable[[Expression], Expression]) -> 
 
 
 def outputs(plan: Plan) -> frozenset[str]:
-    """The variables that solutions of ``plan`` may bind."""
+    """Return the variables that solutions of ``plan`` may bind."""
     match plan:
         case Scan(subject, _, object) | AnyScan(subject, _, object):
             own = (subject, object) if isinstance(plan, Scan) else (subject, plan.predicate, object)
@@ -397,7 +397,7 @@ def outputs(plan: Plan) -> frozenset[str]:
 
 
 def certain(plan: Plan) -> frozenset[str]:
-    """The variables that every solution of ``plan`` binds."""
+    """Return the variables that every solution of ``plan`` binds."""
     match plan:
         case Scan() | TypeScan() | Closure() | AnyScan():
             times = frozenset() if isinstance(plan, TypeScan | Closure) else plan.times.names
@@ -425,29 +425,29 @@ def certain(plan: Plan) -> frozenset[str]:
             assert_never(plan)
 
 
-def asked(node: Plan) -> frozenset[str]:
-    """The variables in the expressions of one node."""
+def used_variables(node: Plan) -> frozenset[str]:
+    """Return the variables in the expressions of one node."""
     return frozenset().union(*map(variables, expressions_of(node)))
 
 
-def mentioned(plan: Plan) -> frozenset[str]:
-    """The variables that a plan binds or asks about. Cost: one pass over the plan."""
+def named_variables(plan: Plan) -> frozenset[str]:
+    """Return the variables that a plan binds or uses. Cost: one pass over the plan."""
     return frozenset().union(*map(own_names, walk(plan)))
 
 
 def own_names(node: Plan) -> frozenset[str]:
-    """Those of `mentioned` that are not because of an input of ``node``."""
+    """Return those of `named_variables` that ``node`` itself contributes, not its inputs."""
     match node:
         case Exists(variable) | Extend(variable):
-            return asked(node) | {variable}
+            return used_variables(node) | {variable}
         case Join() | Union() | LeftJoin() | Minus() | Filter() | Distinct() | Order() | Slice():
-            return asked(node)
+            return used_variables(node)
         case _:
-            return asked(node) | outputs(node)
+            return used_variables(node) | outputs(node)
 
 
 def walk(plan: Plan) -> list[Plan]:
-    """The plan and all plans in it, top first."""
+    """Return the plan and all plans in it, top first."""
     found = [plan]
     for child in inputs(plan):
         found.extend(walk(child))

@@ -1,4 +1,4 @@
-"""The logical plan as text, for `explain`: an indented tree, a line a node."""
+"""Prints logical plans for `explain`: an indented tree, a line per node."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ from .plan import (
 
 
 def describe_query(query: Query) -> list[str]:
-    """The head, and the plan under it."""
+    """Return the head, and the plan below it."""
     return [_head(query.head), *(f"  {line}" for line in describe(query.plan))]
 
 
 def describe(plan: Plan) -> list[str]:
-    """The plan as an indented tree, a line a node, in the order of `plan.walk`."""
+    """Return the plan as an indented tree, a line per node, in the order of `plan.walk`."""
     below = [f"  {line}" for child in inputs(plan) for line in describe(child)]
     return [_line(plan), *below]
 
@@ -109,7 +109,7 @@ def _times(times: Times) -> str:
 
 
 def show(expression: Expression | Blank) -> str:
-    """The expression for people: IRIs shortened, variables of our own without their mark."""
+    """Print an expression for users: IRIs are shortened, internal variables marked by a dot."""
     match expression:
         case Const(NamedNode() as node):
             return shorten(node.value)

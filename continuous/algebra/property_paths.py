@@ -1,5 +1,5 @@
-"""Property paths as plans (SPARQL 1.1 §9, §18.2.2.4): sequences join, alternatives unite, and only
-repetition needs an operator of its own (`plan.Closure`).
+"""Translates property paths to plans (SPARQL 1.1 §9, §18.2.2.4): sequences become joins,
+alternatives unions; only repetition needs an operator of its own (`plan.Closure`).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def path_plan(
     fresh: Callable[[], str],
     graph: str,
 ) -> Plan:
-    """The pairs of ends of ``path`` between ``subject`` and ``object``, in ``graph``.
+    """Return the plan of the pairs of ends of ``path`` between ``subject`` and ``object``.
 
-    ``pattern`` makes the plan of one triple pattern, ``fresh`` a variable that no text names.
+    ``pattern`` makes the plan of a triple pattern, ``fresh`` a variable that no text contains.
     """
 
     def go(path: ast.Path, s: Position, o: Position) -> Plan:

@@ -1,6 +1,6 @@
-"""The optimizer: the rules by name, tried in turn until none changes the plan.
+"""The optimizer: a tuple of named rules, applied until none changes the plan.
 
-Law: a rule's result has the same solutions, the same number of times.
+Law: a rule preserves the solutions and their multiplicity.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Rule = Callable[[Plan], Plan]
 
 
 def flatten_joins(plan: Plan) -> Plan:
-    """Join(Join(a, b), c) = Join(a, b, c); a Join of one is that one."""
+    """Join(Join(a, b), c) = Join(a, b, c); Join(a) = a."""
     if isinstance(plan, Join):
         parts = [
             p for part in plan.parts for p in (part.parts if isinstance(part, Join) else (part,))
@@ -46,9 +46,9 @@ def split_filters(plan: Plan) -> Plan:
 
 
 def push_filters(plan: Plan) -> Plan:
-    """A Filter over a Join goes to a part that binds all its variables, and below an Extend.
+    """Move a Filter over a Join to a part that binds all its variables, and below an Extend.
 
-    Never below an Aggregate or Project: the names may mean something else there.
+    It never moves below an Aggregate or Project: names may have other meanings there.
     """
     if not isinstance(plan, Filter):
         return plan
@@ -56,7 +56,7 @@ def push_filters(plan: Plan) -> Plan:
     child = plan.child
     if isinstance(child, Join) and needed:
         for i, part in enumerate(child.parts):
-            # A variable that this part may leave unbound could be bound by another one.
+            # If this part may leave a variable unbound, another part could bind it.
             if needed <= certain(part):
                 parts = (*child.parts[:i], Filter(plan.condition, part), *child.parts[i + 1 :])
                 return Join(parts)
@@ -70,7 +70,7 @@ def push_filters(plan: Plan) -> Plan:
 
 
 def drop_projections(plan: Plan) -> Plan:
-    """Project over Project, and Project to what is there anyway."""
+    """Project(v, Project(w, x)) = Project(v, x) if w contains v."""
     if isinstance(plan, Project):
         child = plan.child
         if isinstance(child, Project) and set(plan.variables) <= set(child.variables):
@@ -87,9 +87,8 @@ RULES: tuple[Rule, ...] = (
 
 
 def optimize(plan: Plan) -> tuple[Plan, tuple[str, ...]]:
-    """``plan`` under all `RULES`, from the leaves up, until nothing changes; and which changed it.
-
-    The names stand in the order of `RULES`.
+    """Apply all `RULES`, from the leaves up, until nothing changes. Return the plan, and the names
+    of the rules that changed it, in the order of `RULES`.
     """
     applied: set[str] = set()
     while True:

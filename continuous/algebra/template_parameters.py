@@ -1,13 +1,13 @@
-"""How the parameters of a template meet its plan: what one computation serves all instances.
+"""The roles of a template's parameters in its plan: which computation all instances can share.
 
-A parameter that is given in an instance is one of three. *Joined*: patterns bind it, so the plan
-is computed with it free, and an instance has the solutions with its own term. *Compared*: only
-FILTER, HAVING, BIND or the head name it, above all patterns and aggregates; so it is a column of
-the table of instances. *Fixed*: its term is put into the plan, which then serves the instances that
-agree on it (the sort in ``?o a ?type``, a predicate, whatever stands in OPTIONAL, EXISTS, …).
+A parameter that an instance binds has one of three roles. *Joined*: patterns bind it. The plan is
+computed with it unbound, and an instance has the solutions with its own term. *Compared*: only
+FILTER, HAVING, BIND or the head use it, above all patterns and aggregates. It is a column of the
+table of instances. *Fixed*: its term is part of the plan, which then serves the instances that
+agree on it (the sort in ``?o a ?type``, a predicate, a name within OPTIONAL, EXISTS, …).
 
-Law: of an instance, the solutions of `Joint.plan` that have its joined terms, each with its
-compared terms, under `Joint.rest`, are those of the plan with all of its terms put in.
+Law: take the solutions of `Joint.plan` that have an instance's joined terms, add its compared
+terms, and apply `Joint.rest`: these are the solutions of the plan with all its terms bound.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ from .plan import (
     TypeScan,
     Union,
     Values,
-    asked,
     inputs,
-    mentioned,
+    named_variables,
     outputs,
     own_names,
+    used_variables,
     walk,
     with_inputs,
 )
 from .plan_text import show
 from .triple_times import names_now
-from .volatile_functions import has_chance
+from .volatile_functions import has_volatile
 
 Step: TypeAlias = Project | Filter | Extend | Distinct
-"""What is done to each solution, or to those of one instance, alone."""
+"""A step that treats each solution, or those of one instance, separately."""
 
 _FLIPPED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 class Unfit(Exception):
-    """The parameter ``name`` has to be fixed ("": all of them), and why. ``also``: others that
-    have to be, too."""
+    """The parameter ``name`` must be fixed ("": all of them), for the reason of the message.
+    ``also``: others that must be, too."""
 
     def __init__(self, name: str, reason: str, also: Iterable[str] = ()) -> None:
         super().__init__(reason)
@@ -71,7 +71,7 @@ class Unfit(Exception):
 @dataclass(frozen=True, slots=True)
 class Search:
     """A condition ``?value > ?limit`` with a compared parameter: instances sorted by it are found
-    without looking at the others. ``greater``: else the value is less; ``strict``: not equal."""
+    without visiting the others. Not ``greater``: the value is less; ``strict``: not equal."""
 
     value: str
     limit: str
@@ -81,9 +81,10 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """``plan`` is computed once; joined with the instances, its solutions go through ``rest``.
+    """A shared computation: ``plan`` is computed once and joined with the instances; its solutions
+    then go through ``rest``.
 
-    ``search``: the condition that the join itself can decide, which is ``rest[0]``.
+    ``search``: the condition that the join itself can decide; it is ``rest[0]``.
     """
 
     head: Head
@@ -94,10 +95,10 @@ class Joint:
     compared: tuple[str, ...]
 
     @property
-    def asked(self) -> frozenset[str]:
-        """The variables that ``rest`` (after the searched condition) or the head name."""
+    def used_variables(self) -> frozenset[str]:
+        """The variables that ``rest`` (after the searched condition) or the head use."""
         steps = self.rest if self.search is None else self.rest[1:]
-        found = {name for step in steps for name in asked(step)}
+        found = {name for step in steps for name in used_variables(step)}
         match self.head:
             case Select(names):
                 found |= set(names)
@@ -106,35 +107,35 @@ class Joint:
         return frozenset(found)
 
 
-def joint(query: Query, names: Sequence[str]) -> Joint:
-    """How ``query`` serves all instances that give ``names``, which are free in it.
+def build_joint(query: Query, names: Sequence[str]) -> Joint:
+    """Return how ``query`` is computed for all instances that bind ``names``, unbound in it.
 
-    Raises `Unfit` with the first of them that has to be fixed. Cost: a pass over the plan, and one
-    over what mentions it for each name.
+    Raises `Unfit` for the first parameter that must be fixed. Cost: a pass over the plan, and one
+    over the parts that mention it per name.
     """
     if names_now(query.plan):
         raise Unfit("", "it asks for NOW()")
-    if has_chance(query.plan):
+    if has_volatile(query.plan):
         raise Unfit("", "it asks for what is drawn anew for each window")
     core, steps = _spine(query.plan)
     for name in names:
         if any(isinstance(step, Extend) and step.variable == name for step in steps):
             raise Unfit(name, f"an expression is bound to ?{name}")
     if isinstance(core, Aggregate):
-        inner = mentioned(core.child) | asked(core)
+        inner = named_variables(core.child) | used_variables(core)
         core = replace(core, keys=tuple(k for k in core.keys if k in inner or k not in names))
-    known = mentioned(core)
-    joined = tuple(name for name in names if name in known)
-    compared = tuple(name for name in names if name not in known)
+    in_core = named_variables(core)
+    joined = tuple(name for name in names if name in in_core)
+    compared = tuple(name for name in names if name not in in_core)
     core = _carrying_all(core, joined)
     shared: Plan = core
     at = 0
     for step in steps:
         if isinstance(step, Project):
-            # The join gives the compared ones, and needs the joined ones.
+            # The join adds the compared parameters, and needs the joined ones.
             kept = dict.fromkeys((*step.variables, *joined))
             shared = Project(tuple(name for name in kept if name not in compared), shared)
-        elif not asked(step).isdisjoint(compared):
+        elif not used_variables(step).isdisjoint(compared):
             break
         else:
             shared = replace(step, child=shared)
@@ -144,10 +145,10 @@ def joint(query: Query, names: Sequence[str]) -> Joint:
 
 
 def _spine(plan: Plan) -> tuple[Plan, list[Step]]:
-    """What stands above patterns and aggregates, from below, and what it stands on."""
+    """Return the part below which patterns and aggregates begin, and the steps above, bottom-up."""
     steps: list[Step] = []
     while isinstance(plan, Project | Filter | Extend | Distinct | Order):
-        # Solutions have no order, where none are cut off.
+        # Without LIMIT the order of solutions does not matter.
         if not isinstance(plan, Order):
             steps.append(plan)
         plan = plan.child
@@ -157,7 +158,7 @@ def _spine(plan: Plan) -> tuple[Plan, list[Step]]:
 def _search(
     steps: Sequence[Step], names: frozenset[str], compared: frozenset[str], known: frozenset[str]
 ) -> tuple[tuple[Step, ...], Search | None]:
-    """The steps with the condition that can be searched for, if any, in front."""
+    """Return the steps with the condition that can be searched for in front, if there is one."""
     for i, step in enumerate(steps):
         if not isinstance(step, Filter):
             break
@@ -172,8 +173,8 @@ def _search(
 
 
 def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
-    """``plan`` such that each of its solutions binds all of ``names``; raises `Unfit`."""
-    # Not the errors, which would hold each other by the frames that they came through.
+    """Make each solution of ``plan`` bind all of ``names``. Raises `Unfit`."""
+    # Keep texts, not errors: tracebacks would refer to each other's frames.
     unfit: dict[str, str] = {}
     own = _OwnNames()
     for name in names:
@@ -183,28 +184,28 @@ def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
             unfit[error.name] = str(error)
     if unfit:
         first, *others = unfit
-        # No variable has it: its frame, and by that all that the callers knew (evaluators that
-        # are gone, with their windows), would wait for a collection of garbage.
+        # No variable may refer to this error: the cycle through its frame would keep the callers'
+        # variables (old evaluators with their windows) until a garbage collection.
         raise Unfit(first, unfit[first], others)
     return plan
 
 
 class _OwnNames:
-    """`own_names` of nodes, each looked at once: most are the same for every name."""
+    """A cache of `own_names`, which are the same for every parameter."""
 
     def __init__(self) -> None:
-        # With the node, whose number would be another's when it is gone.
-        self._known: dict[int, tuple[Plan, frozenset[str]]] = {}
+        # The node is part of the value, so that its id is not reused.
+        self._cache: dict[int, tuple[Plan, frozenset[str]]] = {}
 
     def of(self, node: Plan) -> frozenset[str]:
-        known = self._known.get(id(node))
-        if known is None:
-            known = self._known[id(node)] = (node, own_names(node))
-        return known[1]
+        entry = self._cache.get(id(node))
+        if entry is None:
+            entry = self._cache[id(node)] = (node, own_names(node))
+        return entry[1]
 
 
 class _Places:
-    """Which parts of a plan mention a name: one pass over it."""
+    """The parts of a plan that mention a name, found in one pass."""
 
     def __init__(self, plan: Plan, name: str, own: _OwnNames) -> None:
         self._name = name
@@ -225,8 +226,8 @@ class _Places:
 
 
 def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
-    """``plan`` such that each of its solutions binds ``name``, and those with one term are the
-    solutions of the plan with that term put in. ``places``: where it stands. Raises `Unfit`."""
+    """Make each solution of ``plan`` bind ``name``; those with one term are then the solutions of
+    the plan with that term bound. ``places``: the parts that mention it. Raises `Unfit`."""
 
     def unfit(reason: str) -> Unfit:
         return Unfit(name, f"?{name} {reason}")
@@ -237,7 +238,7 @@ def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
         return _carrying(child, name, places)
 
     def also(part: Plan) -> Plan:
-        # Bound on both sides, it is what the sides agree on.
+        # If both sides bind it, they must agree on it.
         return _carrying(part, name, places) if part in places else part
 
     match plan:
@@ -269,7 +270,7 @@ def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
             return replace(plan, child=below(child), optional=also(optional))
         case Minus(child, removed):
             if removed in places:
-                # MINUS takes nothing away where the two sides share no variable.
+                # MINUS removes nothing if the two sides share no variable.
                 raise unfit("stands in MINUS")
             return replace(plan, child=below(child))
         case Exists(_, pattern, child):
@@ -278,10 +279,10 @@ def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
             raise unfit(f"stands in {type(plan).__name__}")
 
 
-def confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -> bool:
-    """Whether solutions with given terms for ``names`` come of the triples about these terms alone,
-    and where a window has none of these there are none. ``streamed``: the predicates that may be
-    in a window; facts of sorts may be as well."""
+def is_confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -> bool:
+    """Whether the solutions for given terms of ``names`` depend only on the triples about these
+    terms, and there are none in a window without such triples. ``streamed``: the predicates that a
+    window may contain; it may also contain facts of sorts."""
     about = {Var(name) for name in names}
 
     def is_about(leaf: Plan) -> bool:
@@ -316,8 +317,8 @@ def confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -> b
     return is_empty(plan) and all(is_about(n) and not isinstance(n, odd) for n in nodes)
 
 
-def described(joint: Joint, reasons: Mapping[str, str]) -> list[str]:
-    """The parameters and what becomes of them, for people."""
+def describe_parameters(joint: Joint, reasons: Mapping[str, str]) -> list[str]:
+    """Return the roles of the parameters, as lines for `explain`."""
     lines = [f"{show(Var(name))}: joined, patterns bind it" for name in joint.joined]
     search = joint.search
     for name in joint.compared:

@@ -1,9 +1,9 @@
-"""When what a variable is bound to was said: ``f:timestamp(?x)`` and ``dyknow-o:validTime(?x)``.
+"""Accessors of triples' times: ``f:timestamp(?x)`` and ``dyknow-o:validTime(?x)``.
 
-Semantics (docs/explanation/semantics.md): of ``?x`` it is the latest time of the stream elements
-that the patterns with ``?x`` matched, of ``(?s, ?p, ?o)`` that of the element which this very
-pattern matched. Patterns of the static side, and ``a``, have no time. So a time is one more column
-of a scan, and an accessor a variable.
+Semantics (docs/explanation/semantics.md): for ``?x`` the result is the latest time of the stream
+elements that the patterns with ``?x`` matched, for ``(?s, ?p, ?o)`` that of the element which this
+very pattern matched. Patterns of the static side, and ``a``, have no time. So a time is one more
+column of a scan, and an accessor becomes a variable.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ from .plan_text import show
 _AVAILABLE: Final = f"<{TIMESTAMP}>"
 _ACCESSORS: Final = frozenset(f"<{iri}>" for iri in ACCESSORS)
 LATEST: Final = "LATEST"
-"""The greatest of the arguments that are bound."""
+"""The function that returns the greatest of its bound arguments."""
 
 
 def with_times(plan: Plan) -> Plan:
-    """``plan`` with each accessor replaced by a variable that its scans bind.
+    """Replace each accessor by a variable that the plan's scans bind.
 
-    Raises ``ValueError`` for an accessor that no pattern around it fits.
+    Raises ``ValueError`` for an accessor that matches no pattern around it.
     """
     return _Times().plan(plan)
 
@@ -89,7 +89,7 @@ class _Times:
         return with_inputs(plan, go), names
 
     def _bound(self, accessor: Call, plan: Plan) -> tuple[Plan, list[str]]:
-        """``plan`` with a time column on each visible scan that fits, and their names."""
+        """Add a time column to each visible scan that matches; return the plan and their names."""
         names: list[str] = []
 
         def go(plan: Plan) -> Plan:
@@ -101,7 +101,7 @@ class _Times:
                 case Join() | Union() | LeftJoin() | Filter() | Extend() | Order() | Slice():
                     return with_inputs(plan, go)
                 case Minus() | Exists():
-                    # What is removed or only asked for binds nothing here.
+                    # Only the child's bindings are visible outside.
                     return replace(plan, child=go(plan.child))
                 case Project() | Distinct() | Aggregate() | _:
                     return plan
@@ -152,12 +152,12 @@ def _replaced(expression: Expression, values: dict[Call, Expression]) -> Express
 
 
 def names_now(plan: Plan) -> bool:
-    """Whether an expression in the plan asks for NOW()."""
+    """Whether an expression in the plan calls NOW()."""
     return any(_has_now(e) for node in walk(plan) for e in expressions_of(node))
 
 
 def at_time(plan: Plan, end: int) -> Plan:
-    """``plan`` with NOW() as the end of the window: nothing here reads a clock."""
+    """Replace NOW() by the end of the window: no clock is read here."""
     now = Const(Literal(format_time(end), datatype=_DATE_TIME))
     values: dict[Call, Expression] = {_NOW: now}
 
@@ -168,7 +168,7 @@ def at_time(plan: Plan, end: int) -> Plan:
 
 
 def asks_for_times(tree: ast.Query) -> bool:
-    """Whether an accessor stands anywhere in a query."""
+    """Whether a query contains an accessor."""
     calls = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionCall))
     return any(call.iri.value in ACCESSORS for call in calls)
 

@@ -1,5 +1,5 @@
-"""What the columns have no word for: found when a query is planned, never later."""
+"""Reports SPARQL that columns cannot express. This happens when a query is planned, never later."""
 
 
 class Unsupported(Exception):
-    """A part of SPARQL that goes to Oxigraph; the message names it."""
+    """A part of SPARQL that Oxigraph must evaluate; the message names it."""

@@ -1,9 +1,9 @@
-"""RAND(), UUID() and STRUUID() of continuous queries: drawn, and the same when drawn again.
+"""RAND(), UUID() and STRUUID() in continuous queries, with reproducible values.
 
-A window that is computed again, after a restart, has to give what it gave
-(docs/reference/promises.md, P6). So what these functions give follows from the query, the end of
-the window, the call's place in the plan and the row. Oxigraph draws anew each time: a query that
-only it can evaluate has no chance.
+A window that is computed again after a restart must give the same result
+(docs/reference/promises.md, P6). So the values of these functions are hashes of the query, the end
+of the window, the call's place in the plan and the row. Oxigraph draws new values each time, so a
+query that only Oxigraph can evaluate may not call them.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from .expressions import Call, Const, Expression
 from .plan import Plan, expressions_of, walk, with_expressions, with_inputs
 
 VOLATILE: Final = frozenset({"RAND", "UUID", "STRUUID"})
-"""Functions that have another value each time."""
+"""Functions with a new value per call."""
 _DOUBLE: Final = NamedNode(XSD + "double")
 _BITS: Final = 53
-"""Of a double's fraction."""
+"""The bits of a double's fraction."""
 
 
 def is_volatile(expression: Expression) -> bool:
-    """Whether the value is another one each time that it is asked for."""
+    """Whether the expression has a new value each time it is evaluated."""
     if not isinstance(expression, Call):
         return False
     return expression.name in VOLATILE or any(map(is_volatile, expression.arguments))
 
 
-def has_chance(plan: Plan) -> bool:
+def has_volatile(plan: Plan) -> bool:
     """Whether an expression in the plan is volatile."""
     return any(is_volatile(e) for node in walk(plan) for e in expressions_of(node))
 
 
 def with_seeds(plan: Plan, seed: str) -> Plan:
-    """``plan`` with an argument for each volatile call, by which it is drawn (`drawn`): of the same
-    ``seed`` it is the same, and another one at each place of the plan."""
+    """Add an argument to each volatile call, its seed (see `draw_values`). It depends on ``seed``
+    and the place in the plan."""
     places = count()
 
     def seeded(expression: Expression) -> Expression:
@@ -59,8 +59,8 @@ def with_seeds(plan: Plan, seed: str) -> Plan:
     return go(plan)
 
 
-def drawn(call: Call, rows: int) -> Iterator[Term]:
-    """What a call with a seed gives, row by row. Cost: a hash a row."""
+def draw_values(call: Call, rows: int) -> Iterator[Term]:
+    """Yield the values of a seeded call, row by row. Cost: a hash per row."""
     (seed,) = call.arguments
     assert isinstance(seed, Const)
     for row in range(rows):
@@ -73,6 +73,6 @@ def drawn(call: Call, rows: int) -> Iterator[Term]:
         yield NamedNode(f"urn:uuid:{text}") if call.name == "UUID" else Literal(text)
 
 
-def names_chance(tree: ast.Query) -> bool:
-    """Whether a volatile function stands anywhere in a query."""
+def calls_volatile(tree: ast.Query) -> bool:
+    """Whether a query contains a volatile function."""
     return any(isinstance(node, ast.Call) and node.name in VOLATILE for node in ast.walk(tree))

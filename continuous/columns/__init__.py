@@ -1,1 +1,1 @@
-"""Relations in columns: expressions over them, order, sums, and the compiled loops beneath."""
+"""Relations in columns: expressions, order, exact sums, and the compiled loops that they use."""

@@ -1,9 +1,8 @@
-"""What the evaluation of one window may cost, and who evaluates what columns cannot.
+"""The budget for the evaluation of one window, and the Oxigraph that evaluates what columns cannot.
 
-Rows are counted, not seconds: the same input exceeds its budget in the same window wherever and
-whenever it is evaluated, and so does a replay of it. What only Oxigraph can say is its `Asking`'s,
-which may have a deadline as well (service/workers); `oxigraph_port.DIRECT` waits as long as it
-takes.
+The budget counts rows, not seconds. The same input therefore exceeds it in the same window on every
+machine, and in a replay. `OxigraphPort` may have a deadline as well (service/workers);
+`oxigraph_port.DIRECT` has none.
 """
 
 from __future__ import annotations
@@ -12,41 +11,37 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from .oxigraph_port import DIRECT, Asking
+from .oxigraph_port import DIRECT, OxigraphPort
 from .pauses import NO_PAUSES, Pauses
 
 Item = TypeVar("Item")
-LOOKS: Final = 4
-"""The compiled loop may look at so many rows for each that an operator may make: a look is cheap,
-and where a filter refuses everything there is nothing else to count."""
-
-
+VISITS_PER_ROW: Final = 4
+"""The limit of rows that the compiled loop may visit per row that an operator may make. A visit is
+cheap, but a filter that rejects all rows makes none, so made rows alone would be no limit."""
 PACE: Final = 2_000
-"""After so many steps in Python, some milliseconds, others may have a moment."""
-
-
+"""The number of steps in Python, some milliseconds, between two pauses."""
 OVERRUNS: Final = 3
-"""After so many windows in a row that need more than they may, no more are evaluated."""
+"""The number of windows in a row over budget after which evaluation stops."""
 
 
 class BudgetExceeded(Exception):
-    """A window needs more than it may: it has no result. The message says what, for people."""
+    """A window exceeds the budget and has no result. The message tells users why."""
 
 
 class Stopped(BudgetExceeded):
-    """A window was stopped because of what the machine did: of time, or with a process that died.
-    The same rows may do with it another time, so whoever does them again has to be told."""
+    """A window was stopped by its deadline, or with a process that died. This depends on the
+    machine: a replay must be told to stop the window again."""
 
 
 class Quarantined(Exception):
-    """So many windows in a row needed more than they may that no more are evaluated."""
+    """`OVERRUNS` windows in a row exceeded the budget, so evaluation stops."""
 
 
 @dataclass(frozen=True, slots=True)
 class Overrun:
-    """A window without a result: its end (ns), and why, for people.
+    """A window without a result: its end (ns), and the reason, for users.
 
-    ``number``: so many windows had closed before. ``is_stopped``: see `Stopped`.
+    ``number``: the number of windows closed before. ``is_stopped``: see `Stopped`.
     """
 
     end: int
@@ -57,20 +52,19 @@ class Overrun:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """``rows``: how many one operator may make of one window; ``results``: how many solutions a
-    query may have of one; ``text``: how many characters one aggregate may put together; None for
-    any number. ``asking`` evaluates what columns cannot;
-    ``pauses`` are taken on the way."""
+    """Limits per window; None: no limit. ``rows``: rows that one operator makes; ``results``:
+    solutions of one query; ``text``: characters that one aggregate concatenates. ``oxigraph``
+    evaluates what columns cannot; operators call ``pauses`` between steps."""
 
     rows: int | None = None
     results: int | None = None
     text: int | None = None
-    asking: Asking = DIRECT
+    oxigraph: OxigraphPort = DIRECT
     pauses: Pauses = NO_PAUSES
 
     def check(self, rows: int, what: str) -> None:
-        """Raises `BudgetExceeded` where an operator is about to make more rows than it may, and as
-        `Pauses.pause` does."""
+        """Raise `BudgetExceeded` if an operator is about to make too many rows. Raises as
+        `Pauses.pause`, too."""
         self.pauses.pause()
         if self.rows is not None and rows > self.rows:
             raise BudgetExceeded(
@@ -78,29 +72,29 @@ class Budget:
             )
 
     def check_result(self, rows: int) -> None:
-        """Raises `BudgetExceeded` for so many solutions of one query: each becomes a sample."""
+        """Raise `BudgetExceeded` for too many solutions of one query: each becomes a sample."""
         self.pauses.pause()
         if self.results is not None and rows > self.results:
             raise BudgetExceeded(f"{rows} solutions, at most {self.results} may be")
 
     def check_text(self, characters: int, what: str) -> None:
-        """Raises `BudgetExceeded` where an aggregate puts more text together than it may."""
+        """Raise `BudgetExceeded` if an aggregate concatenates too much text."""
         if self.text is not None and characters > self.text:
             raise BudgetExceeded(
                 f"{what} makes {characters} characters of a window, at most {self.text} may be"
             )
 
     def paced(self, items: Iterable[Item]) -> Iterator[Item]:
-        """``items``, with a moment for others now and then. Raises as `Pauses.pause` does."""
+        """Yield ``items``, with a pause now and then. Raises as `Pauses.pause`."""
         for number, item in enumerate(items):
             if not number % PACE:
                 self.pauses.pause()
             yield item
 
     @property
-    def looks(self) -> int:
-        """How many rows the compiled loop may look at for one window; -1 for any number."""
-        return -1 if self.rows is None else LOOKS * self.rows
+    def row_visits(self) -> int:
+        """The limit of rows that the compiled loop visits per window; -1: none."""
+        return -1 if self.rows is None else VISITS_PER_ROW * self.rows
 
 
 UNLIMITED: Final = Budget()

@@ -1,10 +1,13 @@
-"""Sums that forget exactly: what was added can be subtracted, and nothing is left of it.
+"""Exact sums: subtracting a value that was added restores the previous sum to the last bit.
 
-A float64 is an integer times a power of two. Here a sum is kept as *digits*, int64 counts of the
-*grains* 2^28, 2^-12, 2^-52 … (a digit a 40 bits, as many as the values need); adding or
-subtracting a value changes its two or three digits, exactly. So a sum depends on the bag of its
-terms alone, not on their order, their history or how they were put together: integers are a group
-under addition, float64s are not. Only `values` rounds, once. After Kulisch's long accumulator.
+A sliding window subtracts the values that leave it. With float64 sums the rounding errors would
+stay and grow: (1e16 + 1) - 1e16 is 0, not 1. A result would also depend on the order of rows, hence
+on the cut into batches. So sums are integers here, since integers form a group under addition.
+
+A float64 is an integer times a power of two. A sum consists of *digits*: int64 counts of the
+*grains* 2^28, 2^-12, 2^-52 … (one digit per 40 bits, as many digits as the values need). Adding or
+subtracting a value changes its two or three digits, exactly. Only `values` rounds, once. This is a
+variant of Kulisch's long accumulator.
 
 Integers are summed the same way, in digits of 32 bits.
 """
@@ -21,14 +24,15 @@ from ...streams.jit import JIT, Kernel
 from .fold_kernels import read_only
 
 At = NDArray[np.int32] | NDArray[np.int64] | None
-"""Groups, one a row; None: the groups 0, 1, 2 … in order."""
+"""The group of each row; None: the groups 0, 1, 2 … in order."""
 
 BITS = 40
 _HALF = 2 ** (BITS - 1)
 _LOWEST, _HIGHEST = -26, 24
-"""Digits for float64: from 2^988 down to 2^-1012. What is smaller is cut off a value."""
+"""Digits for float64: from 2^988 down to 2^-1012. Bits of values below that are cut off."""
 _TERMS = 2**21
-"""Each adds less than 2^40 to a digit: so many fit before carries have to be settled."""
+"""The number of terms after which carries must be propagated. Each adds less than 2^40 to a digit,
+so 2^21 of them fit 63 bits with room to spare."""
 
 
 def _grain(digit: int) -> float:
@@ -46,11 +50,12 @@ def _add(
     grains: Any,
     inverse: Any,
 ) -> int:
-    """``sign`` times each value and its number to its group; returns the row where it stopped.
+    """Add ``sign`` times each value and its number to its group; return the row where it stopped.
 
-    Without ``at`` the groups are 0, 1, 2 …; without ``numbers`` each is 1. A block of rows is added
-    or none of it: it stops at one with a value that the digits cannot hold. First the digits of a
-    block are found, without branches, so that they are in vectors.
+    Without ``at`` the groups are 0, 1, 2 …; without ``numbers`` each is 1. The loop adds a block of
+    512 rows at a time, or nothing of it: it stops at a block with a value that the digits cannot
+    represent. It first computes the digits of a whole block without branches, so that the compiler
+    uses vector instructions.
     """
     depth, rows = digits.shape[0], values.shape[0]
     limit = grains[0] * 2.0**BITS
@@ -97,7 +102,8 @@ def _add(
 
 
 def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
-    """``out[i]``: the sum of group ``rows[i]``. Carries are settled first: so digits are unique."""
+    """Write the sum of group ``rows[i]`` to ``out[i]``. Carries are propagated first, so that equal
+    sums have equal digits and round equally."""
     depth = digits.shape[0]
     for i in range(rows.shape[0]):
         group = np.uint64(rows[i])
@@ -150,9 +156,9 @@ _NO_GROUPS = np.zeros(0, np.int32)
 class Totals(ABC):
     """Sums and counts by group, of one kind of number.
 
-    Law: after ``add(…, 1)`` and ``add(…, -1)`` of the same rows all is as before, to the last bit;
-    the order of calls does not count. Cost: a few nanoseconds a row added, and a group read.
-    Memory: 8 bytes a group for the count, and 8 for each digit.
+    Law: ``add(…, 1)`` and ``add(…, -1)`` of the same rows restore the state to the last bit, and
+    the order of calls does not matter. Cost: a few nanoseconds per added row and per group read.
+    Memory: per group 8 bytes for the count and 8 per digit.
     """
 
     def __init__(self, depth: int) -> None:
@@ -160,7 +166,7 @@ class Totals(ABC):
         self.counts: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def reserve(self, groups: int) -> None:
-        """Make room for ``groups`` groups."""
+        """Allocate space for ``groups`` groups."""
         if len(self.counts) < groups:
             capacity = max(groups, 2 * len(self.counts), 64)
             self.digits = _wider(self.digits, (len(self.digits), capacity))
@@ -169,35 +175,35 @@ class Totals(ABC):
             self.counts = counts
 
     def keep(self, kept: NDArray[np.int64]) -> None:
-        """Forget all groups but these (ascending), which become 0, 1, 2 …"""
+        """Drop all groups except ``kept`` (ascending), which become 0, 1, 2 …"""
         self.reserve(int(kept.max(initial=-1)) + 1)
         self.digits = np.ascontiguousarray(self.digits[:, kept])
         self.counts = self.counts[kept]
 
     @abstractmethod
     def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
-        """``sign`` times (value, number) to each row's group; a group may have several rows.
+        """Add ``sign`` times (value, number) to each row's group; a group may have several rows.
 
-        ``numbers``: how many rows a value stands for; None: 1, where ``at`` is given.
+        ``numbers``: the number of rows that a value stands for; None: 1, if ``at`` is given.
         """
 
     @abstractmethod
     def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:
-        """The sums of the groups ``rows``."""
+        """Return the sums of the groups ``rows``."""
 
 
 class FloatTotals(Totals):
     """Sums of float64, rounded once (within one unit of the last place).
 
-    Infinities and NaNs are counted apart. A sum of finite values beyond float64 is infinite.
+    Infinities and NaNs have counts of their own. A finite sum beyond float64 is infinite.
     """
 
     def __init__(self) -> None:
         super().__init__(2)
         self._top = -1
-        self._others: NDArray[np.int64] | None = None
+        self._nonfinite: NDArray[np.int64] | None = None
         self._terms = 0
-        self._measure()
+        self._update_grains()
 
     def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
         if at is not None and len(values) > _TERMS:
@@ -205,17 +211,18 @@ class FloatTotals(Totals):
                 part = slice(first, first + _TERMS)
                 self.add(at[part], values[part], None if numbers is None else numbers[part], sign)
             return
-        self._settle(1 if at is None else len(values))
+        self._carry(1 if at is None else len(values))
         start = 0
         while True:
-            start = self._added(at, values, numbers, start, sign)
+            start = self._try_add(at, values, numbers, start, sign)
             if start == len(values):
                 return
             finite = np.isfinite(values)
             if not finite.all():
-                self._count_others(at, values, ~finite, sign)
+                self._count_nonfinite(at, values, ~finite, sign)
                 values = np.where(finite, values, 0.0)
             elif not self._deepen(values):
+                # The digits are at their limit: cut off the bits below the last one.
                 tiny = np.abs(values) < 2.0**-900
                 values = values.copy()
                 values[tiny] = np.trunc(values[tiny] * 2.0**1012) * 2.0**-1012
@@ -233,8 +240,8 @@ class FloatTotals(Totals):
                 carry = (digit + _HALF) >> BITS
                 out += (digit - (carry << BITS)) * self._grains[k]
             out[carry != 0] += carry[carry != 0] * self._limit
-        if self._others is not None:
-            nan, above, below = self._others[:, rows]
+        if self._nonfinite is not None:
+            nan, above, below = self._nonfinite[:, rows]
             out[above > 0] = np.inf
             out[below > 0] = -np.inf
             out[(nan > 0) | ((above > 0) & (below > 0))] = np.nan
@@ -242,23 +249,23 @@ class FloatTotals(Totals):
 
     def reserve(self, groups: int) -> None:
         super().reserve(groups)
-        if self._others is not None:
-            self._others = _wider(self._others, (3, len(self.counts)))
+        if self._nonfinite is not None:
+            self._nonfinite = _wider(self._nonfinite, (3, len(self.counts)))
 
     def keep(self, kept: NDArray[np.int64]) -> None:
         super().keep(kept)
-        if self._others is not None:
-            others = self._others[:, kept]
-            self._others = np.ascontiguousarray(others) if others.any() else None
-        # What only those that left needed: an outlier is not paid for for ever.
+        if self._nonfinite is not None:
+            nonfinite = self._nonfinite[:, kept]
+            self._nonfinite = np.ascontiguousarray(nonfinite) if nonfinite.any() else None
+        # Drop digits that only dropped groups needed: one outlier must not cost time for good.
         wanted = np.flatnonzero(self.digits.any(axis=1))
         if len(wanted) and len(wanted) < len(self.digits) > 2:
             first, last = int(wanted[0]), max(int(wanted[-1]), int(wanted[0]) + 1)
             self.digits = np.ascontiguousarray(self.digits[first : last + 1])
             self._top -= first
-            self._measure()
+            self._update_grains()
 
-    def _added(
+    def _try_add(
         self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, start: int, sign: int
     ) -> int:
         if JIT:
@@ -290,18 +297,19 @@ class FloatTotals(Totals):
         _add_at(self.counts, at, sign * more)
         return len(values)
 
-    def _count_others(
+    def _count_nonfinite(
         self, at: At, values: NDArray[Any], which: NDArray[np.bool_], sign: int
     ) -> None:
-        if self._others is None:
-            self._others = np.zeros((3, len(self.counts)), np.int64)
+        if self._nonfinite is None:
+            self._nonfinite = np.zeros((3, len(self.counts)), np.int64)
         groups = np.flatnonzero(which) if at is None else at[which]
         odd = values[which]
-        for row, hit in zip(self._others, (np.isnan(odd), odd > 0, odd < 0), strict=True):
+        for row, hit in zip(self._nonfinite, (np.isnan(odd), odd > 0, odd < 0), strict=True):
             np.add.at(row, groups[hit], sign)
 
     def _deepen(self, values: NDArray[Any]) -> bool:
-        """Digits for the greatest of the values, and for the last bit of each, if there are any."""
+        """Add digits for the greatest value and for the last bit of each; return False if there are
+        none to add."""
         _, exponents = np.frexp(values[values != 0])
         mantissa = np.abs(np.frexp(values[values != 0])[0] * 2.0**53).astype(np.int64)
         lowest_bit = np.frexp((mantissa & -mantissa).astype(np.float64))[1] - 1
@@ -315,16 +323,16 @@ class FloatTotals(Totals):
         first = top - self._top
         digits[first : first + len(self.digits)] = self.digits
         self.digits, self._top = digits, top
-        self._measure()
+        self._update_grains()
         return True
 
-    def _measure(self) -> None:
+    def _update_grains(self) -> None:
         self._grains = np.array([_grain(self._top - k) for k in range(len(self.digits))])
         self._inverse = 1 / self._grains
         self._limit = _grain(self._top + 1) if self._top < _HIGHEST else np.inf
 
-    def _settle(self, terms: int) -> None:
-        """Carry what has gathered, before a digit overflows."""
+    def _carry(self, terms: int) -> None:
+        """Propagate carries before ``terms`` further terms could overflow a digit."""
         self._terms += terms
         if self._terms < _TERMS:
             return
@@ -332,7 +340,7 @@ class FloatTotals(Totals):
         if self._top < _HIGHEST:
             self.digits = np.concatenate([np.zeros_like(self.digits[:1]), self.digits])
             self._top += 1
-            self._measure()
+            self._update_grains()
         for k in range(len(self.digits) - 1, 0, -1):
             carry = (self.digits[k] + _HALF) >> BITS
             self.digits[k] -= carry << BITS
@@ -340,13 +348,13 @@ class FloatTotals(Totals):
         if not self.digits[0].any() and len(self.digits) > 2:
             self.digits = np.ascontiguousarray(self.digits[1:])
             self._top -= 1
-            self._measure()
+            self._update_grains()
 
 
 class IntegerTotals(Totals):
-    """Sums of int64, exact at any size: in two digits of 32 bits.
+    """Sums of int64, exact at any size, in two digits of 32 bits.
 
-    ``values`` are int64, or Python integers where one does not fit.
+    ``values`` returns int64, or Python integers if one does not fit.
     """
 
     def __init__(self) -> None:
@@ -359,7 +367,7 @@ class IntegerTotals(Totals):
         _add_at(self.counts, at, sign * more)
 
     def add_high(self, at: At, values: NDArray[np.int64], sign: int) -> None:
-        """The same with 2^32 times each value, and no count."""
+        """Add 2^32 times each value, without counting."""
         _add_at(self.digits[0], at, sign * values)
 
     def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:

@@ -1,7 +1,7 @@
 """SPARQL expressions on columns: values, three-valued logic, errors as nulls (SPARQL 1.1 §17).
 
-What is not here is asked of Oxigraph (`oxigraph_expressions`), once a distinct combination of
-values: functions by name, and comparisons whose data columns cannot judge (dates, ordered strings,
+Oxigraph (`oxigraph_expressions`) evaluates the rest, once per distinct combination of values: other
+functions, and comparisons of values whose order columns do not implement (dates, ordered strings,
 overflow).
 """
 
@@ -25,13 +25,13 @@ from ..algebra.triple_times import LATEST
 from ..values import decimals
 from ..values.literals import LONG, Sort, canonical
 from .oxigraph_expressions import ask
-from .relation import TermValues, coalesce, either, exact_column, scattered
+from .relation import TermValues, coalesce, either, exact_column, scatter
 
 _Part: TypeAlias = tuple[NDArray[np.int64], list[ObjectColumn]]
 _SPLIT: Final = np.array(
     [Sort.INTEGER <= sort <= Sort.BOOLEAN or sort in LONG for sort in sorted(Sort)], np.bool_
 )
-_Parted: TypeAlias = tuple[Expression, tuple[tuple[str, Call], ...]]
+_Split: TypeAlias = tuple[Expression, tuple[tuple[str, Call], ...]]
 _ORDER: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "=": operator.eq,
     "!=": operator.ne,
@@ -51,7 +51,7 @@ _LONG_KINDS: Final[dict[int, Kind]] = {
     Sort.LONG_DECIMAL: Kind.DECIMAL,
 }
 _EXACT: Final = 2.0**53
-"""Below, integers and decimals of columns that are equal as float64 are equal."""
+"""Below this, integers and decimals that are equal as float64 are equal."""
 NATIVE: Final = INFIX | {
     "!",
     "NEGATE",
@@ -69,91 +69,92 @@ NATIVE: Final = INFIX | {
     "COALESCE",
     LATEST,
 }
-"""What columns know; the rest is asked of Oxigraph."""
+"""The functions that columns implement; Oxigraph evaluates the others."""
 
 
 def evaluate(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> ObjectColumn:
-    """The value of ``expression`` for each of ``rows`` rows; null is error or unbound.
+    """Return the value of ``expression`` for each of ``rows`` rows; null is error or unbound.
 
-    Law: the value for a row depends on that row alone. Cost: numpy a node, times the kinds of
-    number that occur in a column; where Oxigraph is asked, Python a distinct combination of values.
+    Law: the value for a row depends on that row alone. Cost: numpy per node, times the number of
+    kinds in a column; for Oxigraph, Python per distinct combination of values.
     """
-    native, strange = _parted(expression)
-    if strange:
-        answers = {name: _asked(call, columns, rows, terms) for name, call in strange}
-        columns = {**columns, **answers}
+    native, foreign = _split_foreign(expression)
+    if foreign:
+        values = {name: _evaluate_foreign(call, columns, rows, terms) for name, call in foreign}
+        columns = {**columns, **values}
     return _native(native, columns, rows, terms)
 
 
-def _asked(
+def _evaluate_foreign(
     call: Call, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> ObjectColumn:
-    """A call that Oxigraph is asked for; what columns know of its arguments is computed first."""
-    found = dict(columns)
+    """Let Oxigraph evaluate a call. Columns first evaluate the native parts of its arguments."""
+    inputs = dict(columns)
 
     def go(expression: Expression) -> Expression:
         if not isinstance(expression, Call):
             return expression
         if expression.name in NATIVE:
-            name = f"\0a{len(found)}"
-            found[name] = evaluate(expression, columns, rows, terms)
+            name = f"\0a{len(inputs)}"
+            inputs[name] = evaluate(expression, columns, rows, terms)
             return Var(name)
         return Call(expression.name, tuple(go(argument) for argument in expression.arguments))
 
-    return ask(go(call), found, rows, terms)
+    return ask(go(call), inputs, rows, terms)
 
 
 def foreign_calls(expression: Expression) -> tuple[Call, ...]:
-    """The parts of an expression that Oxigraph is asked for."""
-    return tuple(call for _, call in _parted(expression)[1])
+    """Return the parts of an expression that Oxigraph evaluates."""
+    return tuple(call for _, call in _split_foreign(expression)[1])
 
 
-def _parted(expression: Expression) -> _Parted:
-    """The expression with a variable for each call that columns do not know, and these calls."""
+def _split_foreign(expression: Expression) -> _Split:
+    """Replace each call that columns do not implement by a variable; return these calls too."""
     if not isinstance(expression, Call):
         return expression, ()
     if expression.name not in NATIVE:
         return Var("\0f0"), (("\0f0", expression),)
-    return _parted_call(expression)
+    return _split_foreign_call(expression)
 
 
 @ObjectCache
-def _parted_call(expression: Call) -> _Parted:
-    strange: dict[Call, str] = {}
+def _split_foreign_call(expression: Call) -> _Split:
+    foreign: dict[Call, str] = {}
 
     def go(expression: Expression) -> Expression:
         if not isinstance(expression, Call):
             return expression
         if expression.name not in NATIVE:
-            return Var(strange.setdefault(expression, f"\0f{len(strange)}"))
+            return Var(foreign.setdefault(expression, f"\0f{len(foreign)}"))
         return Call(expression.name, tuple(go(argument) for argument in expression.arguments))
 
     native = go(expression)
-    return native, tuple((name, call) for call, name in strange.items())
+    return native, tuple((name, call) for call, name in foreign.items())
 
 
 def _native(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> ObjectColumn:
-    """By columns alone, a part of the rows after the other: in each, a column is of one kind."""
+    """Evaluate by columns alone. Rows are split so that each column of a part has one kind."""
     if not isinstance(expression, Call):
         return _Rows(columns, rows, terms).value(expression)
     names = sorted(name for name in variables(expression) if name in columns)
-    parts = parted([columns[name] for name in names], terms)
+    parts = split_by_kind([columns[name] for name in names], terms)
     if parts is None:
         return _Rows(columns, rows, terms).value(expression)
     values = [
         _Rows(dict(zip(names, typed, strict=True)), len(at), terms).value(expression)
         for at, typed in parts
     ]
-    return scattered([at for at, _ in parts], values, terms.dictionary)
+    return scatter([at for at, _ in parts], values, terms.dictionary)
 
 
-def parted(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | None:
-    """The rows by what the terms of the columns are: places, and there the columns, those of
-    numbers and booleans as such; `LONG` ones stay apart as terms. None where no term is one."""
+def split_by_kind(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | None:
+    """Split the rows by the sorts of the columns' terms. Return for each part its rows, and the
+    columns with numbers and booleans as such; `LONG` numbers stay terms. None: no column has
+    numbers or booleans as terms."""
     mixed: dict[int, NDArray[np.int8]] = {}
     for i, column in enumerate(columns):
         if column.kind is Kind.TERM:
@@ -164,10 +165,10 @@ def parted(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | 
         return None
     signature = np.zeros(len(columns[0]), np.int64)
     for sorts in mixed.values():
-        # What is no number and no boolean needs no part of its own.
+        # Terms that are neither numbers nor booleans need no part of their own.
         both = signature * len(_SPLIT) + np.where(_SPLIT[sorts], sorts, 0)
         signature = np.unique(both, return_inverse=True)[1].reshape(-1)
-    found = []
+    split = []
     for code in range(int(signature.max(initial=-1)) + 1):
         at = np.flatnonzero(signature == code)
         part = [column.take(at) for column in columns]
@@ -175,20 +176,20 @@ def parted(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | 
             sort = int(sorts[at[0]])
             if Sort.INTEGER <= sort <= Sort.BOOLEAN:
                 part[i] = terms.typed(part[i], Kind(sort))
-        found.append((at, part))
-    return found
+        split.append((at, part))
+    return split
 
 
 def holds(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> Mask:
-    """Where a FILTER with ``expression`` lets rows through: true, and no error."""
+    """Return which rows pass a FILTER with ``expression``: those where it is true."""
     yes, error = truth(evaluate(expression, columns, rows, terms), terms)
     return yes if error is None else yes & ~error
 
 
 def truth(column: ObjectColumn, terms: TermValues) -> tuple[Mask, Mask | None]:
-    """The effective boolean value (§17.2.2) and where it is an error."""
+    """Return the effective boolean value (§17.2.2), and where it is an error."""
     if column.kind is Kind.BOOLEAN:
         return column.values.astype(np.bool_), column.null
     if column.kind is Kind.TERM:
@@ -200,7 +201,7 @@ def truth(column: ObjectColumn, terms: TermValues) -> tuple[Mask, Mask | None]:
 
 
 class _Rows:
-    """One evaluation: columns of one kind each."""
+    """Rows whose columns have one kind each: evaluates one expression."""
 
     def __init__(self, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues) -> None:
         self.columns = columns
@@ -233,12 +234,12 @@ class _Rows:
                 assert_never(expression)
 
     def _applied(self, name: str, columns: list[ObjectColumn]) -> ObjectColumn:
-        """An operator or function of columns; those that were computed may be of several kinds."""
-        parts = parted(columns, self.terms)
+        """Apply an operator or function. Computed arguments may have several kinds: split again."""
+        parts = split_by_kind(columns, self.terms)
         if parts is None:
             return self._operation(name, columns)
         values = [_Rows({}, len(at), self.terms)._operation(name, typed) for at, typed in parts]
-        return scattered([at for at, _ in parts], values, self.terms.dictionary)
+        return scatter([at for at, _ in parts], values, self.terms.dictionary)
 
     def _operation(self, name: str, columns: list[ObjectColumn]) -> ObjectColumn:
         match columns:
@@ -260,7 +261,7 @@ class _Rows:
         return _boolean(np.zeros(self.rows, np.bool_), np.ones(self.rows, np.bool_))
 
     def _either(self, condition: ObjectColumn, a: ObjectColumn, b: ObjectColumn) -> ObjectColumn:
-        """IF: an error of the condition is one of the whole."""
+        """IF: an error of the condition is an error of the result."""
         yes, error = truth(condition, self.terms)
         null = ~yes | ~a.present
         chosen = coalesce(
@@ -274,7 +275,7 @@ class _Rows:
     def _first(self, columns: list[ObjectColumn]) -> ObjectColumn:
         chosen = self._unbound()
         for column in columns:
-            # A kind is taken over where nothing was chosen yet, so that numbers stay numbers.
+            # Take the kind of the first column with values, so that numbers stay numbers.
             nothing = chosen.null is not None and chosen.null.all()
             chosen = column if nothing else coalesce(chosen, column, self.terms.dictionary)
         return chosen
@@ -286,11 +287,11 @@ class _Rows:
             return _boolean(same | (np.isnan(a.values) & np.isnan(b.values)), null)
         if a.kind is b.kind:
             return _boolean(a.values == b.values, null)
-        # A TERM column here holds no numbers (`parted`): another kind is another term.
+        # A TERM column here contains no numbers (`split_by_kind`): kinds differ, so terms do.
         return _boolean(np.zeros(self.rows, np.bool_), null)
 
     def _latest(self, columns: list[ObjectColumn]) -> ObjectColumn:
-        """The greatest time that is there."""
+        """Return the greatest time of each row; null if it has none."""
         least = np.iinfo(np.int64).min
         values = np.full(self.rows, least)
         for column in columns:
@@ -307,7 +308,7 @@ class _Rows:
         none = np.zeros(self.rows, np.bool_)
         a_error = none if a_error is None else a_error
         b_error = none if b_error is None else b_error
-        # An error is overruled only by a certain false under &&, a certain true under ||.
+        # An error does not matter if the other side is false (&&) or true (||) for certain.
         decides_a = (~a if name == "&&" else a) & ~a_error
         decides_b = (~b if name == "&&" else b) & ~b_error
         decided = decides_a | decides_b
@@ -315,11 +316,11 @@ class _Rows:
         return _boolean(result, (a_error | b_error) & ~decided)
 
     def _number(self, column: ObjectColumn) -> Kind | None:
-        """Of which kind the numbers of a column are; None: they are none."""
+        """Return the kind of a column's numbers, or None."""
         if column.kind is not Kind.TERM:
             return column.kind if column.kind.is_number else None
         sort = int(self.terms.sorts(column.values[:1])[0]) if len(column) else Sort.OTHER
-        # `parted` has put long numbers apart: one is as all.
+        # `split_by_kind` has separated long numbers: the first stands for all.
         return _LONG_KINDS.get(sort)
 
     def _compare(self, name: str, a: ObjectColumn, b: ObjectColumn) -> ObjectColumn:
@@ -344,33 +345,33 @@ class _Rows:
                 text = (sorts[0] == Sort.STRING) & (sorts[1] == Sort.STRING)
                 doubtful = other | text
                 for one in sorts:
-                    # What is ill-typed has no order, nor has a node.
+                    # Ill-typed literals and nodes have no order.
                     doubtful &= (one != Sort.ILL_TYPED) & (one != Sort.NODE)
         else:
             same, doubtful = np.zeros(self.rows, np.bool_), other
         if null is not None:
             doubtful = doubtful & ~null
         if not equality:
-            known = _boolean(same, np.ones(self.rows, np.bool_))
+            certain = _boolean(same, np.ones(self.rows, np.bool_))
         else:
-            known = _boolean(same if name == "=" else ~same, null)
-        return self._or_asked(name, [a, b], known, doubtful)
+            certain = _boolean(same if name == "=" else ~same, null)
+        return self._or_foreign(name, [a, b], certain, doubtful)
 
-    def _or_asked(
-        self, name: str, columns: list[ObjectColumn], known: ObjectColumn, doubtful: Mask
+    def _or_foreign(
+        self, name: str, columns: list[ObjectColumn], certain: ObjectColumn, doubtful: Mask
     ) -> ObjectColumn:
-        """What is known, and for the doubtful rows what Oxigraph says of the operator."""
+        """Return ``certain``, but Oxigraph's result of the operator in doubtful rows."""
         if not np.any(doubtful):
-            return known
+            return certain
         at, rest = np.flatnonzero(doubtful), np.flatnonzero(~doubtful)
         names = [f"\0v{i}" for i in range(len(columns))]
-        given = {name: column.take(at) for name, column in zip(names, columns, strict=True)}
+        inputs = {name: column.take(at) for name, column in zip(names, columns, strict=True)}
         call = Call(name, tuple(map(Var, names)))
-        asked = ask(call, given, len(at), self.terms)
-        return scattered([at, rest], [asked, known.take(rest)], self.terms.dictionary)
+        foreign = ask(call, inputs, len(at), self.terms)
+        return scatter([at, rest], [foreign, certain.take(rest)], self.terms.dictionary)
 
     def _ordered(self, name: str, a: ObjectColumn, b: ObjectColumn, kind: Kind) -> Mask:
-        """A comparison of numbers that are promoted to ``kind``."""
+        """Compare numbers after promotion to ``kind``."""
         test = _ORDER[name]
         if a.kind is b.kind is not Kind.TERM:
             found: Mask = test(a.values, b.values)
@@ -379,7 +380,7 @@ class _Rows:
         found = test(x, y)
         if kind in (Kind.FLOAT, Kind.DOUBLE):
             return found
-        # Exact numbers are in order where their floats are; equal floats may stand for two.
+        # Exact numbers are ordered as their floats, but distinct ones may have equal floats.
         doubtful = np.flatnonzero(x == y)
         if a.kind is not Kind.TERM and b.kind is not Kind.TERM:
             doubtful = doubtful[np.abs(x[doubtful]) >= _EXACT]
@@ -392,14 +393,14 @@ class _Rows:
     def _arithmetic(self, name: str, a: ObjectColumn, b: ObjectColumn) -> ObjectColumn:
         left, right = self._number(a), self._number(b)
         if left is None or right is None:
-            return self._or_asked(name, [a, b], self._unbound(), self._is_other(a, b))
+            return self._or_foreign(name, [a, b], self._unbound(), self._is_other(a, b))
         null, kind = either(a.null, b.null), max(left, right)
         if kind in (Kind.FLOAT, Kind.DOUBLE):
             x, y = self.terms.approximate(a), self.terms.approximate(b)
             with np.errstate(all="ignore"):
                 return ObjectColumn(kind, _ARITHMETIC[name](x, y), null)
         if name == "/":
-            # A long number is not 0, though its float may be.
+            # A long number is never 0, though its float may be.
             kind, zero = Kind.DECIMAL, (b.values == 0) & (b.kind is not Kind.TERM)
             if zero.any():
                 null = either(null, zero)
@@ -407,23 +408,23 @@ class _Rows:
         if kind is Kind.INTEGER and a.kind is b.kind is Kind.INTEGER:
             with np.errstate(all="ignore"):
                 size = np.abs(_ARITHMETIC[name](a.values.astype(np.float64), b.values))
-            values, known = _ARITHMETIC[name](a.values, b.values), size < 2.0**62
+            values, exact = _ARITHMETIC[name](a.values, b.values), size < 2.0**62
         else:
             found = self._combined(name, a, b, null)
             if found is None:
-                values, known = np.zeros(self.rows, kind.dtype), np.zeros(self.rows, np.bool_)
+                values, exact = np.zeros(self.rows, kind.dtype), np.zeros(self.rows, np.bool_)
             else:
-                values, known = found
+                values, exact = found
         column = ObjectColumn(kind, values, null)
-        known = known if null is None else known | null
-        if known.all():
+        exact = exact if null is None else exact | null
+        if exact.all():
             return column
-        return self._or_exact(column, known, lambda x, y: decimals.computed(name, x, y), [a, b])
+        return self._or_exact(column, exact, lambda x, y: decimals.compute(name, x, y), [a, b])
 
     def _combined(
         self, name: str, a: ObjectColumn, b: ObjectColumn, null: Mask | None
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
-        """The codes of decimals that arithmetic gives, and which are known; None: none is."""
+        """Return the codes of decimal results, and which are exact; None: none is."""
         sides = []
         for column in (a, b):
             values = column.values
@@ -438,25 +439,25 @@ class _Rows:
             if side is None:
                 return None
             sides.append(side)
-        return decimals.combined(name, *sides)
+        return decimals.combine(name, *sides)
 
     def _or_exact(
         self,
         column: ObjectColumn,
-        known: NDArray[np.bool_],
+        exact: NDArray[np.bool_],
         operation: Callable[..., Decimal | None],
         arguments: Sequence[ObjectColumn],
     ) -> ObjectColumn:
-        """The column, and for the rows that are not known what ``operation`` gives of decimals."""
-        at, rest = np.flatnonzero(~known), np.flatnonzero(known)
+        """Return the column, but ``operation`` of Python decimals in rows that are not exact."""
+        at, rest = np.flatnonzero(~exact), np.flatnonzero(exact)
         rows = at.tolist()
         sides = [self.terms.exact(argument, rows) for argument in arguments]
         values = [operation(*numbers) for numbers in zip(*sides, strict=True)]
         found = exact_column(column.kind, values, self.terms.dictionary.transient_id)
-        return scattered([at, rest], [found, column.take(rest)], self.terms.dictionary)
+        return scatter([at, rest], [found, column.take(rest)], self.terms.dictionary)
 
     def _is_other(self, *columns: ObjectColumn) -> NDArray[np.bool_]:
-        """Where all are there, and one is a literal whose arithmetic Oxigraph may know."""
+        """Where all columns are bound, and one is a literal that Oxigraph may compute with."""
         other = np.zeros(self.rows, np.bool_)
         for column in columns:
             if column.kind is Kind.TERM:
@@ -470,11 +471,11 @@ class _Rows:
             return _boolean(self._is(name, a), a.null)
         kind = self._number(a)
         if kind is None:
-            return self._or_asked(name, [a], self._unbound(), self._is_other(a))
+            return self._or_foreign(name, [a], self._unbound(), self._is_other(a))
         if a.kind is Kind.TERM or (a.kind is Kind.INTEGER and _is_least(name, a)):
             nothing = ObjectColumn(kind, np.zeros(self.rows, kind.dtype), a.null)
-            known = ~a.present
-            return self._or_exact(nothing, known, lambda x: decimals.rounded(name, x), [a])
+            exact = ~a.present
+            return self._or_exact(nothing, exact, lambda x: decimals.round_number(name, x), [a])
         if a.kind is Kind.INTEGER and name in ("CEIL", "FLOOR", "ROUND"):
             return a
         values = _FUNCTIONS[name](a.values)
@@ -504,12 +505,12 @@ def _boolean(values: Any, null: Mask | None) -> ObjectColumn:
 
 
 def _is_least(name: str, a: ObjectColumn) -> bool:
-    """Whether a value has no counterpart of the other sign in 64 bits, and needs one."""
+    """Whether the function negates the least int64, which has no counterpart in 64 bits."""
     return name in ("NEGATE", "ABS") and bool(np.any(a.values == np.iinfo(np.int64).min))
 
 
 def _round(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """ROUND of floats: a half goes towards positive infinity, -0.4 to -0 (XPath F&O §4.4.4)."""
+    """ROUND of floats: halves round towards positive infinity, -0.4 to -0 (XPath F&O §4.4.4)."""
     with np.errstate(all="ignore"):
         below = np.floor(values)
         found = below + (values - below >= 0.5)

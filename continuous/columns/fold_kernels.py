@@ -1,8 +1,8 @@
-"""The compiled loops over rows: few, small, with fixed signatures (see `streams.jit`). Where
-they are not compiled, a numpy route gives the same results, bit for bit.
+"""The compiled loops over rows: few, small, with fixed signatures (see `streams.jit`). Without
+compilation, a numpy implementation gives the same results, bit for bit.
 
-Indices are made unsigned before use: numba asks of a signed one whether it counts from the end,
-which costs a third of these loops.
+Indices are converted to unsigned integers before use: for a signed index numba checks whether it
+counts from the end, which costs a third of these loops.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LAYOUTS: tuple[Layout, ...] = ("C", "A")
 
 
 def _ascending(times: Any) -> bool:
-    """Whether no time is less than the one before."""
+    """Whether no time is less than its predecessor."""
     ordered = True
     for i in range(1, times.shape[0]):
         ordered &= times[i - 1] <= times[i]
@@ -42,17 +42,17 @@ def _fold(
     listing: bool,
     turn: Any,
 ) -> tuple[int, int, int]:
-    """Add ``values`` and 1 to ``state[group]``, giving new subjects the next groups.
+    """Add ``values`` and 1 to ``state[group]``; new subjects get the next groups.
 
-    If it has four columns: the least value in the third, the least mirrored one, ``turn - value``,
-    in the fourth; NaN is the least of all, as numpy has it, and -0.0 is 0.0. If ``listing``,
-    ``touched`` are the groups whose count was 0. Stops where ``state`` is full: returns the row to
-    go on with, the groups used and how many are touched.
+    If ``state`` has four columns, the third is the least value and the fourth the least mirrored
+    value, ``turn - value``. As in numpy, NaN is less than all; -0.0 is 0.0. ``listing`` adds groups
+    whose count was 0 to ``touched``. Stops when ``state`` is full. Returns the row to continue
+    with, the number of groups, and the number of touched groups.
     """
     rows = subjects.shape[0]
     masked = skip.shape[0] > 0
     extremes = state.shape[1] == 4
-    # Choosing the rows of a block first, without a branch, costs half of testing each one.
+    # Collecting the selected rows of a block first, without a branch, halves the cost of the mask.
     chosen = np.empty(512, np.uint64)
     touches = _unsigned(count)
     row = start
@@ -98,8 +98,8 @@ def _fold(
 
 
 def read_only(kind: Any, layout: Layout = "A") -> Any:
-    """The type of an array argument that may be read-only (a file, an Arrow buffer), of any stride
-    (``"A"``) or contiguous (``"C"``)."""
+    """Return the type of an array argument that may be read-only (a file, an Arrow buffer), of any
+    stride (``"A"``) or contiguous (``"C"``)."""
     from numba import types
 
     return types.Array(kind, 1, layout, readonly=True)
@@ -142,11 +142,11 @@ _folds = {
     for name in ("float64", "int64")
     for layout in _LAYOUTS
 }
-"""By type of the values and layout: contiguous rows, as nearly all are, take a fifth less."""
+"""By type of the values and layout: contiguous rows, the usual case, take a fifth less time."""
 
 
 def ascending(times: NDArray[np.int64]) -> bool:
-    """Whether no time is less than the one before."""
+    """Whether no time is less than its predecessor."""
     if JIT and len(times) > 4096:
         return bool(_ascending_kernel(np.ascontiguousarray(times)))
     return bool(np.all(times[1:] >= times[:-1]))
@@ -155,7 +155,7 @@ def ascending(times: NDArray[np.int64]) -> bool:
 class Groups:
     """Term ids ↔ dense groups 0, 1, 2 … in order of first appearance.
 
-    Memory: 4 bytes a term of the dictionary, 4 a group.
+    Memory: 4 bytes per term of the dictionary, 4 per group.
     """
 
     __slots__ = ("group_of", "members", "used")
@@ -166,28 +166,28 @@ class Groups:
         self.used = 0
 
     def reach(self, terms: int) -> None:
-        """Make room for ids below ``terms``."""
+        """Allocate space for ids below ``terms``."""
         if len(self.group_of) < terms:
             grown = np.full(max(terms, 2 * len(self.group_of), 1024), -1, np.int32)
             grown[: len(self.group_of)] = self.group_of
             self.group_of = grown
 
     def reserve(self, capacity: int) -> None:
-        """Make room for ``capacity`` groups."""
+        """Allocate space for ``capacity`` groups."""
         if len(self.members) < capacity:
             grown = np.empty(capacity, np.int32)
             grown[: self.used] = self.members[: self.used]
             self.members = grown
 
     def keep(self, kept: NDArray[np.int64]) -> None:
-        """Forget all groups but ``kept`` (ascending), which become 0, 1, 2 …"""
+        """Drop all groups except ``kept`` (ascending), which become 0, 1, 2 …"""
         self.group_of[self.members[: self.used]] = -1
         self.used = len(kept)
         self.members = self.members[kept]
         self.group_of[self.members] = np.arange(self.used, dtype=np.int32)
 
     def groups(self, subjects: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The group of each id, new ones given in order of appearance. In numpy."""
+        """Return the group of each id; new ids get groups in order of appearance. In numpy."""
         # `take` is twice as fast as an index here.
         found: NDArray[np.int32] = self.group_of.take(subjects)
         new = subjects[found < 0]
@@ -207,21 +207,21 @@ class Groups:
 NO_SKIP = np.zeros(0, np.bool_)
 
 
-def mirrored(values: NDArray[Any]) -> NDArray[Any]:
-    """The values turned around, so that the least of them stands for the greatest value.
+def mirror(values: NDArray[Any]) -> NDArray[Any]:
+    """Reverse the order of the values, so that the least result stands for the greatest value.
 
-    An integer becomes its complement: unlike its negative that always fits.
+    An integer becomes its complement, since the negative of the least int64 does not fit.
     """
     return -values if values.dtype == np.float64 else ~values
 
 
 class RowFold:
-    """Rows folded by group: sum, count and, if asked for, the extremes.
+    """Folds rows by group: sum, count and optionally the extremes.
 
-    ``state``: shape ``(capacity, 2 or 4)``, float64 or int64 as the values: sum, count, the least
-    value, the least mirrored value. Law: folding the parts of a batch in order gives the same bits
-    as folding the batch. Cost: one to three nanoseconds a row while the state fits a cache.
-    Memory: the state, and 4 bytes a group.
+    ``state``: shape ``(capacity, 2 or 4)``, of the type of the values: sum, count, the least value,
+    the least mirrored value. Law: folding the parts of a batch in order gives the same bits as
+    folding the batch. Cost: one to three nanoseconds per row while the state fits a cache. Memory:
+    the state, and 4 bytes per group.
     """
 
     __slots__ = ("_count", "_listed", "_touched", "empty", "state")
@@ -241,7 +241,7 @@ class RowFold:
         skip: NDArray[np.bool_] | None,
         groups: Groups,
     ) -> None:
-        """Fold the rows that are not in ``skip``, one after the other."""
+        """Fold the rows that are not in ``skip``, in order."""
         if not JIT:
             if skip is not None:
                 subjects, values = subjects[~skip], values[~skip]
@@ -252,10 +252,10 @@ class RowFold:
             if len(self.empty) == 4:
                 values = values + 0
                 np.minimum.at(self.state[:, 2], found, values)
-                np.minimum.at(self.state[:, 3], found, mirrored(values))
+                np.minimum.at(self.state[:, 3], found, mirror(values))
             self._listed = False
             return
-        # A list of the touched costs more than looking for them where they are many.
+        # If many groups are touched, a list of them costs more than a search.
         self._listed &= len(subjects) < groups.used
         self.reserve(max(groups.used, 256))
         mask = NO_SKIP if skip is None else skip
@@ -275,18 +275,18 @@ class RowFold:
                 self._touched,
                 self._count,
                 self._listed,
-                mirrored(self.empty[:1])[0],
+                mirror(self.empty[:1])[0],
             )
             if row == len(subjects):
                 break
             self.reserve(4 * len(self.state))
 
     def take(self, used: int) -> tuple[NDArray[np.int32] | None, NDArray[Any]]:
-        """What was folded, and begin anew: the groups touched, ascending, and the columns of
+        """Return the folded values and reset: the touched groups, ascending, and the columns of
         their `state`, shape ``(2 or 4, n)``.
 
-        None instead of groups: all of ``used``, in order (where a quarter of them was touched).
-        Cost: O(touched), or O(groups) where it is a quarter of them.
+        None instead of groups: all of ``used``, in order, if at least a quarter was touched. Cost:
+        O(touched), or O(groups) in that case.
         """
         self.reserve(used)
         count = self._count
@@ -310,20 +310,20 @@ class RowFold:
         return at, columns
 
     def reserve(self, capacity: int) -> None:
-        """Make room for ``capacity`` groups."""
+        """Allocate space for ``capacity`` groups."""
         if len(self.state) < capacity:
             larger = np.empty((capacity, len(self.empty)), self.state.dtype)
             larger[: len(self.state)] = self.state
             larger[len(self.state) :] = self.empty
             self.state = larger
-            # One more than can be touched: the kernel writes first, then decides.
+            # One extra entry: the kernel writes an entry before it decides whether to keep it.
             touched = np.empty(capacity + 1, np.int32)
             touched[: self._count] = self._touched[: self._count]
             self._touched = touched
 
 
-def grown(state: NDArray[Any], capacity: int, fill: Any) -> NDArray[Any]:
-    """``state`` with at least ``capacity`` rows, new ones ``fill``."""
+def grow(state: NDArray[Any], capacity: int, fill: Any) -> NDArray[Any]:
+    """Return ``state`` with at least ``capacity`` rows; new ones have the value ``fill``."""
     if len(state) >= capacity:
         return state
     larger = np.full((capacity, *state.shape[1:]), fill, state.dtype)

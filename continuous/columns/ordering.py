@@ -1,8 +1,8 @@
 """The order of terms (SPARQL 1.1 §15.1), as arrays to sort by.
 
-Unbound, blank nodes, IRIs, literals. Of literals numbers come first, NaN before the others by
-value, then strings, then what has another order of its own (dates, booleans): the specification
-leaves that open, so it is chosen such that the same rows always give the same order.
+Unbound, blank nodes, IRIs, literals. Among literals: NaN, the other numbers by value, strings, then
+literals with another order (dates, booleans). The specification leaves the order between them open;
+this choice makes the same rows always give the same order.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from .relation import TermValues
 SortKey = NDArray[np.int64] | NDArray[np.float64]
 _BLANK, _IRI, _NAN, _NUMBER, _STRING, _OTHER = 1, 2, 3, 4, 5, 6
 _EXACT = 2.0**53
-"""From here on float64 does not tell all integers and decimals apart."""
+"""From here on float64 does not distinguish all integers and decimals."""
 
 
 def sort_keys(column: ObjectColumn, terms: TermValues) -> list[SortKey]:
-    """Arrays of numbers that order the column's terms, the first one deciding.
+    """Return arrays of numbers that order the column's terms; the first one decides first.
 
-    Equal numbers of two kinds are equal here, so that a second key can decide. Cost: numpy a row
-    for numbers; Python a distinct term that is none.
+    Equal numbers of two kinds are equal here, so that a second key can decide. Cost: numpy per row
+    for numbers; Python per distinct other term.
     """
     rank = np.where(column.present, np.int64(_NUMBER), np.int64(0))
     if column.kind is not Kind.TERM:
@@ -55,22 +55,22 @@ def sort_keys(column: ObjectColumn, terms: TermValues) -> list[SortKey]:
     others = np.flatnonzero(column.present & ~is_number)
     if len(others):
         ids, inverse = np.unique(column.values[others], return_inverse=True)
-        known = [terms.dictionary.term(int(id)) for id in ids]
-        classes, ranks = _ranked(known)
+        distinct = [terms.dictionary.term(int(id)) for id in ids]
+        classes, ranks = _ranked(distinct)
         rank[others] = classes[inverse.reshape(-1)]
         place[others] = ranks[inverse.reshape(-1)]
     return [rank, number, place]
 
 
 def _without_nan(rank: NDArray[np.int64], values: NDArray[Any]) -> tuple[Any, Any]:
-    """The ranks and the numbers, NaN ranked apart."""
+    """Return the ranks and the numbers; NaN gets a rank of its own."""
     if values.dtype != np.float64 or not (nan := np.isnan(values)).any():
         return rank, values
     return np.where(nan, np.int64(_NAN), rank), np.where(nan, 0.0, values)
 
 
 def _exact_places(ids: NDArray[np.int32], terms: TermValues) -> NDArray[np.int64]:
-    """The order of numbers by their exact values; NaN and infinities are told apart already."""
+    """Rank numbers by their exact values. Other keys have separated NaN and infinities already."""
     distinct, inverse = np.unique(ids, return_inverse=True)
     literals = [terms.dictionary.term(id) for id in distinct.tolist()]
     values = [_exact_value(literal) for literal in literals]
@@ -87,7 +87,7 @@ def _exact_value(term: Term) -> Decimal:
 
 
 def _ranked(found: Sequence[Term]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The class of each term, and its place within that class."""
+    """Return the class of each term, and its place within that class."""
     classes = np.array([_class(term) for term in found], np.int64)
     ranks = np.zeros(len(found), np.int64)
     for kind in np.unique(classes).tolist():
@@ -109,12 +109,13 @@ def _class(term: Term) -> int:
 
 
 def _text(term: Term) -> tuple[str, str]:
-    # Without a language first, as Oxigraph has it last: SPARQL leaves it open.
+    # Strings without a language first, unlike Oxigraph: SPARQL leaves it open.
     return term.value, (term.language or "") if isinstance(term, Literal) else ""
 
 
 def _others(members: Sequence[Term]) -> list[Term]:
-    """Dates, booleans, durations … as Oxigraph orders them; it leaves equal ones as they come."""
+    """Sort dates, booleans, durations … as Oxigraph does. Its sort is stable, so sort equal ones by
+    text first."""
     rows = " ".join(term_text(term) for term in sorted(members, key=str))
     found = Store().query(f"SELECT ?v WHERE {{ VALUES ?v {{ {rows} }} }} ORDER BY ?v")
     return [solution["v"] for solution in found]  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Expressions that columns do not know, by Oxigraph: once a distinct combination of values."""
+"""Oxigraph evaluates expressions that columns cannot, once per distinct combination of values."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ...languages.csparql import term_text
 from ...rdf.dictionary import Term
 from ...rdf.timed import ObjectColumn
 from ..algebra.expressions import INFIX, Call, Const, Expression, Var, postorder, variables
-from ..algebra.volatile_functions import VOLATILE, drawn
-from .oxigraph_port import NOTHING, Asking, Found, Table
+from ..algebra.volatile_functions import VOLATILE, draw_values
+from .oxigraph_port import NO_QUADS, OxigraphPort, SparqlResult, Table
 from .relation import Relation, TermValues, key_codes, term_column
 
 _PREFIX: Final = {"!": "!", "NEGATE": "-"}
@@ -23,11 +23,11 @@ _VALUE: Final = "urn:dyknow:value:"
 def ask(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> ObjectColumn:
-    """The value of ``expression`` for each of ``rows`` rows; null is error or unbound.
+    """Return the value of ``expression`` for each of ``rows`` rows; null is error or unbound.
 
-    Cost: Python and Oxigraph a distinct combination of values, a text to parse each time.
+    Cost: Python and Oxigraph per distinct combination of values, and a text to parse per call.
     """
-    expression, columns = _with_drawn(expression, columns, rows, terms)
+    expression, columns = _draw_values(expression, columns, rows, terms)
     if isinstance(expression, Var):
         return columns[expression.name]
     names = sorted(variables(expression))
@@ -41,8 +41,8 @@ def ask(
         inverse = inverse.reshape(-1)
     else:
         first, inverse = np.zeros(1, np.int64), np.zeros(rows, np.int64)
-    known = [name for name in names if name in relation.columns]
-    picked = {name: relation.columns[name].take(first) for name in known}
+    bound = [name for name in names if name in relation.columns]
+    picked = {name: relation.columns[name].take(first) for name in bound}
     columns_of = [(column, column.present) for column in picked.values()]
     table = [
         [
@@ -52,42 +52,41 @@ def ask(
         for row in terms.budget.paced(range(len(first)))
     ]
     with terms.budget.pauses.released(waits=True):
-        answers = _answers(expression, known, table, terms.budget.asking)
+        answers = _answers(expression, bound, table, terms.budget.oxigraph)
     return term_column(answers, terms.dictionary.transient_id).take(inverse)
 
 
-def _with_drawn(
+def _draw_values(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> tuple[Expression, Mapping[str, ObjectColumn]]:
-    """The expression with a variable for each call that is drawn, and the columns with what it
-    gives."""
-    found = dict(columns)
+    """Replace each call of RAND() and the like by a variable; add its values to the columns."""
+    with_values = dict(columns)
 
     def go(expression: Expression) -> Expression:
         if not isinstance(expression, Call):
             return expression
         if expression.name in VOLATILE:
-            name = f"\0r{len(found)}"
-            found[name] = term_column(list(drawn(expression, rows)), terms.dictionary.transient_id)
+            name, values = f"\0r{len(with_values)}", list(draw_values(expression, rows))
+            with_values[name] = term_column(values, terms.dictionary.transient_id)
             return Var(name)
         return Call(expression.name, tuple(map(go, expression.arguments)))
 
-    return go(expression), found
+    return go(expression), with_values
 
 
 def _answers(
     expression: Expression,
     names: Sequence[str],
     table: Sequence[Sequence[Term | None]],
-    asking: Asking,
+    oxigraph: OxigraphPort,
 ) -> list[Term | None]:
     places = {name: f"v{i}" for i, name in enumerate(names)}
     text = sparql_text(expression, places)
     calls = (one for one in postorder(expression) if isinstance(one, Call))
     base = next((found for call in calls if (found := call.name.rpartition(" ")[0])), "")
     if any(isinstance(term, BlankNode) for row in table for term in row):
-        # A blank node cannot be written into a query: the values stand in the store.
-        return _from_store(base, text, list(places.values()), table, asking)
+        # A query text cannot contain a blank node: put the values into the store.
+        return _from_store(base, text, list(places.values()), table, oxigraph)
     lines = (
         " ".join([str(number), *("UNDEF" if term is None else term_text(term) for term in row)])
         for number, row in enumerate(table)
@@ -95,7 +94,7 @@ def _answers(
     heads = " ".join(["?row", *(f"?{place}" for place in places.values())])
     values = " ".join(f"({line})" for line in lines)
     query = f"{base} SELECT ?row ({text} AS ?answer) WHERE {{ VALUES ({heads}) {{ {values} }} }}"
-    answers = _by_row(asking.ask(query, NOTHING, ()))
+    answers = _by_row(oxigraph.ask(query, NO_QUADS, ()))
     return [answers.get(Literal(number)) for number in range(len(table))]
 
 
@@ -104,7 +103,7 @@ def _from_store(
     text: str,
     places: Sequence[str],
     table: Sequence[Sequence[Term | None]],
-    asking: Asking,
+    oxigraph: OxigraphPort,
 ) -> list[Term | None]:
     quads, row_of = [], NamedNode(f"{_VALUE}row")
     for number, row in enumerate(table):
@@ -117,18 +116,18 @@ def _from_store(
     query = (
         f"{base} SELECT ?row ({text} AS ?answer) WHERE {{ ?row <{row_of.value}> ?row {optional} }}"
     )
-    answers = _by_row(asking.ask(query, NOTHING, quads))
+    answers = _by_row(oxigraph.ask(query, NO_QUADS, quads))
     return [answers.get(NamedNode(f"{_VALUE}{number}")) for number in range(len(table))]
 
 
-def _by_row(found: Found) -> dict[Term | None, Term | None]:
-    assert isinstance(found, Table)
-    row, answer = found.variables.index("row"), found.variables.index("answer")
-    return {solution[row]: solution[answer] for solution in found.rows}
+def _by_row(result: SparqlResult) -> dict[Term | None, Term | None]:
+    assert isinstance(result, Table)
+    row, answer = result.variables.index("row"), result.variables.index("answer")
+    return {solution[row]: solution[answer] for solution in result.rows}
 
 
 def sparql_text(expression: Expression, places: Mapping[str, str]) -> str:
-    """The expression as SPARQL, variables under the names in ``places`` (unbound if not there)."""
+    """Print the expression as SPARQL, variables under the names in ``places``, or as unbound."""
     match expression:
         case Var(name):
             return f"?{places.get(name, 'unbound')}"

@@ -1,7 +1,7 @@
-"""Whoever evaluates a SPARQL text over quads: Oxigraph, here or in another process.
+"""The interface to Oxigraph: evaluate a SPARQL text over quads, in this process or another.
 
-`oxigraph_expressions` and `window_store` ask; the service gives them one that can be stopped
-(service/workers).
+`oxigraph_expressions` and `window_store` use it. The service provides an implementation in a worker
+that can be stopped (service/workers).
 """
 
 from __future__ import annotations
@@ -19,63 +19,62 @@ from ..values.standard_functions import FUNCTIONS
 _NUMBERS = count()
 
 
-class Kept:
-    """Quads that are asked about again and again, as they were at one time."""
+class StoredQuads:
+    """An immutable set of quads that many queries read."""
 
     def __init__(self, quads: Collection[Quad] = ()) -> None:
         self.quads = quads
         self.number = next(_NUMBERS)
-        """No other one has it: who keeps a copy knows by it whether that is the same."""
+        """Unique in this process: an implementation that caches a copy recognizes it by this."""
 
-    def __reduce__(self) -> tuple[type[Kept], tuple[Collection[Quad]]]:
-        # Out of a checkpoint it gets a number of the process that reads it: in that one another may
-        # have its old one.
-        return Kept, (self.quads,)
+    def __reduce__(self) -> tuple[type[StoredQuads], tuple[Collection[Quad]]]:
+        # Numbers are unique per process: an object read from a checkpoint needs a new one.
+        return StoredQuads, (self.quads,)
 
 
-NOTHING = Kept()
+NO_QUADS = StoredQuads()
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Solutions: a row each with a term (None: unbound) for each variable."""
+    """Solutions: each row has a term (None: unbound) per variable."""
 
     variables: tuple[str, ...]
     rows: Sequence[Sequence[Term | None]]
 
 
-Found = Table | Sequence[Triple] | bool
-"""The answer of SELECT, of CONSTRUCT and DESCRIBE, of ASK."""
+SparqlResult = Table | Sequence[Triple] | bool
+"""The result of SELECT, of CONSTRUCT and DESCRIBE, of ASK."""
 
 
-class Asking(Protocol):
+class OxigraphPort(Protocol):
     """Evaluates SPARQL."""
 
-    def ask(self, sparql: str, kept: Kept, content: Sequence[Quad]) -> Found:
-        """The answer over the quads of both. Raises `budget.BudgetExceeded` where it needs more
-        than it may, ``ValueError`` and what Oxigraph raises else."""
+    def ask(self, sparql: str, kept: StoredQuads, content: Sequence[Quad]) -> SparqlResult:
+        """Evaluate ``sparql`` over the quads of both. Raises `budget.BudgetExceeded` if it exceeds
+        its limits, ``ValueError``, and the errors of Oxigraph."""
 
 
-class DirectAsking:
-    """Evaluates here, and waits as long as it takes."""
+class DirectOxigraph:
+    """Evaluates in this process, without a deadline."""
 
-    def ask(self, sparql: str, kept: Kept, content: Sequence[Quad]) -> Found:
+    def ask(self, sparql: str, kept: StoredQuads, content: Sequence[Quad]) -> SparqlResult:
         store = Store()
         store.extend(kept.quads)
         store.extend(content)
-        found = store.query(sparql, custom_functions=FUNCTIONS)
-        match found:
+        result = store.query(sparql, custom_functions=FUNCTIONS)
+        match result:
             case QueryBoolean():
-                return bool(found)
+                return bool(result)
             case QueryTriples():
-                return list(found)
+                return list(result)
             case QuerySolutions():
-                names = tuple(variable.value for variable in found.variables)
-                return Table(names, [[_rdf11(term) for term in solution] for solution in found])
-        raise AssertionError("Oxigraph knows three kinds of results")
+                names = tuple(variable.value for variable in result.variables)
+                return Table(names, [[_rdf11(term) for term in solution] for solution in result])
+        raise AssertionError("Oxigraph has three kinds of results")
 
 
-DIRECT = DirectAsking()
+DIRECT = DirectOxigraph()
 
 
 def _rdf11(term: object) -> Term | None:

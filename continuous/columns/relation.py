@@ -1,4 +1,4 @@
-"""Columns of terms: relations, the values of terms, keys to join and group by."""
+"""Relations in columns, the values of their terms, and keys to join and group by."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from ...rdf.timed import (
 )
 from ...streams.sample import Mask
 from ..values import decimals
-from ..values.literals import Sort, canonical, exact_literal, worth_of
+from ..values.literals import Sort, canonical, exact_literal, value_of
 from .budget import UNLIMITED, Budget
 
 
 class NeedsOxigraph(Exception):
-    """The columns cannot say this exactly for the data at hand: the window goes to Oxigraph."""
+    """Columns cannot compute this exactly for these values: Oxigraph evaluates the window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relation:
     """Solutions in columns by variable name, all of length ``rows``; null = unbound.
 
-    ``key``: variables that no two rows agree on, where that is known.
+    ``key``: variables that no two rows agree on, if any are known.
     """
 
     columns: Mapping[str, ObjectColumn]
@@ -42,35 +42,35 @@ class Relation:
     key: frozenset[str] | None = None
 
     def column(self, name: str) -> ObjectColumn:
-        """The column of a variable; of one that is never bound, nulls."""
+        """Return the column of a variable; nulls if it is never bound."""
         found = self.columns.get(name)
         if found is not None:
             return found
         return unbound(self.rows)
 
     def take(self, rows: NDArray[Any]) -> Relation:
-        """The rows at ``rows`` (a mask or indices without repetition)."""
+        """Return the rows at ``rows`` (a mask, or indices without repetition)."""
         count = int(np.count_nonzero(rows)) if rows.dtype == np.bool_ else len(rows)
         columns = {name: column.take(rows) for name, column in self.columns.items()}
         return Relation(columns, count, self.key)
 
 
 Pairs: TypeAlias = tuple[ObjectColumn, ObjectColumn]
-"""Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
+"""Subjects and objects of one predicate's triples: two columns of equal length, without nulls."""
 
 
 class TermValues(TermTable):
-    """What the terms of a dictionary are and are worth, in arrays by id that follow its growth.
+    """The values of a dictionary's terms, in arrays by id that grow with the dictionary.
 
-    Of each: its `Sort`, its float64 and int64 value, its effective boolean value, and the id of its
-    `canonical` term, which stays as long as it does. Cost: Python once a distinct term, once more
-    when it comes again after it was forgotten.
+    For each term: its `Sort`, its float64 and int64 value, its effective boolean value, and the id
+    of its `canonical` term, which stays in the dictionary as long as the term. Cost: Python once
+    per distinct term, and again for a term that returns after a sweep.
     """
 
     def __init__(self, dictionary: TermDictionary, budget: Budget = UNLIMITED) -> None:
         self.dictionary = dictionary
         self.budget = budget
-        """What operators on these terms may make of a window."""
+        """The budget of operators on these terms."""
         self._sort: NDArray[np.int8] = np.zeros(0, np.int8)
         self._number: NDArray[np.float64] = np.zeros(0, np.float64)
         self._integer: NDArray[np.int64] = np.zeros(0, np.int64)
@@ -81,18 +81,18 @@ class TermValues(TermTable):
         self._bits: NDArray[np.int64] = np.zeros(0, np.int64)
         self._size = 0
         self._place = 0
-        """How many of the ids that are used again have been looked at."""
+        """The number of reused ids in ``dictionary.reused`` that have been read."""
         self._waiting: list[int] = []
-        """Those of them that had not been looked at when terms were forgotten last."""
+        """The reused ids that had not been read at the last sweep."""
         dictionary.follow(self)
 
     def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
-        """`Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
+        """Return the `Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
         self._follow()
         return np.where(ids < 0, np.int8(Sort.OTHER), self._sort[ids])
 
     def canonical(self, column: ObjectColumn) -> ObjectColumn:
-        """The column with every TERM in its one spelling, so that equal values are equal ids."""
+        """Replace every TERM by its canonical spelling, so that equal values have equal ids."""
         if column.kind is not Kind.TERM:
             return column
         self._follow()
@@ -101,7 +101,7 @@ class TermValues(TermTable):
         return column if np.array_equal(same, ids) else ObjectColumn(Kind.TERM, same, column.null)
 
     def typed(self, column: ObjectColumn, kind: Kind) -> ObjectColumn:
-        """A TERM column whose terms are all of ``kind`` as a column of that kind."""
+        """Convert a TERM column whose terms are all of ``kind`` to that kind."""
         values: NDArray[Any]
         if kind is Kind.INTEGER:
             values = self._integer[column.values]
@@ -111,9 +111,9 @@ class TermValues(TermTable):
             values = self._number[column.values]
         return ObjectColumn(kind, values, column.null)
 
-    def encoded(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-        """Each object as a tag (its `Kind`) and 64 bits; equal exactly where the terms are equal,
-        whatever kind of column they stand in, and however they are spelled. None is null."""
+    def encode(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """Return each object as a tag (its `Kind`) and 64 bits. They are equal exactly if the terms
+        are, in any kind of column and any spelling. No object may be null."""
         if column.kind is not Kind.TERM:
             return np.full(len(column), column.kind, np.int8), bits(column.values)
         self._follow()
@@ -121,24 +121,24 @@ class TermValues(TermTable):
 
     @property
     def encodings(self) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-        """By id what `encoded` gives for a term."""
+        """The results of `encode` for terms, by id."""
         self._follow()
         return self._tag, self._bits
 
     @property
     def sorts_by_id(self) -> NDArray[np.int8]:
-        """`Sort` of every id of the dictionary."""
+        """The `Sort` of every id of the dictionary."""
         self._follow()
         return self._sort
 
     def true(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """The effective boolean value of terms that have one (SPARQL 1.1 §17.2.2)."""
+        """Return the effective boolean value of terms that have one (SPARQL 1.1 §17.2.2)."""
         self._follow()
         answer: NDArray[np.bool_] = self._true[ids]
         return answer
 
     def approximate(self, column: ObjectColumn) -> NDArray[np.float64]:
-        """The float64 nearest to each number, in a column of numbers or of `LONG` ones."""
+        """Return the nearest float64 of each number, in a column of numbers or of `LONG` ones."""
         if column.kind is not Kind.TERM:
             return column.values.astype(np.float64, copy=False)
         self._follow()
@@ -146,7 +146,7 @@ class TermValues(TermTable):
         return nearest
 
     def exact(self, column: ObjectColumn, rows: Iterable[int]) -> list[Decimal]:
-        """The integers or decimals at ``rows`` of a column of them or of `LONG` ones."""
+        """Return the integers or decimals at ``rows``, in a column of them or of `LONG` ones."""
         self._follow()
         values = [column.values[row].item() for row in rows]
         match column.kind:
@@ -169,7 +169,7 @@ class TermValues(TermTable):
 
     def _follow(self) -> None:
         dictionary = self.dictionary
-        # A canonical term may be new to the dictionary: then it is looked at in its turn.
+        # A canonical term may itself be new to the dictionary: so repeat until there are none.
         while (
             self._size < len(dictionary)
             or self._place < len(dictionary.reused)
@@ -186,7 +186,7 @@ class TermValues(TermTable):
                 self._canonical = _enlarged(self._canonical, capacity)
                 self._tag = _enlarged(self._tag, capacity)
                 self._bits = _enlarged(self._bits, capacity)
-            # An IRI or blank node is itself; only literals have to be looked at.
+            # IRIs and blank nodes are canonical; only literals need a closer look.
             new = slice(self._size, size)
             self._sort[new] = Sort.NODE
             self._canonical[new] = self._bits[new] = np.arange(self._size, size)
@@ -194,14 +194,14 @@ class TermValues(TermTable):
                 enumerate(dictionary.terms(self._size), self._size)
             )
             if self._waiting or self._place < len(dictionary.reused):
-                terms += self._used_again()
+                terms += self._reset_reused()
             self._size = size
             for id, term in terms:
                 if isinstance(term, Literal):
                     self._note(id, term)
 
-    def _used_again(self) -> list[tuple[int, Term | None]]:
-        """Ids that have other terms than when they were looked at, as nothing is known of them."""
+    def _reset_reused(self) -> list[tuple[int, Term | None]]:
+        """Clear the entries of ids that have new terms now; return these."""
         ids = [*self._waiting, *self.dictionary.reused[self._place :]]
         self._waiting, self._place = [], len(self.dictionary.reused)
         at = np.array(ids, np.int64)
@@ -212,22 +212,22 @@ class TermValues(TermTable):
         return [(id, self.dictionary.term(id)) for id in ids]
 
     def _note(self, id: int, literal: Literal) -> None:
-        worth = worth_of(literal)
+        value = value_of(literal)
         self._sort[id], self._number[id], self._integer[id] = (
-            worth.sort,
-            worth.number,
-            worth.integer,
+            value.sort,
+            value.number,
+            value.integer,
         )
-        self._true[id] = worth.true
-        if worth.long is not None:
-            self._long[id] = worth.long
+        self._true[id] = value.true
+        if value.long is not None:
+            self._long[id] = value.long
         spelled = canonical(literal)
         intern = self.dictionary.transient_id
         self._canonical[id] = id if spelled == literal else intern(spelled)
-        # A number that no column holds (a long decimal) is the term itself.
-        kind, value = split_term(spelled, intern)
+        # A number that fits no column (a long decimal) is encoded as a term.
+        kind, number = split_term(spelled, intern)
         self._tag[id] = kind
-        self._bits[id] = bits(np.array([value], kind.dtype))[0]
+        self._bits[id] = bits(np.array([number], kind.dtype))[0]
 
 
 def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:
@@ -237,14 +237,14 @@ def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:
 
 
 def either(left: Mask | None, right: Mask | None) -> Mask | None:
-    """Null where either is null."""
+    """Combine null masks by or."""
     if left is None:
         return right
     return left if right is None else left | right
 
 
 def term_column(terms: Sequence[Term | None], intern: Intern) -> ObjectColumn:
-    """A column of ``terms`` (None = null), canonical, in numbers if they are all of one kind."""
+    """Return a column of ``terms`` (None = null), canonical; as numbers if all have one kind."""
     terms = [None if term is None else canonical(term) for term in terms]
     pairs = [(Kind.TERM, NO_TERM) if t is None else split_term(t, intern) for t in terms]
     null = np.array([t is None for t in terms], np.bool_)
@@ -260,55 +260,56 @@ def term_column(terms: Sequence[Term | None], intern: Intern) -> ObjectColumn:
 
 
 def exact_column(kind: Kind, values: Sequence[Decimal | None], intern: Intern) -> ObjectColumn:
-    """INTEGERs or DECIMALs of any size as a column (None = null): terms where one needs that."""
-    known = [None if value is None else exact_literal(kind, value) for value in values]
-    return term_column(known, intern)
+    """Return INTEGERs or DECIMALs of any size as a column (None = null). It has terms if one does
+    not fit a column of numbers."""
+    literals = [None if value is None else exact_literal(kind, value) for value in values]
+    return term_column(literals, intern)
 
 
 def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
-    """The column with every object as an id. Cost: Python once a distinct value."""
+    """Return the column with every object as an id. Cost: Python per distinct value."""
     if column.kind is Kind.TERM:
         return column
     distinct, inverse = np.unique(bits(column.values), return_inverse=True)
-    values = decoded(column.kind, distinct).values.tolist()
+    values = decode(column.kind, distinct).values.tolist()
     ids = dictionary.transient_ids(make_literal(column.kind, value) for value in values)
     return ObjectColumn(Kind.TERM, ids[inverse.reshape(-1)], column.null)
 
 
 def bits(values: NDArray[Any]) -> NDArray[np.int64]:
-    """A number for each value, the same only for the same term: float64 by its bits."""
+    """Return an int64 per value, equal only for equal terms: float64 by its bits."""
     if values.dtype == np.float64:
         return np.ascontiguousarray(values).view(np.int64)
     return values.astype(np.int64)
 
 
-def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
-    """A column of this kind from its `bits`."""
+def decode(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
+    """Return a column of this kind from its `bits`."""
     if kind.dtype == np.float64:
         return ObjectColumn(kind, bits.view(np.float64))
     return ObjectColumn(kind, bits.astype(kind.dtype, copy=False))
 
 
-def decoded_terms(
+def decode_terms(
     tags: NDArray[np.int8], bits: NDArray[np.int64], dictionary: TermDictionary
 ) -> ObjectColumn:
-    """Objects of several kinds (`TermValues.encoded`), as terms. Cost: Python once a distinct
+    """Return objects of several kinds (`TermValues.encode`) as terms. Cost: Python per distinct
     number."""
     ids = np.full(len(tags), NO_TERM, np.int32)
     for tag in np.unique(tags).tolist():
         at = np.flatnonzero(tags == tag)
-        ids[at] = as_terms(decoded(Kind(tag), bits[at]), dictionary).values
+        ids[at] = as_terms(decode(Kind(tag), bits[at]), dictionary).values
     return ObjectColumn(Kind.TERM, ids)
 
 
 def unbound(rows: int, kind: Kind = Kind.TERM) -> ObjectColumn:
-    """A column of nothing."""
+    """Return a column of nulls."""
     values = np.full(rows, NO_TERM if kind is Kind.TERM else 0, kind.dtype)
     return ObjectColumn(kind, values, np.ones(rows, np.bool_))
 
 
 def take_or_null(column: ObjectColumn, rows: NDArray[np.int64]) -> ObjectColumn:
-    """The column at ``rows``, null where that is -1."""
+    """Return the column at ``rows``, null where that is -1."""
     absent = rows < 0
     if not absent.any():
         return column.take(rows)
@@ -318,10 +319,10 @@ def take_or_null(column: ObjectColumn, rows: NDArray[np.int64]) -> ObjectColumn:
     return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
 
 
-def scattered(
+def scatter(
     places: Sequence[NDArray[np.int64]], parts: Sequence[ObjectColumn], dictionary: TermDictionary
 ) -> ObjectColumn:
-    """One column of the parts, each at its places, which are all rows together."""
+    """Return one column of the parts, each at its places; together these are all rows."""
     at = np.concatenate(places)
     back = np.empty(len(at), np.int64)
     back[at] = np.arange(len(at))
@@ -329,7 +330,7 @@ def scattered(
 
 
 def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
-    """The first where it is bound, else the second."""
+    """Return the first column where it is bound, else the second."""
     if first.null is None:
         return first
     if first.kind is not second.kind:
@@ -341,7 +342,7 @@ def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictiona
 
 
 def concatenate(columns: Sequence[ObjectColumn], dictionary: TermDictionary) -> ObjectColumn:
-    """One column after the other; of mixed kinds, as terms."""
+    """Concatenate the columns; as terms if their kinds differ."""
     if len(columns) == 1:
         return columns[0]
     if len({column.kind for column in columns}) > 1:
@@ -353,7 +354,7 @@ def concatenate(columns: Sequence[ObjectColumn], dictionary: TermDictionary) -> 
 
 
 def concatenate_rows(parts: Sequence[TripleRows]) -> TripleRows:
-    """One table of rows of one shape (same predicates, kinds and sort)."""
+    """Concatenate tables of one shape (same predicates, kinds and sort)."""
     first = parts[0]
     if len(parts) == 1:
         return first
@@ -377,10 +378,10 @@ def concatenate_rows(parts: Sequence[TripleRows]) -> TripleRows:
 def key_codes(
     columns: Iterable[Sequence[ObjectColumn]], dictionary: TermDictionary
 ) -> list[NDArray[np.int64]]:
-    """Codes for rows of several tables: equal codes where all their key columns agree.
+    """Return codes for the rows of several tables, equal if all their key columns agree.
 
-    ``columns`` gives for each key column its parts, one a table; the answer is one array a table.
-    A null agrees with a null only.
+    ``columns`` has for each key column its parts, one per table; the result has one array per
+    table. A null agrees with a null only.
     """
     lengths: list[int] = []
     combined: NDArray[np.int64] | None = None
@@ -404,5 +405,5 @@ def key_codes(
 
 
 def first_rows(codes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The first row of each distinct code, in order of appearance."""
+    """Return the first row of each distinct code, in order of appearance."""
     return np.sort(np.unique(codes, return_index=True)[1]).astype(np.int64)

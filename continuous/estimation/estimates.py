@@ -1,7 +1,7 @@
 """Estimated cost of each operator of a plan: rows out (`cardinality`) and time.
 
 `explain` shows it beside the measured cost. One decision uses it: whether queries that differ in
-constants are computed together (`similar_queries.worth_from`), which changes no result.
+constants are computed together (`similar_queries.break_even_count`), which changes no result.
 
 Law (tests/laws/continuous/test_estimates.py): finite, never negative; exact for a pattern over the
 static side alone; a join with a static pattern that has each key once gives at most the rows of the

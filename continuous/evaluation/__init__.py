@@ -1,1 +1,1 @@
-"""The evaluator of one query: window by window, with the way that each part is solved."""
+"""The evaluator of one query: it chooses how each part is computed, and computes windows."""

@@ -1,7 +1,9 @@
-"""The continuous evaluator: rows and watermarks in, a result a window out ([Events14 §III]).
+"""The evaluator of one continuous query ([Events14 §III]): it takes rows and watermarks and returns
+a result per window.
 
-Called by the engine's units and by `evaluate`. Time is an argument; the same rows give the same
-results however they were cut into batches. `window_schedule` says when, `solver` what.
+The engine's units and `evaluate` call it. Time is an argument: the same rows give the same results,
+however they are cut into batches. `window_schedule` decides when a window closes, `solver` computes
+its result.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from ..algebra.options import Options
 from ..columns.budget import UNLIMITED, Budget
 from ..estimation.input_rates import Flow
 from ..operators.background import Background
-from ..operators.entailment import Asked
+from ..operators.entailment import PatternNeeds
 from ..operators.profile import Profile
 from ..operators.results import WindowResult
 from .solver import Solver
@@ -24,20 +26,20 @@ from .windowed_evaluator import WindowedEvaluator
 class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
     """One continuous query over named inputs.
 
-    ``inputs`` are the names of the input streams. An input that a FROM STREAM clause of the query
-    names has that clause's window; any other has the query's WINDOW. Every input gives its rows in
-    order of τ, a push at a time, and says by watermarks how far it has come. Raises ``ValueError``
-    when no window is known, or the query makes no SPARQL (BIND of a parameter that is given).
+    ``inputs`` are the names of the input streams. If a FROM STREAM clause names an input, the input
+    has that clause's window; any other has the query's WINDOW. Each input pushes its rows in order
+    of τ, and its watermarks state its progress. Raises ``ValueError`` if there is no window, or if
+    the query has no SPARQL form (BIND of a bound parameter).
 
-    A window that needs more than ``budget`` has no result and is among `overruns`; after some in a
-    row there is a `quarantine`. None of that depends on how rows were cut into pushes.
+    A window that exceeds ``budget`` has no result and appears in `overruns`; `OVERRUNS` such
+    windows in a row set `quarantine`. None of that depends on how rows are cut into pushes.
 
-    Law (tests/laws): results equal the definition's, and do not depend on how rows were cut into
-    pushes or how often watermarks were told.
+    Law (tests/laws): results equal the definition's. They depend neither on how rows are cut into
+    pushes nor on how often watermarks come.
 
-    Cost: see `aggregation`, `executor` and `window_store`; `explain` says which serves the query.
-    Memory: the rows of the open windows, or their partial aggregates, and their terms, if whoever
-    calls has the dictionary `collect` between two calls; else all terms that ever came.
+    Cost: see `aggregation`, `executor` and `window_store`; `explain` shows which one evaluates the
+    query. Memory: the rows of the open windows, or their partial aggregates, and their terms. The
+    caller must call the dictionary's `collect` between two calls; else all terms stay.
     """
 
     def __init__(
@@ -54,11 +56,11 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
         self._solver = Solver(query, self._windows, self._static, alone=True)
         if self._solver.translated is not None:
-            self._windows.entailment.asked = Asked.by(self._solver.translated.plan)
+            self._windows.entailment.needs = PatternNeeds.of(self._solver.translated.plan)
 
     @property
     def profile(self) -> Profile | None:
-        """Where it is set, it takes what the operators cost, and `explain` shows it."""
+        """Set it to record the cost of the operators; `explain` then shows it."""
         return self._solver.profile
 
     @profile.setter
@@ -67,11 +69,11 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
         self._windows.clock = None if profile is None else profile.clock
 
     def explain(self, flows: Mapping[str, Flow] | None = None) -> str:
-        """The query, its windows, its logical plan, how that is executed and what it costs, for
-        people; ``flows`` is what is known of the inputs, by name."""
+        """Describe the query, its windows, its logical plan, its execution and its cost. ``flows``
+        are the known rates of the inputs, by name."""
         return self._solver.explain(flows or {})
 
-    def _closed(self, end: int, reports: bool) -> bool:
+    def _evaluate(self, end: int, reports: bool) -> bool:
         solver = self._solver
         solver.fold(end)
         result = solver.result(end, reports=reports)

@@ -1,5 +1,7 @@
-"""The execution of a plan over one window after the other: what is folded as it comes, what is
-joined by a compiled loop, and what is computed from the rows of each window anew.
+"""The execution of a plan over successive windows.
+
+A plan has up to three kinds of parts. An aggregate is folded as rows come; joins of patterns run in
+a compiled loop; the rest is computed from all rows of each window.
 """
 
 from __future__ import annotations
@@ -20,41 +22,41 @@ from ..algebra.plan import (
     walk,
 )
 from ..algebra.triple_times import names_now
-from ..algebra.volatile_functions import has_chance
+from ..algebra.volatile_functions import has_volatile
 from ..columns.relation import Relation
 from ..incremental.aggregate_shape import Shape, shape_of
-from ..incremental.aggregation import Incremental
+from ..incremental.aggregation import IncrementalAggregate
 from ..operators.profile import Profile
 from ..operators.sources import StaticSide, WindowSource
 from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
 from ..pattern_join.solver import PatternSolver
 from ..windows.contents import Contents
-from ..windows.window_schedule import Windowing
+from ..windows.window_schedule import OpenWindows
 
 _SCANS = (Scan, TypeScan, AnyScan, Closure)
 
 
 class Execution:
-    """How ``plan`` is executed over ``windows``, whose rows others may read too.
+    """How ``plan`` is executed over ``windows``; other queries may read the same windows.
 
-    ``folds``: an aggregate is computed incrementally, where that can be.
+    ``folds``: compute an aggregate incrementally if possible.
     """
 
     def __init__(
-        self, plan: Plan, windows: Windowing, static: StaticSide, *, folds: bool = True
+        self, plan: Plan, windows: OpenWindows, static: StaticSide, *, folds: bool = True
     ) -> None:
         self.plan = plan
         self.windows = windows
         self.static = static
         self.names_now = names_now(plan)
-        self.has_chance = has_chance(plan)
+        self.has_volatile = has_volatile(plan)
         self.distinct = windows.options.semantics == "set"
-        self.incremental: Incremental | None = None
+        self.incremental: IncrementalAggregate | None = None
         self.patterns: PatternSolver | None = None
         self.served: tuple[Plan, ...] = ()
-        """The parts that the compiled loop solves."""
+        """The parts that the compiled loop evaluates."""
         self.not_folded = self._not_folded() if folds else "it is not to be folded"
-        """Why `incremental` is None, where it is."""
+        """Why `incremental` is None, or empty."""
         self._folded: int | None = None
         if not self.not_folded:
             self._fold_aggregate()
@@ -66,16 +68,22 @@ class Execution:
 
     @property
     def retains(self) -> bool:
-        """Whether the rows of a window are read again when it has closed."""
+        """Whether the rows of a window are needed after it has closed."""
         return self.incremental is None or self.incremental.shape.retains
 
     def join_patterns(self, shown: frozenset[str]) -> None:
-        """Have the parts of the plan that are joins of patterns solved by a compiled loop, which
-        keeps the rows in a form of its own: so nobody else may read the windows. ``shown`` are the
-        variables that are looked at in what the plan gives."""
+        """Let a compiled loop evaluate those parts of the plan that are joins of patterns. The loop
+        stores the rows in its own form, so no other query may read the windows. ``shown`` are the
+        variables of the plan's result that the query uses."""
         windows = self.windows.schedule.windows
         counted = any(one.counted for one in windows)
-        if self.incremental is not None or not JIT or self.names_now or self.has_chance or counted:
+        if (
+            self.incremental is not None
+            or not JIT
+            or self.names_now
+            or self.has_volatile
+            or counted
+        ):
             return
         plan = pattern_parts(self.plan)
         parts = tuple(served_parts(plan))
@@ -90,12 +98,13 @@ class Execution:
         ]
         self.patterns = PatternSolver(wanted, graphs, self.static, distinct=self.distinct)
         covered = {id(node) for part in parts for node in walk(part)}
+        # If the loop evaluates every scan, it alone stores the rows.
         alone = all(id(node) in covered for node in walk(plan) if isinstance(node, _SCANS))
-        self.windows.contents.read_by(self.patterns, alone=alone)
+        self.windows.contents.attach_patterns(self.patterns, alone=alone)
 
     def fold(self, end: int, profile: Profile | None = None) -> None:
-        """The panes up to ``end`` that have content, oldest first; others are skipped. The first
-        time it is the whole window. ``profile`` takes what that costs."""
+        """Fold the panes up to ``end`` in order, but skip empty ones. The first call folds the
+        whole window. ``profile`` records the cost."""
         if self.incremental is None:
             return
         scan, rows = self.incremental.shape.scan, 0
@@ -103,16 +112,16 @@ class Execution:
         window = self.windows.schedule.windows[0]
         assert window.grid is not None
         low, _ = window.bounds(end)
-        intakes = self.windows.contents.intakes.values()
+        buffers = self.windows.contents.buffers.values()
         done = low if self._folded is None else max(low, self._folded)
         pane = self.windows.schedule.pane
         while True:
-            times = [intake.earliest(done) for intake in intakes]
+            times = [buffer.earliest(done) for buffer in buffers]
             time = min((time for time in times if time is not None), default=None)
             if time is None or time > end:
                 break
             done = time + (window.grid.origin - time) % pane
-            tables = [t for intake in intakes for t in intake.between(done - pane, done)]
+            tables = [t for buffer in buffers for t in buffer.between(done - pane, done)]
             self.incremental.fold(done, tables)
             if profile is not None:
                 predicate = self.static.terms.dictionary.find(scan.predicate)
@@ -125,8 +134,9 @@ class Execution:
             profile.beside(scan, profile.clock() - begin)
 
     def sources(self, rows: WindowRows, profile: Profile | None = None) -> Iterator[WindowSource]:
-        """What the plan can be executed over: first with what is folded, then, for a window that
-        columns cannot fold, without. ``profile`` takes what the operators cost."""
+        """Yield the sources for an execution of the plan. The first uses the folded aggregate; the
+        second reads the rows, for a window whose values cannot be folded. ``profile`` records the
+        cost of the operators."""
         if self.incremental is not None:
             yield _Source(self, rows, self.incremental, profile)
         yield _Source(self, rows, None, profile)
@@ -139,7 +149,7 @@ class Execution:
         schedule = self.windows.schedule
         window = schedule.windows[0].range
         assert window is not None
-        self.incremental = Incremental(
+        self.incremental = IncrementalAggregate(
             shape,
             self.static,
             self.static.terms,
@@ -148,7 +158,7 @@ class Execution:
         )
 
     def _not_folded(self) -> str:
-        """Why windows cannot be folded pane by pane, whatever the plan computes."""
+        """Return why these windows cannot be folded pane by pane, or ""."""
         schedule = self.windows.schedule
         if not schedule.uniform:
             return "the windows are several, or not of time alone"
@@ -156,7 +166,7 @@ class Execution:
             return "windows without content are evaluated too"
         if self.names_now:
             return "it asks for NOW()"
-        if self.has_chance:
+        if self.has_volatile:
             return "it asks for what is drawn anew for each window"
         for node in walk(self.plan):
             if not isinstance(node, _SCANS):
@@ -171,7 +181,7 @@ class Execution:
 
 
 class WindowRows:
-    """The rows of the windows at an end, brought together when somebody looks at them."""
+    """The rows of the windows at an end, collected on first use."""
 
     def __init__(self, contents: Contents, end: int) -> None:
         self.contents = contents
@@ -179,19 +189,19 @@ class WindowRows:
 
     @cached_property
     def tables(self) -> Mapping[str, Sequence[TripleRows]]:
-        """By graph, input by input."""
+        """The rows by graph, input by input."""
         return self.contents.tables(self.end)
 
 
 class _Source(WindowSource):
-    """The leaves of windows, and what is at hand without them: the groups of the incremental
-    aggregate, the joins of patterns."""
+    """The windows as leaves of the plan, with the results that exist already: the groups of the
+    incremental aggregate, the joins of patterns."""
 
     def __init__(
         self,
         execution: Execution,
         rows: WindowRows,
-        incremental: Incremental | None,
+        incremental: IncrementalAggregate | None,
         profile: Profile | None,
     ) -> None:
         named = execution.windows.schedule.named

@@ -1,4 +1,4 @@
-"""How a continuous query is computed, stage by stage, for people."""
+"""The stages in which a continuous query is computed, as text for users."""
 
 from __future__ import annotations
 
@@ -35,15 +35,14 @@ _OTHER_ANSWERS: Final = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stages:
+class Explanation:
     """text → AST → logical plan → rules → physical operators.
 
-    ``translated`` and ``plan`` are None where the query runs on Oxigraph, ``reason`` says why;
-    else ``shape`` is how it is computed incrementally, or why it is not. ``merges`` is why
-    Oxigraph counts equal triples once although the bag is asked for, "" where it does not.
-    ``known`` is what costs are estimated from, ``served`` the parts of the plan that a compiled
-    loop solves, ``entailed`` what the ontology's schema says of the streams' triples.
-    ``profile`` is what the operators have cost so far, where that is measured.
+    ``translated`` and ``plan`` are None if the query runs on Oxigraph, for ``reason``. ``shape``
+    describes the incremental computation, or says why there is none. ``merges`` says why Oxigraph
+    counts equal triples once under bag semantics, or is "". ``known`` is the basis of the cost
+    estimates, ``served`` the parts of the plan that a compiled loop evaluates, ``entailed`` what
+    the schema adds to the streams' triples. ``profile`` holds the measured costs, if any.
     """
 
     query: ContinuousQuery
@@ -157,6 +156,6 @@ def _window(window: Window) -> str:
 
 
 def _strange(node: Plan) -> Iterator[str]:
-    """The functions in a node that columns do not know."""
+    """Yield the functions in a node that columns do not implement."""
     for expression in expressions_of(node):
         yield from (call.name for call in foreign_calls(expression))

@@ -1,6 +1,6 @@
-"""The result of one query for one window after the other: in columns, or by Oxigraph.
+"""The results of one query for successive windows, in columns or by Oxigraph.
 
-Called by `evaluator` for the windows of one query, and by `cohorts` for windows that many share.
+`evaluator` uses it for the windows of one query, `cohorts` for windows that many queries share.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..algebra.plan import Ask, Query
 from ..algebra.rewrite_rules import optimize
 from ..algebra.triple_times import asks_for_times, at_time
 from ..algebra.unsupported import Unsupported
-from ..algebra.volatile_functions import names_chance, with_seeds
+from ..algebra.volatile_functions import calls_volatile, with_seeds
 from ..columns.budget import BudgetExceeded
 from ..columns.relation import NeedsOxigraph
 from ..estimation.input_rates import Flow
@@ -33,34 +33,36 @@ from ..operators.sources import StaticSide
 from ..operators.stream_operators import Difference
 from ..oxigraph.window_store import OxigraphWindows
 from ..windows.grid import Schedule
-from ..windows.window_schedule import Windowing
+from ..windows.window_schedule import OpenWindows
 from .execution import Execution, WindowRows
-from .explain import Stages
+from .explain import Explanation
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """A query as the tree that is planned, with what the translation has to know of it; ``asked``
-    is the query that Oxigraph would be asked."""
+class QueryBody:
+    """A query as the tree to plan, and the graphs that its translation needs; ``query`` is the
+    query that Oxigraph evaluates if columns cannot."""
 
     tree: ast.Query
-    asked: ContinuousQuery
+    query: ContinuousQuery
     graphs: Graphs
 
     @classmethod
-    def of(cls, query: ContinuousQuery, schedule: Schedule) -> Reading:
-        """``query`` over these windows; raises ``ValueError`` where it makes no SPARQL."""
-        asked = _with_rows_only(query)
+    def of(cls, query: ContinuousQuery, schedule: Schedule) -> QueryBody:
+        """Return the body of ``query`` over these windows. Raises ``ValueError`` if it has no
+        SPARQL form."""
+        query = _drop_empty_aggregate(query)
         graphs = Graphs(schedule.named, query.static_named, query.window_variables)
-        return cls(body_tree(asked), asked, graphs)
+        return cls(body_tree(query), query, graphs)
 
-    def translated(self, bindings: Mapping[str, Term]) -> Query:
-        """The logical plan with these terms put in; raises as `translate`."""
+    def translate(self, bindings: Mapping[str, Term]) -> Query:
+        """Return the logical plan with these terms bound. Raises as `from_sparql.translate`."""
         return translate(self.tree, bindings, self.graphs)
 
 
-def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
-    """An AGGREGATE over nothing gives no row, as one with group keys does ([Events14 §III.A])."""
+def _drop_empty_aggregate(query: ContinuousQuery) -> ContinuousQuery:
+    """An AGGREGATE over no rows gives no row ([Events14 §III.A]), but SPARQL gives one if there are
+    no group keys: so filter by COUNT(*) > 0."""
     if not query.aggregations or group_keys(query):
         return query
     some = (ast.Comparison(">", ast.Aggregate("COUNT", None), Literal(0)), Span(0, 0))
@@ -68,16 +70,16 @@ def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
 
 
 class Solver:
-    """One query over windows, whose rows others may read too.
+    """One query over windows; other queries may read the same windows.
 
-    ``alone``: nobody else reads them, so that they may be kept as the query needs them. ``folds``:
-    see `Execution`. Raises ``ValueError`` where the query makes no SPARQL.
+    ``alone``: no other query reads them, so the rows may be stored as this one needs them.
+    ``folds``: see `Execution`. Raises ``ValueError`` if the query has no SPARQL form.
     """
 
     def __init__(
         self,
         query: ContinuousQuery,
-        windows: Windowing,
+        windows: OpenWindows,
         static: StaticSide,
         *,
         alone: bool = False,
@@ -87,15 +89,15 @@ class Solver:
         self.windows = windows
         self.static = static
         self.terms = static.terms
-        reading = Reading.of(query, windows.schedule)
+        body = QueryBody.of(query, windows.schedule)
         bound = sorted((variable.value, str(term)) for variable, term in query.bindings.items())
-        # With its name, streams and windows: another query draws other values.
+        # The seed contains name, streams and windows, so each query draws its own values.
         self._seed = f"{query.source} {bound}"
         self.oxigraph = OxigraphWindows(
-            reading.asked,
+            body.query,
             static,
             self.terms,
-            reading.graphs,
+            body.graphs,
             distinct=windows.options.semantics == "set",
             seed=self._seed,
         )
@@ -103,62 +105,62 @@ class Solver:
         if windows.differs:
             self._difference = Difference(query.operator, self.terms)
         self.profile: Profile | None = None
-        """Where it is set, it takes what the operators cost, and `explain` shows it."""
+        """Set it to record the cost of the operators; `explain` then shows it."""
         self.translated: Query | None = None
         self.execution: Execution | None = None
-        """None: by Oxigraph, because of `reason`."""
+        """None: Oxigraph evaluates the query, because of `reason`."""
         self.rules: tuple[str, ...] = ()
         self.reason = ""
         try:
             bindings = {variable.value: term for variable, term in query.bindings.items()}
-            self.translated = reading.translated(bindings)
+            self.translated = body.translate(bindings)
             plan, self.rules = optimize(self.translated.plan)
             self.execution = Execution(plan, windows, static, folds=folds)
             if alone:
                 self.execution.join_patterns(head_variables(self.translated.head))
         except Unsupported as unsupported:
             self.reason = str(unsupported)
-            if names_chance(reading.tree):
+            if calls_volatile(body.tree):
                 raise ValueError(
                     f"RAND(), UUID() and STRUUID() do not go together with {unsupported}: "
-                    "Oxigraph would draw others when a window is computed again"
+                    "Oxigraph would draw other values when it computes a window again"
                 ) from unsupported
-            if asks_for_times(reading.tree):
+            if asks_for_times(body.tree):
                 raise ValueError(
                     f"times of triples and {unsupported} do not go together in one query"
                 ) from unsupported
 
     @property
     def retains(self) -> bool:
-        """Whether the rows of a window are read again when it has closed."""
+        """Whether the rows of a window are needed after it has closed."""
         return self.execution is None or self.execution.retains
 
     def fold(self, end: int) -> None:
-        """The rows up to ``end`` are there."""
+        """Fold the rows up to ``end``, which are complete."""
         if self.execution is not None:
             self.execution.fold(end, self.profile)
             if self.profile is not None and self.execution.served:
-                # All parts read what the windows selected: it is told with the first of them.
-                self.profile.beside(self.execution.served[0], self.windows.turned)
+                # The parts share the selection of rows: the first one is charged with its cost.
+                self.profile.beside(self.execution.served[0], self.windows.select_ns)
 
     def result(self, end: int, *, reports: bool) -> WindowResult | None:
-        """What is given out at ``end``, after `fold`; where ``reports`` is not, only a difference
-        that there is."""
+        """Return the result at ``end``, after `fold`. If ``reports`` is False, return a result only
+        if the stream operator (ISTREAM, DSTREAM) finds a difference."""
         rows = WindowRows(self.windows.contents, end)
         if self._difference is None:
             return self.solve(rows) if reports else None
-        found = self._difference.of(self.solve(rows))
-        return found if reports or found.size else None
+        difference = self._difference.of(self.solve(rows))
+        return difference if reports or difference.size else None
 
     def solve(self, rows: WindowRows) -> WindowResult:
-        """The result of the query over these rows."""
+        """Compute the query over these rows."""
         start, shown = self.windows.span(rows.end)
         execution = self.execution
         if execution is not None and self.translated is not None:
             head, plan = self.translated.head, execution.plan
             if execution.names_now:
                 plan = at_time(plan, shown)
-            if execution.has_chance:
+            if execution.has_volatile:
                 plan = with_seeds(plan, f"{self._seed} {shown}")
             for source in execution.sources(rows, self.profile):
                 try:
@@ -167,30 +169,30 @@ class Solver:
                         self.terms.budget.check_result(relation.rows)
                     return finish(head, relation, start, shown, self.terms)
                 except NeedsOxigraph:
-                    # Not folded, columns may do; else Oxigraph is as exact, bags too; where it is
-                    # not, the result says so (`merged`).
+                    # The next source does not fold, which may suffice. Else Oxigraph evaluates
+                    # exactly, usually bags too; if not, the result is marked `merged`.
                     continue
-            if execution.has_chance:
+            if execution.has_volatile:
                 raise BudgetExceeded(
                     "RAND(), UUID() and STRUUID() need values that columns can compute: "
-                    "Oxigraph would give others when the window is computed again"
+                    "Oxigraph would draw others when it computes the window again"
                 )
         return self.oxigraph.solve(rows.tables, start, shown)
 
     def known(self, flows: Mapping[str, Flow]) -> Known:
-        """What costs are estimated from; ``flows`` is what is known of the inputs, by name."""
+        """Return the basis of cost estimates; ``flows`` are the known rates of the inputs, by
+        name."""
         distinct = self.windows.options.semantics == "set"
         return Known(self.windows.schedule, self.static, flows, distinct)
 
     def explain(self, flows: Mapping[str, Flow]) -> str:
-        """The query, its windows, its logical plan, how that is executed and what it costs, for
-        people."""
+        """Describe the query, its windows, its logical plan, its execution and its cost."""
         oxigraph, execution = self.oxigraph, self.execution
         plan = None
         if execution is not None and self.translated is not None:
             plan = Query(self.translated.head, execution.plan)
         return str(
-            Stages(
+            Explanation(
                 self.query,
                 oxigraph.sparql,
                 self.windows.options,
@@ -200,10 +202,10 @@ class Solver:
                 self.rules,
                 self.reason,
                 "" if execution is None else execution.shape,
-                "" if oxigraph.counting is not None else oxigraph.merges,
+                "" if oxigraph.bag_text is not None else oxigraph.merges,
                 self.known(flows),
                 () if execution is None else execution.served,
-                tuple(self.windows.entailment.described()),
+                tuple(self.windows.entailment.describe()),
                 self.profile,
             )
         )

@@ -1,7 +1,6 @@
-"""What evaluators have in common whose results come window by window: rows and watermarks in.
+"""The common base of evaluators: it takes rows and watermarks, and closes windows.
 
-What is computed when a window closes is theirs: `evaluator` for one query, `shared_windows` for
-many.
+Subclasses compute the result of a window: `evaluator` for one query, `shared_windows` for many.
 """
 
 from __future__ import annotations
@@ -28,18 +27,18 @@ from ..columns.budget import (
 )
 from ..columns.relation import TermValues
 from ..operators.background import Background
-from ..operators.entailment import Asked, StreamEntailment
+from ..operators.entailment import PatternNeeds, StreamEntailment
 from ..operators.sources import StaticSide
 from ..windows.grid import schedule
-from ..windows.window_schedule import Windowing
-from .solver import Reading
+from ..windows.window_schedule import OpenWindows
+from .solver import QueryBody
 
 Result = TypeVar("Result")
 
 
 class WindowedEvaluator(ABC, Generic[Result]):
-    """The windows of ``query`` over named inputs, before a static side, and a result each;
-    arguments, errors and law as of `evaluator.ContinuousEvaluator`."""
+    """The windows of ``query`` over named inputs and a static side, and a result for each.
+    Arguments, errors and law: see `evaluator.ContinuousEvaluator`."""
 
     def __init__(
         self,
@@ -52,27 +51,27 @@ class WindowedEvaluator(ABC, Generic[Result]):
     ) -> None:
         terms = TermValues(dictionary, budget)
         self.overruns: list[Overrun] = []
-        """Windows that needed more than the budget, for who asks to take them away."""
+        """Windows that exceeded the budget; the caller removes them."""
         self.quarantine = ""
-        """Why no window is evaluated any more; empty while they are."""
+        """Why evaluation has stopped for good, or empty."""
         self._in_a_row = 0
         self._stopped = ""
-        """Why the next window has no result, where that is known before."""
+        """Why a replay skips the next window: it was stopped when it closed first. Or empty."""
         self.options = options or Options()
         self._results: list[Result] = []
-        asks = partial(_asked, query, tuple(inputs), self.options)
-        entailment = StreamEntailment(background, terms, asks)
-        self._windows = Windowing(query, terms, inputs, self.options, entailment)
+        find_needs = partial(_pattern_needs, query, tuple(inputs), self.options)
+        entailment = StreamEntailment(background, terms, find_needs)
+        self._windows = OpenWindows(query, terms, inputs, self.options, entailment)
         self._static = StaticSide(background, terms)
 
     @property
     def late(self) -> int:
-        """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
+        """The number of dropped rows: behind a watermark, or for a closed window."""
         return self._windows.late
 
     @property
     def defers(self) -> bool:
-        """Whether windows that can close wait for `close_next`; else they close at once."""
+        """Whether closable windows wait for `close_next`; else they close at once."""
         return self._windows.defers
 
     @defers.setter
@@ -81,22 +80,24 @@ class WindowedEvaluator(ABC, Generic[Result]):
 
     @property
     def closed(self) -> int:
-        """How many windows have closed."""
+        """The number of closed windows."""
         return self._windows.closed
 
     def push(self, input: str, triples: TimedTriples) -> None:
-        """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
+        """Append rows to ``input``, none before its watermark. Their terms must be in the
+        evaluator's dictionary."""
         self._windows.push(input, triples)
 
     def advance(self, input: str, watermark: int) -> list[Result]:
-        """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
+        """Promise that every later row of ``input`` has τ ≥ ``watermark``; return the results of
+        the windows that close now."""
         return self._until_quarantined(
-            lambda: self._windows.advance(input, watermark, self._closing)
+            lambda: self._windows.advance(input, watermark, self._close_window)
         )
 
     def end(self, input: str) -> list[Result]:
-        """``input`` has come to its end. After the last one every window with content closes."""
-        return self._until_quarantined(lambda: self._windows.end(input, self._closing))
+        """End ``input``. After the last input has ended, every window with content closes."""
+        return self._until_quarantined(lambda: self._windows.end(input, self._close_window))
 
     @property
     def is_due(self) -> bool:
@@ -104,43 +105,44 @@ class WindowedEvaluator(ABC, Generic[Result]):
         return not self.quarantine and self._windows.is_due
 
     def close_next(self, stopped: str = "") -> bool:
-        """Close the next window that can; whether there was one. Its result is `taken`.
+        """Close the next window that can close; return whether there was one. `take_results`
+        returns its result.
 
-        With ``stopped`` it is known that it was stopped when it closed first, and why.
+        ``stopped``: a replay knows that this window was stopped when it closed first, and why.
         """
         if self.quarantine:
             return False
         self._stopped = stopped
         try:
-            return self._windows.close_next(self._closing)
+            return self._windows.close_next(self._close_window)
         except Quarantined:
             return True
         finally:
             self._stopped = ""
 
-    def taken(self) -> list[Result]:
-        """The results of the windows that have closed since this was asked last."""
-        taken, self._results = self._results, []
-        return taken
+    def take_results(self) -> list[Result]:
+        """Remove and return the results since the last call."""
+        results, self._results = self._results, []
+        return results
 
     def next_end(self) -> int | None:
-        """No later result is of a window that ends before this; None while that is unknown."""
+        """Return a lower bound of the ends of later windows, or None if there is none yet."""
         return self._windows.next_end()
 
     def resume(self, input: str) -> None:
-        """``input`` had come to its end and goes on: windows wait for it again."""
+        """Continue ``input``, which had ended: windows wait for it again."""
         self._windows.resume(input)
 
     def limit(self, input: str) -> int | None:
-        """Rows of ``input`` with τ up to here come too late; None: none does."""
+        """Return the τ up to which rows of ``input`` are late, or None if none is."""
         return self._windows.limit(input)
 
-    def _closing(self, end: int, reports: bool) -> bool:
+    def _close_window(self, end: int, reports: bool) -> bool:
         number = self._windows.closed
         try:
             if self._stopped:
                 raise Stopped(self._stopped)
-            again = self._closed(end, reports)
+            retains = self._evaluate(end, reports)
         except BudgetExceeded as exceeded:
             self._in_a_row += 1
             is_stopped = isinstance(exceeded, Stopped)
@@ -150,23 +152,25 @@ class WindowedEvaluator(ABC, Generic[Result]):
                 raise Quarantined(self.quarantine) from exceeded
             return True
         self._in_a_row = 0
-        return again
+        return retains
 
     @abstractmethod
-    def _closed(self, end: int, reports: bool) -> bool:
-        """The window that ends at ``end`` has closed; whether its rows are read again."""
+    def _evaluate(self, end: int, reports: bool) -> bool:
+        """Evaluate the window that ends at ``end``; return whether its rows are needed again."""
 
     def _until_quarantined(self, close: Callable[[], None]) -> list[Result]:
-        """Close windows, up to the one after which none is; what those before it gave counts."""
+        """Close windows until the quarantine begins; the results before it count."""
         if not self.quarantine:
             with suppress(Quarantined):
                 close()
-        return self.taken()
+        return self.take_results()
 
 
-def _asked(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> Asked:
-    """What the patterns of a query ask for, its parameters free."""
+def _pattern_needs(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> PatternNeeds:
+    """Return what the patterns of the query read, with its parameters unbound."""
     try:
-        return Asked.by(Reading.of(query, schedule(query, inputs, options)).translated({}).plan)
+        return PatternNeeds.of(
+            QueryBody.of(query, schedule(query, inputs, options)).translate({}).plan
+        )
     except (Unsupported, ValueError):
-        return Asked()
+        return PatternNeeds()

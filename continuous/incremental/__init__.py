@@ -1,1 +1,1 @@
-"""Aggregates that follow a sliding window, and what they keep between windows."""
+"""Aggregates that follow a sliding window incrementally, and their state."""

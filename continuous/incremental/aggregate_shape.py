@@ -1,4 +1,4 @@
-"""Which aggregates can be computed incrementally, and how: found when the query is planned."""
+"""The shape of an aggregate that can be computed incrementally, found when a query is planned."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from ..operators.sources import StaticSide
 class Shape:
     """How an Aggregate is computed incrementally.
 
-    ``scan`` is folded, rows passing ``filters`` only; ``sorts`` are asked of its subject;
-    ``rest`` is joined a window, then ``later`` filters hold. ``arguments``: what is aggregated
-    (``*`` alone as None), with whether extremes are kept. ``retains``: raw rows stay as long as
-    their window, since the rest or a fallback may need them. ``having``: the Filters that stand on
-    the aggregate, the outermost first.
+    The rows of ``scan`` that pass ``filters`` are folded. Subjects must be of all ``sorts``. For
+    each window ``rest`` is joined, then the ``later`` filters apply. ``arguments``: the aggregated
+    expressions (None if there is only ``*``), each with whether it needs extremes. ``retains``: raw
+    rows stay as long as their window, since the rest or a fallback may read them. ``having``: the
+    Filters on the aggregate, the outermost first.
     """
 
     aggregate: Aggregate
@@ -52,7 +52,7 @@ class Shape:
 
     @property
     def plain(self) -> bool:
-        """Whether rows can be folded as they are."""
+        """Whether rows can be folded without selection or computed arguments."""
         return (
             isinstance(self.scan.subject, Var)
             and isinstance(self.scan.object, Var)
@@ -73,7 +73,7 @@ class Shape:
 
 
 def shape_of(plan: Plan, static: StaticSide) -> Shape | str:
-    """How ``plan`` can be computed incrementally, or why it cannot."""
+    """Return how ``plan`` can be computed incrementally, or why it cannot."""
     aggregates = [node for node in walk(plan) if isinstance(node, Aggregate)]
     if len(aggregates) != 1:
         return "it has no aggregate" if not aggregates else "it has several aggregates"
@@ -83,7 +83,7 @@ def shape_of(plan: Plan, static: StaticSide) -> Shape | str:
     if not _flat(aggregate.child, leaves, conditions):
         return "there is more than patterns, FILTER and VALUES under the aggregate"
     scans = [leaf for leaf in leaves if isinstance(leaf, Scan)]
-    # A pattern that the static side knows nothing of is the one the stream is for.
+    # Try first a predicate without static triples: it probably comes from the stream.
     scans.sort(key=lambda scan: static.background.has(scan.predicate))
     reason = "there is no pattern to fold"
     for scan in scans:
@@ -181,7 +181,7 @@ def _filters_on(aggregate: Aggregate, plan: Plan) -> tuple[Filter, ...]:
 
 
 def _certain_above(plan: Plan, aggregate: Aggregate) -> bool:
-    """Whether what comes after the aggregate can never need Oxigraph: comparisons of numbers."""
+    """Whether all steps above the aggregate only compare numbers, which never needs Oxigraph."""
     numbers = {one.variable for one in aggregate.aggregations}
     for node in walk(plan):
         if node is aggregate:
@@ -206,7 +206,7 @@ def _certain(expression: Expression, numbers: set[str]) -> bool:
         case Const(Literal() as literal):
             return literal.datatype.value.endswith(("#integer", "#decimal", "#double", "#boolean"))
         case Call(name, arguments):
-            known = name in (*COMPARISONS, "&&", "||", "!")
-            return known and all(_certain(argument, numbers) for argument in arguments)
+            can_compute = name in (*COMPARISONS, "&&", "||", "!")
+            return can_compute and all(_certain(argument, numbers) for argument in arguments)
         case _:
             return False

@@ -1,9 +1,9 @@
-"""The incremental path: aggregates of one stream pattern, kept by subject as rows come and expire.
+"""The incremental path: aggregates of one stream pattern, updated as rows come and expire.
 
-It serves ``Aggregate(keys, …, ?s <p> ?v joined with patterns on ?s)``: the rows of <p> are folded
-by subject and pane, panes are added to the window and taken from it (`sliding_aggregates`), then
-joined with the rest, which is small, and grouped by the keys. Law: same solutions as
-`executor.execute` over the window's rows.
+It computes ``Aggregate(keys, …, ?s <p> ?v joined with patterns on ?s)``. The rows of <p> are folded
+by subject and pane. Panes are added to the window and subtracted from it (`sliding_aggregates`).
+The result is joined with the rest, which is small, and grouped by the keys. Law: the solutions
+equal those of `executor.execute` over the window's rows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..algebra.expressions import Const, Var
 from ..algebra.plan import Plan
 from ..columns.budget import BudgetExceeded
 from ..columns.expression_evaluation import evaluate, holds
-from ..columns.fold_kernels import Groups, grown
+from ..columns.fold_kernels import Groups, grow
 from ..columns.relation import NeedsOxigraph, Pairs, Relation, TermValues
 from ..operators.executor import Source, execute, select_pairs
 from ..operators.grouping import group_keys, grouping
@@ -28,29 +28,31 @@ from ..operators.joins import join_all
 from ..operators.partial_aggregates import Partial
 from ..operators.sources import StaticSide, distinct_pairs
 from .aggregate_shape import Shape
-from .distinct_pairs import DistinctRows
-from .sliding_aggregates import Rows, SlidingPartial, Touched
+from .distinct_pairs import DistinctPairs
+from .sliding_aggregates import ChangedGroups, Rows, SlidingPartial
 from .sort_facts import GroupSorts
 
 _ROW = "\0row"
 _SUBJECT = "\0s"
 COMPACT = 1024
-"""Below this many groups it is not worth while to forget any."""
+"""Below this number of groups, dropping some is not worth its cost."""
 DENSE = 4
-"""From one touched group in so many on, all are looked at: that is simpler and as fast."""
+"""If one group in this number has changed, evaluate all: that is simpler and as fast."""
 
 
-class Incremental:
+class IncrementalAggregate:
     """The state of one incremental aggregate.
 
-    ``panes``: how many a window has at most. ``distinct``: equal triples count once.
+    ``panes``: the greatest number of panes in a window. ``distinct``: equal triples count once.
 
-    Cost: a kernel call a table and pane; O(touched + expired groups) a pane; a window O(groups), or
-    where a HAVING stands on the aggregate and the subjects are its groups, O(touched + expired +
-    solutions) and a pass over two bytes a group. Memory: O(touched groups) a pane, some numbers a
-    group; with ``distinct`` also the distinct pairs (`pair_index`). Groups are the subjects of the
-    window; those that have left it are forgotten when they are half of all (O(panes) a subject). A
-    pane that columns cannot fold is irregular: `ready` then has nothing for its windows.
+    Cost: a kernel call per table and pane; O(touched + expired groups) per pane; O(groups) per
+    window. If there is a HAVING and the subjects are the groups, a window costs O(touched + expired
+    + solutions) and a pass over two bytes per group. Memory: O(touched groups) per pane, some
+    numbers per group; with ``distinct`` also the distinct pairs (`pair_index`).
+
+    Groups are the subjects of the window. Those without rows are dropped when they are half of all
+    (O(panes) per subject). If columns cannot fold a pane, it is irregular: `ready` then returns
+    None for its windows.
     """
 
     def __init__(
@@ -69,28 +71,28 @@ class Incremental:
         self._partials = [
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
-        self._distinct = DistinctRows(terms) if distinct else None
+        self._distinct = DistinctPairs(terms) if distinct else None
         self._sorts = GroupSorts(shape.sorts, self.groups, static)
         self._irregular: deque[int] = deque()
         self._static_version: int | None = None
         self._static_pairs: Pairs | None = None
         self._static_counted: NDArray[np.bool_] = np.zeros(0, np.bool_)
-        self._touched = Touched()
-        # Which groups had rows, were of the sorts and passed the HAVING, when last looked at.
+        self._touched = ChangedGroups()
+        # At the last evaluation: had rows in the window, were of the sorts and passed the HAVING.
         self._passing: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._compact_at = COMPACT
         terms.dictionary.hold(self)
 
     def held_ids(self) -> Iterator[NDArray[Any]]:
-        """See `dictionary.Holder`: groups keep their subjects until they are compacted, a static
-        triple may have been given another spelling."""
+        """See `dictionary.Holder`. Groups keep their subjects until `_compact`; static pairs may
+        have ids of canonical terms that `StaticSide` does not hold."""
         yield self.groups.members[: self.groups.used]
         yield from self._sorts.held_ids()
         for column in self._static_pairs or ():
             yield column.held_ids
 
     def fold(self, end: int, tables: Sequence[TripleRows]) -> None:
-        """The rows of the pane that ends at ``end``, in order."""
+        """Fold the rows of the pane that ends at ``end``, in order."""
         self.groups.reach(len(self.terms.dictionary))
         predicate = self.terms.dictionary.find(self.shape.scan.predicate)
         try:
@@ -99,7 +101,7 @@ class Incremental:
                 if column is not None:
                     self._fold(end, table.subject, column)
         except (NeedsOxigraph, BudgetExceeded):
-            # Its windows are computed anew; where the budget was too small, that says so again.
+            # Its windows are computed from all rows, which raises `BudgetExceeded` again if due.
             self._irregular.append(end)
             for partial in self._partials:
                 partial.abandon(self.groups.used)
@@ -110,7 +112,7 @@ class Incremental:
             self._touched.mark(changed)
 
     def evict(self, until: int) -> None:
-        """Forget the panes that end at or before ``until``."""
+        """Evict the panes that end at or before ``until``."""
         for partial in self._partials:
             partial.evict(until, self._touched)
         if self._distinct is not None:
@@ -124,9 +126,9 @@ class Incremental:
             self._compact()
 
     def ready(self, plan: Plan, source: Source) -> Relation | None:
-        """The solutions of ``plan`` if it is the aggregate, or the HAVING on it.
+        """Return the solutions of ``plan`` if it is the aggregate, or the HAVING on it.
 
-        ``source`` is asked for what the aggregate has to be joined with.
+        ``source`` provides the relations to join.
         """
         shape = self.shape
         having = bool(shape.having) and plan is shape.having[0] and shape.direct
@@ -139,22 +141,22 @@ class Incremental:
         return self._direct(rows) if shape.direct else self._joined(rows, source)
 
     def _alive(self, rows: Rows) -> NDArray[np.int64]:
-        """Those of ``rows`` that have rows in the window and are of the sorts."""
+        """Return those of ``rows`` that have rows in the window and are of the sorts."""
         alive = self._partials[0].rows(rows) > 0
         if self.shape.sorts:
             alive &= self._sorts.holds(rows)
         return np.flatnonzero(alive) if isinstance(rows, slice) else rows[alive]
 
     def _having(self) -> Relation:
-        """The groups that pass the HAVING: only the touched are looked at, if they are few."""
+        """Return the groups that pass the HAVING. If few groups changed, only they are tested."""
         used = self.groups.used
         self._touched.reserve(used)
-        self._passing = grown(self._passing, used, False)
+        self._passing = grow(self._passing, used, False)
         touched = self._touched.groups(used)
-        every = touched is None or DENSE * len(touched) > used
-        looked: Rows = slice(used) if touched is None or every else touched
-        self._passing[looked] = False
-        rows = self._alive(looked)
+        test_all = touched is None or DENSE * len(touched) > used
+        tested: Rows = slice(used) if touched is None or test_all else touched
+        self._passing[tested] = False
+        rows = self._alive(tested)
         relation = self._direct(rows)
         for filter in reversed(self.shape.having):
             kept = np.flatnonzero(
@@ -162,20 +164,20 @@ class Incremental:
             )
             rows, relation = rows[kept], relation.take(kept)
         self._passing[rows] = True
-        # Last: had this gone wrong, they would have to be looked at again.
+        # Clear only now: after an error the same groups must be tested again.
         self._touched.clear()
-        return relation if every else self._direct(np.flatnonzero(self._passing[:used]))
+        return relation if test_all else self._direct(np.flatnonzero(self._passing[:used]))
 
     def _direct(self, rows: NDArray[np.int64]) -> Relation:
-        """The aggregates of the subjects ``rows``."""
+        """Return the aggregates of the subjects ``rows``."""
         subject = self.shape.scan.subject
         assert isinstance(subject, Var)
         columns = {subject.name: ObjectColumn(Kind.TERM, self.groups.members[rows])}
         partials = [partial.partial(rows) for partial in self._partials]
-        return self._finished(columns, partials, len(rows))
+        return self._finish(columns, partials, len(rows))
 
     def _joined(self, rows: NDArray[np.int64], source: Source) -> Relation:
-        """The aggregates by the plan's keys, after the join with the rest."""
+        """Return the aggregates by the plan's keys, after the join with the rest."""
         shape, plan = self.shape, self.shape.aggregate
         partials = [partial.partial(rows) for partial in self._partials]
         columns = {_ROW: ObjectColumn(Kind.INTEGER, np.arange(len(rows)))}
@@ -190,9 +192,9 @@ class Incremental:
         group, first = grouping(plan, joined, self.terms)
         picked = joined.columns[_ROW].values
         merged = [partial.merged(group, picked, len(first)) for partial in partials]
-        return self._finished(group_keys(plan, joined, first), merged, len(first))
+        return self._finish(group_keys(plan, joined, first), merged, len(first))
 
-    def _finished(
+    def _finish(
         self, columns: Mapping[str, ObjectColumn], partials: Sequence[Partial], rows: int
     ) -> Relation:
         plan, result = self.shape.aggregate, dict(columns)
@@ -205,7 +207,7 @@ class Incremental:
         return Relation(result, rows, frozenset(plan.keys))
 
     def _fold(self, end: int, subjects: NDArray[np.int32], objects: ObjectColumn) -> None:
-        """Rows of the folded predicate."""
+        """Fold rows of the scan's predicate."""
         skip = objects.null
         if skip is not None and not self.shape.plain:
             present = np.flatnonzero(~skip)
@@ -217,14 +219,14 @@ class Incremental:
         for partial, column in zip(self._partials, columns, strict=True):
             partial.fold(pairs[0].values, column, skip, self.groups, self.terms)
         if self._distinct is not None:
-            fresh = self._distinct.see(end, pairs, skip)
+            fresh = self._distinct.enter(end, pairs, skip)
             self._count((pairs[0].take(fresh), pairs[1].take(fresh)), 1)
 
     def _selected(self, pairs: Pairs) -> Pairs:
-        """The pairs that the pattern matches and its filters let through."""
+        """Return the pairs that the pattern matches and its filters pass."""
         scan = self.shape.scan
         if isinstance(scan.subject, Const):
-            # Selected by its own id, so that a group stands for it although it has no column.
+            # Keep the constant's id as the subject: it needs a group, though no column shows it.
             mine = pairs[0].values == self.terms.dictionary.find(scan.subject.term)
             pairs = pairs[0].take(mine), pairs[1].take(mine)
         relation = select_pairs(pairs, Var(_SUBJECT), scan.object, self.terms)
@@ -237,12 +239,12 @@ class Incremental:
             relation = relation.take(keep)
         if isinstance(scan.object, Var):
             return relation.columns[_SUBJECT], relation.columns[scan.object.name]
-        # The one object that was asked for: no argument names it.
+        # The object is a constant, so no argument reads it.
         same = ObjectColumn(Kind.INTEGER, np.zeros(relation.rows, np.int64))
         return relation.columns[_SUBJECT], same
 
     def _arguments(self, pairs: Pairs) -> list[ObjectColumn]:
-        """What is aggregated of these pairs, a column an argument."""
+        """Return the aggregated values of these pairs, a column per argument."""
         scan, rows = self.shape.scan, len(pairs[0])
         columns = {}
         for position, column in zip((scan.subject, scan.object), pairs, strict=True):
@@ -259,48 +261,48 @@ class Incremental:
         ]
 
     def _count(self, pairs: Pairs, sign: int) -> None:
-        """Pairs that count by themselves, not by their pane: added (1) or taken away (-1)."""
+        """Add (1) or subtract (-1) pairs that do not belong to a pane."""
         if not len(pairs[0]):
             return
         for partial, column in zip(self._partials, self._arguments(pairs), strict=True):
             partial.add(pairs[0].values, column, sign, self.groups, self.terms, self._touched)
 
     def _with_static(self) -> None:
-        """The static triples of the folded predicate are always there.
+        """Add the static triples of the folded predicate, which never expire.
 
-        Under set semantics those are left out that the window holds as well.
+        Under set semantics those that the window contains as well do not count twice.
         """
         version = self.static.background.version
         if version != self._static_version:
             self._touched.all = True
             if self._static_pairs is not None:
-                self._count(_those(self._static_pairs, self._static_counted), -1)
+                self._count(_take(self._static_pairs, self._static_counted), -1)
                 self._static_pairs = None
-            found = self.static.pairs(self.shape.scan)
+            static = self.static.pairs(self.shape.scan)
             if self._distinct is not None:
-                found = distinct_pairs(found, self.terms)
-            pairs = self._selected(found)
+                static = distinct_pairs(static, self.terms)
+            pairs = self._selected(static)
             self.groups.reach(len(self.terms.dictionary))
             columns = self._arguments(pairs)
             for partial, column in zip(self._partials, columns, strict=True):
                 partial.hold(pairs[0].values, column, self.groups, self.terms)
             self._static_pairs = pairs
             self._static_counted = np.zeros(len(pairs[0]), np.bool_)
-            # Last: where columns cannot fold the static side, every window has to say so.
+            # Set the version last: if columns cannot fold the static side, each window must raise.
             self._static_version = version
         assert self._static_pairs is not None
         count = np.ones(len(self._static_counted), np.bool_)
         if self._distinct is not None and len(count):
             count = ~self._distinct.holds(self._static_pairs)
         if len(count) and not np.array_equal(count, self._static_counted):
-            self._count(_those(self._static_pairs, count & ~self._static_counted), 1)
-            self._count(_those(self._static_pairs, self._static_counted & ~count), -1)
+            self._count(_take(self._static_pairs, count & ~self._static_counted), 1)
+            self._count(_take(self._static_pairs, self._static_counted & ~count), -1)
             self._static_counted = count
 
     def _compact(self) -> None:
-        """Forget the groups without rows if they are half of all.
+        """Drop the groups without rows if they are half of all.
 
-        It depends on the windows alone, so results stay the same however the input is cut.
+        This depends on the windows alone, so results do not depend on how the input is cut.
         """
         used = self.groups.used
         kept = np.flatnonzero(self._partials[0].rows(slice(used)) > 0)
@@ -316,5 +318,5 @@ class Incremental:
         self._compact_at = max(COMPACT, 2 * len(kept))
 
 
-def _those(pairs: Pairs, rows: NDArray[Any]) -> Pairs:
+def _take(pairs: Pairs, rows: NDArray[Any]) -> Pairs:
     return pairs[0].take(rows), pairs[1].take(rows)

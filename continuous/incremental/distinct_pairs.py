@@ -1,7 +1,7 @@
-"""Distinct triples of one predicate: which come into the window, and which leave it.
+"""Distinct triples of one predicate: which pairs enter the window, and which leave it.
 
-The pairs (subject, object) are told apart as RDF terms: a number by its kind and value, whether a
-column holds it as a number or as a term; anything else by its id.
+Pairs (subject, object) are compared as RDF terms. A number has its kind and value as key, whether a
+column has it as a number or as a term; any other term has its id.
 """
 
 from __future__ import annotations
@@ -14,56 +14,56 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
 from ...streams.sample import Mask
-from ..columns.relation import Pairs, TermValues, bits, decoded
+from ..columns.relation import Pairs, TermValues, bits, decode
 from ..values.literals import Sort
-from .pair_index import SeenPairs
+from .pair_index import PairIndex
 
 
-class DistinctRows:
-    """The distinct pairs of the window: a `SeenPairs` for each kind of object.
+class DistinctPairs:
+    """The distinct pairs of the window: a `PairIndex` per kind of object.
 
-    Law: `see` gives each pair when it comes into the window, `leave` when it has left. Cost and
-    memory: see `SeenPairs`.
+    Law: `enter` returns each pair when it enters the window, `leave` when it has left. Cost and
+    memory: see `PairIndex`.
     """
 
     def __init__(self, terms: TermValues) -> None:
         self._terms = terms
-        self._kinds: dict[Kind, SeenPairs] = {}
+        self._kinds: dict[Kind, PairIndex] = {}
         terms.dictionary.hold(self)
 
     def held_ids(self) -> Iterator[NDArray[Any]]:
         """See `dictionary.Holder`."""
-        for kind, seen in self._kinds.items():
-            subjects, keys = seen.pairs()
+        for kind, index in self._kinds.items():
+            subjects, keys = index.pairs()
             yield subjects
             if kind is Kind.TERM:
                 yield keys
 
-    def see(self, end: int, pairs: Pairs, skip: Mask | None = None) -> NDArray[np.int64]:
-        """Rows of the pane that ends at ``end``, but those in ``skip``: those whose pair is new to
-        the window."""
+    def enter(self, end: int, pairs: Pairs, skip: Mask | None = None) -> NDArray[np.int64]:
+        """Add the rows of the pane that ends at ``end``, except those in ``skip``; return the rows
+        whose pair is new to the window."""
         fresh = []
         for kind, rows, keys in self._keys(pairs, skip):
             if kind not in self._kinds:
-                self._kinds[kind] = SeenPairs()
-            seen = self._kinds[kind]
-            whole = isinstance(rows, slice)
-            found = seen.see(end, (pairs[0].values[rows], keys), skip if whole else None)
-            fresh.append(found if isinstance(rows, slice) else rows[found])
+                self._kinds[kind] = PairIndex()
+            index = self._kinds[kind]
+            all_rows = isinstance(rows, slice)
+            new = index.enter(end, (pairs[0].values[rows], keys), skip if all_rows else None)
+            fresh.append(new if isinstance(rows, slice) else rows[new])
         if len(fresh) == 1:
             return fresh[0]
         return np.sort(np.concatenate([np.zeros(0, np.int64), *fresh]))
 
     def leave(self, until: int) -> Iterator[Pairs]:
-        """The pairs that leave with the panes that end at or before ``until``."""
-        for kind, seen in self._kinds.items():
-            gone = seen.leave(until)
-            if gone is not None:
-                subjects, keys = gone
-                yield ObjectColumn(Kind.TERM, subjects), decoded(kind, keys)
+        """Yield the pairs that leave with the panes that end at or before ``until``."""
+        for kind, index in self._kinds.items():
+            left = index.leave(until)
+            if left is not None:
+                subjects, keys = left
+                yield ObjectColumn(Kind.TERM, subjects), decode(kind, keys)
 
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
-        """Which of the pairs are in the window."""
+        """Return which of the pairs are in the window."""
         answer = np.zeros(len(pairs[0]), np.bool_)
         for kind, rows, keys in self._keys(pairs, None):
             if kind in self._kinds:
@@ -73,8 +73,8 @@ class DistinctRows:
     def _keys(
         self, pairs: Pairs, skip: Mask | None
     ) -> Iterator[tuple[Kind, slice | NDArray[np.int64], NDArray[np.int64]]]:
-        """The rows by kind of object, and the objects' bits. A slice is all rows, those in ``skip``
-        too."""
+        """Yield the rows by kind of object, and the objects' bits. A slice means all rows, those in
+        ``skip`` included."""
         column = pairs[1]
         if column.kind is not Kind.TERM:
             yield column.kind, slice(None), _bits(column.values)
@@ -91,8 +91,8 @@ class DistinctRows:
 
 
 def _bits(values: NDArray[Any]) -> NDArray[np.int64]:
-    """`bits`, and all NaNs the same: they are one literal."""
-    # A NaN is the least of all, as numpy has it: to look for the least makes no array.
+    """Return `bits`, with equal bits for all NaNs: they are one literal."""
+    # In numpy the minimum of an array with a NaN is NaN: unlike isnan, this allocates no array.
     if values.dtype == np.float64 and len(values) and np.isnan(values.min()):
         values = np.where(np.isnan(values), np.nan, values)
     return bits(values)

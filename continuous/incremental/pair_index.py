@@ -1,7 +1,7 @@
-"""Which pairs of a subject and an object are in the window: each once, however often it came.
+"""An index of the (subject, object) pairs in the window: each once, however often it came.
 
-Called by `distinct_pairs` under set semantics. A pair belongs to the last pane in which it came;
-when that pane ends, the pair leaves the window.
+`distinct_pairs` uses it under set semantics. A pair belongs to the last pane in which it came; when
+that pane is evicted, the pair leaves the window.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ...streams.jit import JIT, Kernel
 from ..columns.fold_kernels import NO_SKIP, read_only
 
 _LEAST = 64
-"""Chunks of the smallest index."""
+"""The number of chunks in the smallest index."""
 _FULL = 8
-"""So many pairs a chunk, and the index grows: a chunk has room for twelve."""
+"""The average number of pairs per chunk at which the index grows; a chunk has room for twelve."""
 _PANES = 2**32 - 1
-"""So many numbers of panes, from 1 on; then they begin anew."""
+"""Panes have numbers from 1 to this; then the numbers start again."""
 _BLOCK = 128
 _EACH = np.uint64(0x0101010101010101)
 _HIGHS = np.uint64(0x8080808080808080)
@@ -31,16 +31,17 @@ Pairs = tuple[NDArray[np.int32], NDArray[np.int64]]
 """Subjects, and the bits of their objects."""
 
 # A pair has an entry of two words: the object's bits; the subject (32 bits) and the number of the
-# last pane in which the pair came. The second word is 0 where the entry is free. An index finds
+# last pane in which the pair came. The second word is 0 if the entry is free. An index finds
 # entries by the hash of their pairs. It consists of chunks, each a cache line: twelve tags (a byte
-# of a hash, not 0; 0 where there is none), 32 bits that count the pairs which passed the chunk as
-# it was full, and the numbers of twelve entries. So a line is read to see that a pair is new, and
-# nearly never an entry; all tags are compared at once, as bytes of two words. After Facebook's F14.
-# Nothing is taken out of an index: a number that it has kept too long leads to another pair.
+# of a hash, not 0; 0 if there is none), a 32-bit count of the pairs that overflowed the chunk, and
+# the numbers of twelve entries. So a lookup of a new pair reads one line and almost never an entry;
+# it compares all tags at once, as bytes of two words. The design follows Facebook's F14. Numbers
+# are never removed from an index: a stale number leads to the entry of another pair, or a free one,
+# which the lookup skips.
 
 
 def _hashed(subject: Any, bits: Any) -> Any:
-    """32 bits of a pair."""
+    """Return a 32-bit hash of a pair."""
     mixed = np.uint64(bits) ^ (np.uint64(subject) * np.uint64(0x9E3779B97F4A7C15))
     mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0xFF51AFD7ED558CCD)
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xC4CEB9FE1A85EC53)
@@ -48,24 +49,25 @@ def _hashed(subject: Any, bits: Any) -> Any:
 
 
 def _tag(hashed: Any) -> Any:
-    """A byte of a hash, not 0, and the same in all bytes of the word."""
+    """Return a byte of a hash, not 0, repeated in all bytes of the word."""
     byte = hashed & np.uint64(255)
     return (byte + np.uint64(byte == 0)) * _EACH
 
 
 def _zeros(word: Any) -> Any:
-    """The highest bit of each byte that is 0; above the lowest of them perhaps of others."""
+    """Set the highest bit of each byte that is 0. Only the lowest mark is reliable: the subtraction
+    borrows from the bytes above it."""
     return (word - _EACH) & ~word & _HIGHS
 
 
 def _byte(marks: Any) -> Any:
-    """Which is the lowest byte of which the highest bit is set."""
+    """Return the number of the lowest byte whose highest bit is set."""
     lowest = marks & (~marks + np.uint64(1))
     return ((lowest >> np.uint64(7)) * _PLACES) >> np.uint64(56)
 
 
-def _sought(index: Any, numbers: Any, entries: Any, home: Any, tag: Any, key: Any, who: Any) -> Any:
-    """The entry of a pair whose first chunk is ``home``; -1: there is none."""
+def _find(index: Any, numbers: Any, entries: Any, home: Any, tag: Any, key: Any, who: Any) -> Any:
+    """Return the entry of a pair whose first chunk is ``home``, or -1."""
     mask = np.uint64(index.shape[0] // 8 - 1)
     one, chunk = np.uint64(1), home
     while True:
@@ -79,8 +81,8 @@ def _sought(index: Any, numbers: Any, entries: Any, home: Any, tag: Any, key: An
                 at = _byte(high) + np.uint64(8)
                 high = high & (high - one)
             entry = np.uint64(numbers[(chunk << np.uint64(4)) + np.uint64(4) + at])
-            first, known = entry << one, entries[entry << one | one]
-            if entries[first] == key and known >> 32 == who and known != 0:
+            first, last_seen = entry << one, entries[entry << one | one]
+            if entries[first] == key and last_seen >> 32 == who and last_seen != 0:
                 return np.int64(entry)
         if index[chunk << np.uint64(3) | one] >> np.uint64(32) == 0:
             return np.int64(-1)
@@ -88,7 +90,7 @@ def _sought(index: Any, numbers: Any, entries: Any, home: Any, tag: Any, key: An
 
 
 def _place(index: Any, numbers: Any, home: Any, tag: Any, entry: Any) -> None:
-    """Put an entry into the first chunk from ``home`` on that has room."""
+    """Put an entry into the first chunk with room, from ``home`` on."""
     mask = np.uint64(index.shape[0] // 8 - 1)
     one, chunk = np.uint64(1), home
     while True:
@@ -125,13 +127,14 @@ def _enter(
     found: Any,
     count: int,
 ) -> tuple[int, int, int, int, int, int]:
-    """Let each pair that is not in ``skip`` come in ``pane``.
+    """Record each pair that is not in ``skip`` as come in ``pane``.
 
-    ``free`` are free entries, ``left`` of them; ``placed`` is how many have been put into the young
-    index. ``log`` takes the entry of each pair that comes in this pane for the first time,
-    ``found`` the rows whose pair is new to the window. Stops where too few entries are free or the
-    index is full. Returned: the row to go on with, ``left``, ``placed``, the lengths of ``log`` and
-    ``found``, and a number without meaning.
+    ``free`` contains ``left`` free entries; ``placed`` counts the entries put into the young index.
+    ``log`` receives the entry of each pair that comes in this pane for the first time, ``found``
+    the rows whose pair is new to the window. Stops if too few entries are free or the index is
+    full. Returns the row to continue with, ``left``, ``placed``, the lengths of ``log`` and
+    ``found``, and a meaningless number. That number keeps the compiler from removing the reads that
+    only load cache lines.
     """
     one, three, last = np.uint64(1), np.uint64(3), np.int64(2**32 - 1)
     young_by, old_by = np.uint64(young_shift), np.uint64(old_shift)
@@ -147,7 +150,7 @@ def _enter(
         for i in range(np.uint64(begin), np.uint64(min(rows, begin + _BLOCK))):
             chosen[some] = i
             some += np.uint64(not (masked and skip[i]))
-        # The lines of a block are all asked for before one is waited for.
+        # Read the cache lines of a whole block first: the processor loads them in parallel.
         for j in range(some):
             i = chosen[j]
             hashes[j] = _hashed(subjects[i], bits[i])
@@ -156,9 +159,9 @@ def _enter(
             i = chosen[j]
             tag, home = _tag(hashes[j]), hashes[j] >> young_by
             key, who = bits[i], np.int64(subjects[i])
-            entry = _sought(young, young_numbers, entries, home, tag, key, who)
+            entry = _find(young, young_numbers, entries, home, tag, key, who)
             if entry < 0:
-                entry = _sought(old, old_numbers, entries, hashes[j] >> old_by, tag, key, who)
+                entry = _find(old, old_numbers, entries, hashes[j] >> old_by, tag, key, who)
                 if entry < 0:
                     left -= 1
                     entry = np.int64(free[np.uint64(left)])
@@ -178,14 +181,14 @@ def _enter(
 def _leave(
     entries: Any, free: Any, left: int, log: Any, pane: int, subjects: Any, bits: Any
 ) -> int:
-    """Free the entries of ``log`` whose last pane is ``pane``, into ``subjects`` and ``bits``: how
-    many."""
+    """Free the entries of ``log`` whose last pane is ``pane``. Write their pairs to ``subjects``
+    and ``bits``; return their number."""
     one, last, count = np.uint64(1), np.int64(2**32 - 1), 0
     for i in range(np.uint64(0), np.uint64(log.shape[0])):
         first = np.uint64(log[i]) << one
-        known = entries[first | one]
-        if known & last == pane:
-            subjects[count], bits[count] = known >> 32, entries[first]
+        last_seen = entries[first | one]
+        if last_seen & last == pane:
+            subjects[count], bits[count] = last_seen >> 32, entries[first]
             entries[first | one] = 0
             free[left + count] = log[i]
             count += 1
@@ -199,16 +202,16 @@ def _hold(
     for i in range(np.uint64(0), np.uint64(subjects.shape[0])):
         hashed, who = _hashed(subjects[i], bits[i]), np.int64(subjects[i])
         home, tag = hashed >> np.uint64(shift), _tag(hashed)
-        answer[i] |= _sought(index, numbers, entries, home, tag, bits[i], who) >= 0
+        answer[i] |= _find(index, numbers, entries, home, tag, bits[i], who) >= 0
 
 
 def _fill(index: Any, numbers: Any, shift: int, entries: Any) -> None:
-    """Put all entries that are taken into an empty index."""
+    """Put all used entries into an empty index."""
     for i in range(np.uint64(0), np.uint64(entries.shape[0] // 2)):
         first = i << np.uint64(1)
-        known = entries[first | np.uint64(1)]
-        if known != 0:
-            hashed = _hashed(known >> 32, entries[first])
+        last_seen = entries[first | np.uint64(1)]
+        if last_seen != 0:
+            hashed = _hashed(last_seen >> 32, entries[first])
             _place(index, numbers, hashed >> np.uint64(shift), _tag(hashed), np.uint32(i))
 
 
@@ -217,7 +220,7 @@ def _signature(name: str) -> Callable[[], Any]:
         from numba import types
         from numba.extending import register_jitable
 
-        for function in (_hashed, _tag, _zeros, _byte, _sought, _place):
+        for function in (_hashed, _tag, _zeros, _byte, _find, _place):
             register_jitable(function)
         number, ids, entries = types.int64, types.uint32[::1], types.int64[::1]
         index = (types.uint64[::1], ids, number)
@@ -243,18 +246,18 @@ _hold_kernel = Kernel(_hold, _signature("hold"))
 _fill_kernel = Kernel(_fill, _signature("fill"))
 
 
-class SeenPairs:
+class PairIndex:
     """The distinct pairs of the window.
 
-    Each has an entry, which says in which pane it came last. Each pane has a log of the entries of
-    what came in it: when it ends, these are looked at, and those of pairs that have not come again
-    are freed. There are two indexes: the *young* one takes what comes, and when all has left the
-    window that was there before it, it becomes the *old* one.
+    Each pair has an entry with the last pane in which it came. Each pane has a log of the entries
+    of its pairs. When the pane is evicted, the entries of pairs that have not come again are freed.
+    There are two indexes. The *young* one receives new pairs; when all panes older than it have
+    been evicted, it becomes the *old* one. That removes stale numbers without deleting any.
 
-    Law: `see` and `leave` say of each pair once that it has come into the window, and once that it
-    has left. Cost: some tens of nanoseconds a row that comes, a few when its pane ends; what is
-    full is made anew, twice as large, at once. Memory: 36 to 72 bytes a pair, up to eight times
-    that after there have been more, and 4 a pair and pane. Without compiled loops a dict does the
+    Law: `enter` returns each pair once when it enters the window, and `leave` once when it has
+    left. Cost: some tens of nanoseconds per row, a few more when its pane is evicted; a full index
+    is rebuilt twice as large, at once. Memory: 36 to 72 bytes per pair, up to eight times that
+    after there have been more, and 4 per pair and pane. Without compiled loops a dict does the
     same.
     """
 
@@ -265,28 +268,28 @@ class SeenPairs:
         self._pane = 0
         self._end: int | None = None
         self._logs: deque[tuple[int, int, NDArray[np.uint32]]] = deque()
-        """The end of a pane, its number and entries: an element for each call of `see`."""
-        self._known: dict[tuple[int, int], int] = {}
-        self._came: deque[tuple[int, int, list[tuple[int, int]]]] = deque()
+        """The end of a pane, its number and entries: one element per call of `enter`."""
+        self._pane_of: dict[tuple[int, int], int] = {}
+        self._python_logs: deque[tuple[int, int, list[tuple[int, int]]]] = deque()
         self._placed = 0
         self._until: int | None = None
-        """When the panes up to this end have left, the old index finds nothing more."""
+        """When the panes up to this end have been evicted, the old index finds nothing more."""
         self._young, self._old = _index(1), _index(1)
         if JIT:
             self._rebuild(_LEAST)
 
-    def see(
+    def enter(
         self, end: int, pairs: Pairs, skip: NDArray[np.bool_] | None = None
     ) -> NDArray[np.int64]:
-        """Rows of the pane that ends at ``end``, but those in ``skip``; the answer: those whose
-        pair is new to the window.
+        """Add the rows of the pane that ends at ``end``, except those in ``skip``; return the rows
+        whose pair is new to the window.
 
-        Calls go on in order of ``end``, which may stay the same.
+        Calls must have ascending ``end``, which may repeat.
         """
         if end != self._end:
             self._end, self._pane = end, self._pane % _PANES + 1
         if not JIT:
-            return self._seen_in_python(end, pairs, skip)
+            return self._enter_in_python(end, pairs, skip)
         rows = len(pairs[0])
         log, found = np.empty(rows, np.uint32), np.empty(rows, np.int64)
         mask = NO_SKIP if skip is None else skip
@@ -315,9 +318,9 @@ class SeenPairs:
         return found[:count]
 
     def leave(self, until: int) -> Pairs | None:
-        """Forget the panes that end at or before ``until``: the pairs that leave with them."""
+        """Evict the panes that end at or before ``until``; return the pairs that leave."""
         if not JIT:
-            return self._left_in_python(until)
+            return self._leave_in_python(until)
         parts = []
         while self._logs and self._logs[0][0] <= until:
             _, pane, log = self._logs.popleft()
@@ -326,27 +329,27 @@ class SeenPairs:
             self._left += count
             parts.append((subjects[:count], bits[:count]))
         if parts and (self._until is None or until >= self._until):
-            self._turn()
+            self._age()
         if len(parts) < 2:
             return parts[0] if parts else None
         subjects, bits = (np.concatenate(column) for column in zip(*parts, strict=True))
         return subjects, bits
 
     def pairs(self) -> Pairs:
-        """The pairs of the window, in any order."""
+        """Return the pairs of the window, in any order."""
         if not JIT:
-            subjects, bits = zip(*self._known, strict=True) if self._known else ((), ())
+            subjects, bits = zip(*self._pane_of, strict=True) if self._pane_of else ((), ())
             return np.array(subjects, np.int32), np.array(bits, np.int64)
         entries = self._entries.reshape(-1, 2)
         entries = entries[entries[:, 1] != 0]
         return (entries[:, 1] >> 32).astype(np.int32), entries[:, 0]
 
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
-        """Which of the pairs are in the window."""
+        """Return which of the pairs are in the window."""
         subjects, bits = pairs
         if not JIT:
             listed = zip(subjects.tolist(), bits.tolist(), strict=True)
-            return np.array([pair in self._known for pair in listed], np.bool_)
+            return np.array([pair in self._pane_of for pair in listed], np.bool_)
         answer = np.zeros(len(subjects), np.bool_)
         for index in (self._young, self._old):
             _hold_kernel(*index, self._entries, subjects, bits, answer)
@@ -356,10 +359,10 @@ class SeenPairs:
     def _chunks(self) -> int:
         return len(self._young[0]) // 8
 
-    def _turn(self) -> None:
-        """All pairs of the window are in the young index: it becomes the old one."""
+    def _age(self) -> None:
+        """Make the young index the old one: it has all pairs of the window."""
         if self._chunks > _LEAST and 8 * self._left > 7 * len(self._free):
-            # Half as large and no less: after a gap the stream may go on as before.
+            # Only half as large: after a gap the stream may continue at its former rate.
             self._rebuild(self._chunks // 2)
         spare = self._old if len(self._old[0]) == len(self._young[0]) else _index(self._chunks)
         spare[0].fill(0)
@@ -367,8 +370,8 @@ class SeenPairs:
         self._until = self._end
 
     def _rebuild(self, chunks: int, *logs: NDArray[np.uint32]) -> None:
-        """All pairs in a young index of so many chunks. Their entries get other numbers, in
-        ``logs`` as well as in those of all panes."""
+        """Put all pairs into a young index with this number of chunks. Their entries get new
+        numbers, also in ``logs`` and in the logs of all panes."""
         old, size = self._entries.reshape(-1, 2), chunks * _FULL
         taken = np.flatnonzero(old[:, 1])
         number = np.zeros(len(old), np.uint32)
@@ -383,41 +386,42 @@ class SeenPairs:
         self._young, self._old = _index(chunks), _index(1)
         _fill_kernel(*self._young, self._entries)
 
-    def _seen_in_python(
+    def _enter_in_python(
         self, end: int, pairs: Pairs, skip: NDArray[np.bool_] | None
     ) -> NDArray[np.int64]:
-        fresh, came = [], []
+        fresh, log = [], []
         for row, pair in enumerate(zip(pairs[0].tolist(), pairs[1].tolist(), strict=True)):
             if skip is not None and skip[row]:
                 continue
-            last = self._known.get(pair)
+            last = self._pane_of.get(pair)
             if last is None:
                 fresh.append(row)
             if last != self._pane:
-                self._known[pair] = self._pane
-                came.append(pair)
-        self._came.append((end, self._pane, came))
+                self._pane_of[pair] = self._pane
+                log.append(pair)
+        self._python_logs.append((end, self._pane, log))
         return np.array(fresh, np.int64)
 
-    def _left_in_python(self, until: int) -> Pairs | None:
-        gone, left = [], False
-        while self._came and self._came[0][0] <= until:
-            _, pane, came = self._came.popleft()
-            left = True
-            for pair in came:
-                if self._known.get(pair) == pane:
-                    del self._known[pair]
-                    gone.append(pair)
-        if not left:
+    def _leave_in_python(self, until: int) -> Pairs | None:
+        freed, evicted = [], False
+        while self._python_logs and self._python_logs[0][0] <= until:
+            _, pane, log = self._python_logs.popleft()
+            evicted = True
+            for pair in log:
+                if self._pane_of.get(pair) == pane:
+                    del self._pane_of[pair]
+                    freed.append(pair)
+        if not evicted:
             return None
-        subjects, bits = zip(*gone, strict=True) if gone else ((), ())
+        subjects, bits = zip(*freed, strict=True) if freed else ((), ())
         return np.array(subjects, np.int32), np.array(bits, np.int64)
 
 
 def _index(chunks: int) -> tuple[NDArray[np.uint64], NDArray[np.uint32], int]:
-    """An empty index: as words, as numbers of entries, and how far a hash is shifted to be a chunk.
+    """Return an empty index: as words, as numbers of entries, and the right shift that turns a hash
+    into a chunk.
 
-    It begins on the bound of a cache line.
+    It is aligned to a cache line: otherwise a chunk would span two.
     """
     words = np.zeros(8 * chunks + 7, np.uint64)
     first = -words.ctypes.data % 64 // 8

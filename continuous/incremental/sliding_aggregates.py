@@ -1,9 +1,9 @@
-"""Sliding aggregates by group: what comes is added, what expires is subtracted, both exactly.
+"""Sliding aggregates by group: rows that come are added, rows that expire are subtracted, exactly.
 
-A pane's rows are folded in order, as they come (`fold_kernels.RowFold`); a window's sum is the
-exact sum of its panes' sums, rounded once (`exact_sums`). So a sum neither drifts nor depends on
-what was in the window before, and a group without new or expired rows keeps its aggregates to the
-last bit: only the others have to be looked at. Extremes cannot be subtracted: `sliding_extremes`.
+The rows of a pane are folded in order (`fold_kernels.RowFold`). The sum of a window is the exact
+sum of its panes' sums, rounded once (`exact_sums`). So a sum neither drifts nor depends on earlier
+windows. A group without new or expired rows keeps its aggregates to the last bit, so only changed
+groups need evaluation. Extremes cannot be subtracted: see `sliding_extremes`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
 from ..columns.exact_sums import At, FloatTotals, IntegerTotals
-from ..columns.fold_kernels import Groups, grown, mirrored
+from ..columns.fold_kernels import Groups, grow, mirror
 from ..columns.relation import TermValues
 from ..operators.partial_aggregates import (
     Key,
@@ -31,15 +31,15 @@ from ..values.exact_values import Singles
 from .sliding_extremes import SlidingExtremes
 
 Rows = NDArray[np.int64] | slice
-"""Groups; a slice has a stop only."""
+"""Groups; a slice has only a stop."""
 _Pane = tuple[int, At, NDArray[Any], NDArray[np.int64] | None]
-"""Its end, and as `NumberFold.take` gives it, sums and counts only."""
+"""The end of a pane, and the result of `NumberFold.take`, sums and counts only."""
 
 
-class Touched:
-    """The groups whose aggregates may have changed since they were last looked at.
+class ChangedGroups:
+    """The groups whose aggregates may have changed since the last evaluation.
 
-    Memory: a byte a group. Cost of `groups`: a pass over those bytes.
+    Memory: a byte per group. Cost of `groups`: a pass over those bytes.
     """
 
     def __init__(self) -> None:
@@ -47,36 +47,36 @@ class Touched:
         self.all = True
 
     def mark(self, at: NDArray[Any] | None) -> None:
-        """These groups (None: all); so many rows as there are groups touch most of them."""
+        """Mark these groups (None: all). More rows than groups count as all."""
         if at is None or len(at) > len(self._marks):
             self.all = True
         elif not self.all:
             self._marks[at] = True
 
     def reserve(self, groups: int) -> None:
-        """Make room for ``groups`` groups; new ones count as touched."""
+        """Allocate space for ``groups`` groups; new ones count as changed."""
         if len(self._marks) < groups:
             marks = np.ones(max(groups, 2 * len(self._marks)), np.bool_)
             marks[: len(self._marks)] = self._marks
             self._marks = marks
 
     def groups(self, used: int) -> NDArray[np.int64] | None:
-        """Those touched, ascending; None: all."""
+        """Return the changed groups, ascending; None: all."""
         return None if self.all else np.flatnonzero(self._marks[:used])
 
     def clear(self) -> None:
-        """All have been looked at."""
+        """Unmark all groups after their evaluation."""
         self._marks[:] = False
         self.all = False
 
 
 class SlidingNumbers:
-    """One argument's values of one `Key`: sums and counts, and extremes if asked for.
+    """The values of one argument and one `Key`: sums and counts, and optionally extremes.
 
-    Law: `numbers` is of the rows in all panes pushed and not evicted, and of those added and not
-    taken away; extremes of the rows in panes and of those held. Cost: see `RowFold`; then
-    O(touched) a pane, once when it comes and once when it expires. Memory: two (with extremes four)
-    numbers a touched group and pane.
+    Law: `numbers` covers the rows of all panes pushed and not evicted, and rows added and not
+    subtracted; its extremes cover the rows of panes and those given to `hold`. Cost: see `RowFold`;
+    then O(touched groups) per pane, when it comes and when it expires. Memory: two numbers (four
+    with extremes) per touched group and pane.
     """
 
     def __init__(self, key: Key, extremes: bool, panes: int) -> None:
@@ -89,20 +89,20 @@ class SlidingNumbers:
         self._held: NDArray[Any] | None = None
 
     def counts_of(self, rows: Rows) -> NDArray[np.int64]:
-        """How many rows each of the groups ``rows`` has."""
+        """Return the number of rows of each of the groups ``rows``."""
         self._totals.reserve(_above(rows))
         return self._totals.counts[rows]
 
     def fold(self, part: Part, groups: Groups) -> None:
-        """Rows of the pane that is being read."""
+        """Fold rows of the present pane."""
         self._fold.add(part.subjects, part.values, part.skip, groups)
 
     def abandon(self, used: int) -> None:
-        """Forget the rows of the pane that is being read."""
+        """Drop the rows of the present pane."""
         self._fold.take(used)
 
-    def push(self, end: int, used: int, touched: Touched, *, distinct: bool) -> None:
-        """The pane has been read; ``distinct``: its extremes only, the sums are added by rows."""
+    def push(self, end: int, used: int, touched: ChangedGroups, *, distinct: bool) -> None:
+        """End the present pane. ``distinct``: push its extremes only; `add` adds sums by rows."""
         at, columns, high = self._fold.take(used)
         if not columns.shape[1]:
             return
@@ -115,8 +115,8 @@ class SlidingNumbers:
             self._panes.append((end, at, columns, high))
             self._add(at, columns, high, 1)
 
-    def evict(self, until: int, touched: Touched) -> None:
-        """Forget the panes that end at or before ``until``."""
+    def evict(self, until: int, touched: ChangedGroups) -> None:
+        """Evict the panes that end at or before ``until``."""
         while self._panes and self._panes[0][0] <= until:
             _, at, columns, high = self._panes.popleft()
             touched.mark(at)
@@ -126,27 +126,27 @@ class SlidingNumbers:
                 touched.mark(at)
 
     def add(self, at: NDArray[np.int32], values: NDArray[Any], sign: int) -> None:
-        """Sums and counts of rows: added (1) or taken away (-1)."""
+        """Add (1) or subtract (-1) rows in sums and counts."""
         self._totals.reserve(int(at.max(initial=-1)) + 1)
         self._totals.add(at, values, None, sign)
 
     def hold(self, at: NDArray[np.int32], values: NDArray[Any]) -> None:
-        """Extremes of rows that do not expire."""
+        """Include rows that do not expire in the extremes."""
         if self._sliding is not None:
-            known = 0 if self._held is None else len(self._held)
-            held = self._sliding.nothing(max(known, int(at.max(initial=-1)) + 1))
+            size = 0 if self._held is None else len(self._held)
+            held = self._sliding.nothing(max(size, int(at.max(initial=-1)) + 1))
             if self._held is not None:
                 held[: len(self._held)] = self._held
             np.minimum.at(held[:, 0], at, values)
-            np.minimum.at(held[:, 1], at, mirrored(values))
+            np.minimum.at(held[:, 1], at, mirror(values))
             self._held = held
 
     def release(self) -> None:
-        """Forget what is held."""
+        """Drop the rows given to `hold`."""
         self._held = None
 
     def numbers(self, rows: NDArray[np.int64]) -> Numbers:
-        """Of the groups ``rows``."""
+        """Return the values of the groups ``rows``."""
         used = int(rows.max(initial=-1)) + 1
         self._totals.reserve(used)
         ends = None
@@ -154,13 +154,12 @@ class SlidingNumbers:
             self._sliding.reserve(used)
             ends = self._sliding.ends(rows)
             if self._held is not None:
-                known = rows < len(self._held)
-                ends[known] = np.minimum(ends[known], self._held[rows[known]])
+                covered = rows < len(self._held)
+                ends[covered] = np.minimum(ends[covered], self._held[rows[covered]])
         return Numbers(self._totals.values(rows), self._totals.counts[rows], ends)
 
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
-        """Forget all groups but ``kept`` (ascending); group g becomes ``new[g]``."""
-
+        """Drop all groups except ``kept`` (ascending); group g becomes ``new[g]``."""
         renamed: deque[_Pane] = deque()
         for end, at, columns, high in self._panes:
             if at is not None:
@@ -186,10 +185,10 @@ class SlidingNumbers:
 
 
 class SlidingPartial:
-    """One argument of a query over the window: numbers by kind, and what is no number.
+    """The aggregates of one argument over the window: numbers by kind, and other terms.
 
-    ``distinct``: rows are added and taken away one by one (set semantics), and only their extremes
-    are folded by pane, which do not depend on how often a row came.
+    ``distinct``: under set semantics `add` adds and subtracts single rows. Only extremes are folded
+    by pane, since they do not depend on how often a row came.
     """
 
     def __init__(self, extremes: bool, panes: int, *, distinct: bool) -> None:
@@ -209,7 +208,7 @@ class SlidingPartial:
         groups: Groups,
         terms: TermValues,
     ) -> None:
-        """Rows of the pane that is being read, but those in ``skip``."""
+        """Fold rows of the present pane, except those in ``skip``."""
         if self._distinct and not self._wants_extremes:
             return
         for part in parts_of(subjects, column, skip, terms, by_value=self._distinct):
@@ -219,13 +218,13 @@ class SlidingPartial:
                 self._odd.append((groups.groups(part.subjects), part))
 
     def abandon(self, used: int) -> None:
-        """Forget the rows of the pane that is being read."""
+        """Drop the rows of the present pane."""
         self._odd = []
         for numbers in self._kinds.values():
             numbers.abandon(used)
 
-    def push(self, end: int, used: int, touched: Touched) -> None:
-        """The pane has been read."""
+    def push(self, end: int, used: int, touched: ChangedGroups) -> None:
+        """End the present pane."""
         for numbers in self._kinds.values():
             numbers.push(end, used, touched, distinct=self._distinct)
         for at, part in self._odd:
@@ -233,8 +232,8 @@ class SlidingPartial:
             self._count(at, part, 1, touched)
         self._odd = []
 
-    def evict(self, until: int, touched: Touched) -> None:
-        """Forget the panes that end at or before ``until``."""
+    def evict(self, until: int, touched: ChangedGroups) -> None:
+        """Evict the panes that end at or before ``until``."""
         for numbers in self._kinds.values():
             numbers.evict(until, touched)
         while self._odd_panes and self._odd_panes[0][0] <= until:
@@ -248,9 +247,9 @@ class SlidingPartial:
         sign: int,
         groups: Groups,
         terms: TermValues,
-        touched: Touched,
+        touched: ChangedGroups,
     ) -> None:
-        """Rows of their own: added (1) or taken away (-1)."""
+        """Add (1) or subtract (-1) rows that do not belong to a pane."""
         for part in parts_of(subjects, column, None, terms, by_value=True):
             present = slice(None) if part.skip is None else ~part.skip
             at = groups.groups(part.subjects[present])
@@ -268,7 +267,7 @@ class SlidingPartial:
         groups: Groups,
         terms: TermValues,
     ) -> None:
-        """Extremes of rows that do not expire, instead of those held so far."""
+        """Include rows that do not expire in the extremes, instead of earlier such rows."""
         for numbers in self._kinds.values():
             numbers.release()
         for part in parts_of(subjects, column, None, terms, by_value=True):
@@ -278,7 +277,8 @@ class SlidingPartial:
                 self._of(part.key).hold(at, part.values[present])
 
     def rows(self, rows: Rows) -> NDArray[np.int64]:
-        """How many rows each of the groups ``rows`` has, errors too. Not to be changed."""
+        """Return the number of rows of each of the groups ``rows``, errors included. Do not modify
+        the array."""
         counts = [numbers.counts_of(rows) for numbers in self._kinds.values()]
         if self._odd_rows:
             self._reserve(_above(rows))
@@ -288,16 +288,16 @@ class SlidingPartial:
         return counts[0] if len(counts) == 1 else np.sum(counts, axis=0)
 
     def partial(self, rows: NDArray[np.int64]) -> Partial:
-        """The aggregates of the groups ``rows``, as groups 0, 1, 2 …"""
-        made = Partial({key: numbers.numbers(rows) for key, numbers in self._kinds.items()})
-        made.singles = self._singles.of(rows)
+        """Return the aggregates of the groups ``rows``, as groups 0, 1, 2 …"""
+        partial = Partial({key: numbers.numbers(rows) for key, numbers in self._kinds.items()})
+        partial.singles = self._singles.of(rows)
         if self._odd_rows:
             self._reserve(int(rows.max(initial=-1)) + 1)
-            made.others = self._others[rows]
-        return made
+            partial.others = self._others[rows]
+        return partial
 
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
-        """Forget all groups but ``kept`` (ascending); group g becomes ``new[g]``."""
+        """Drop all groups except ``kept`` (ascending); group g becomes ``new[g]``."""
         for numbers in self._kinds.values():
             numbers.keep(kept, new)
         self._reserve(int(kept.max(initial=-1)) + 1)
@@ -312,7 +312,7 @@ class SlidingPartial:
             self._kinds[key] = found
         return found
 
-    def _count(self, at: NDArray[np.int32], part: Part, sign: int, touched: Touched) -> None:
+    def _count(self, at: NDArray[np.int32], part: Part, sign: int, touched: ChangedGroups) -> None:
         self._reserve(int(at.max(initial=-1)) + 1)
         np.add.at(self._others[:, part.column], at, sign)
         if part.key is not None:
@@ -322,7 +322,7 @@ class SlidingPartial:
 
     def _reserve(self, groups: int) -> None:
         if len(self._others) < groups:
-            self._others = grown(self._others, max(groups, 2 * len(self._others)), 0)
+            self._others = grow(self._others, max(groups, 2 * len(self._others)), 0)
 
 
 def _above(rows: Rows) -> int:

@@ -1,1 +1,1 @@
-"""The operators of a plan over columns: joins, groups, paths, the forms of results."""
+"""The operators of a plan over columns: scans, joins, groups, paths, result forms."""

@@ -16,18 +16,18 @@ from ...rdf.namespaces import RDF_TYPE, shorten
 from ..columns.budget import BudgetExceeded
 
 MOST_MISSING: Final = 200_000
-"""Pairs of deep hierarchies that one pattern may give: a Python object each, some 2 µs."""
+"""The limit of pairs that deep hierarchies add to one pattern; each is a Python object (2 µs)."""
 
 
 class Background:
-    """The triples of a store, read as one set, and its named graphs where a query names them.
+    """The triples of a store, merged into one graph, and its named graphs.
 
-    ``default`` are the graphs that make up the default graph, by IRI; None: all there are.
-    ``store`` may be a function, where another store takes its place with another version.
-    ``version`` changes whenever the store does: what is derived from the store (scans) is kept per
-    version. ``rules`` gives what the schema says of single triples; None: the schema is that of the
-    default graph. ``conversion``: how numbers of one feature become numbers of another.
-    Cost: a scan is one index look-up of Oxigraph and a Python object a triple.
+    ``default``: the IRIs of the graphs that form the default graph; None: all graphs. ``store`` may
+    be a function, if a new version replaces the store object. ``version`` changes whenever the
+    store does: scans are cached per version. ``rules`` returns the schema's rules on single
+    triples; None: derive them from the default graph. ``conversion``: the conversion between the
+    units of two features. Cost: a scan is one index look-up of Oxigraph and a Python object per
+    triple.
     """
 
     def __init__(
@@ -38,13 +38,13 @@ class Background:
         rules: Callable[[], Rules] | None = None,
         conversion: Callable[[str, str], Conversion | None] | None = None,
     ) -> None:
-        known = Store() if store is None else store
-        self._store = known if callable(known) else lambda: known
+        fixed = Store() if store is None else store
+        self._store = fixed if callable(fixed) else lambda: fixed
         self._version = version or (lambda: 0)
         self._default = None if default is None else tuple(map(NamedNode, default))
         self._rules = rules
         self._own_rules: tuple[int, Rules] | None = None
-        """Made of this version of the store."""
+        """The rules of the schema in the store, and the store's version."""
         self.conversion = conversion or _unchanged
 
     @classmethod
@@ -53,8 +53,8 @@ class Background:
         files: Iterable[str | Path] | Mapping[str, str | Path],
         default: Collection[str] | None = None,
     ) -> Background:
-        """The triples of RDF files; the format is told by the file's suffix. Of a mapping, each
-        file is the graph of its IRI."""
+        """Read RDF files; the suffix determines the format. Each file of a mapping becomes the
+        graph of its IRI."""
         store = Store()
         if isinstance(files, Mapping):
             for iri, path in files.items():
@@ -66,7 +66,7 @@ class Background:
 
     @property
     def store(self) -> Store:
-        """The store as it is now."""
+        """The current store."""
         return self._store()
 
     @property
@@ -80,19 +80,20 @@ class Background:
         object: Term | None,
         graph: str = "",
     ) -> list[tuple[Term, Term]]:
-        """The distinct (subject, object) pairs of ``predicate`` that match; None matches all.
+        """Return the distinct (subject, object) pairs of ``predicate`` that match; None matches all
+        terms.
 
-        Raises `BudgetExceeded` where a deep hierarchy gives more than `MOST_MISSING`; so do
+        Raises `BudgetExceeded` if a deep hierarchy adds more than `MOST_MISSING` pairs; so do
         `triples` and `copy`."""
         if subject is not None and not isinstance(subject, NamedNode | BlankNode):
             return []
         quads = self._quads(subject, predicate, object, graph)
         found = dict.fromkeys((quad.subject, quad.object) for quad in quads)
-        # A quoted triple is no term of a stream.
+        # A quoted triple cannot be a term of a stream.
         return [(s, o) for s, o in found if not isinstance(s, Triple) and not isinstance(o, Triple)]
 
     def triples(self, graph: str = "") -> list[tuple[Term, NamedNode, Term]]:
-        """All distinct triples of a graph ("" is the default graph)."""
+        """Return all distinct triples of a graph ("": the default graph)."""
         quads = self._quads(None, None, None, graph)
         found = dict.fromkeys((quad.subject, quad.predicate, quad.object) for quad in quads)
         return [
@@ -133,8 +134,8 @@ class Background:
 
     @property
     def rules(self) -> Rules:
-        """What the schema says of single triples: another object when the schema may have
-        changed."""
+        """The rules of the schema on single triples; a new object after each possible change of the
+        schema."""
         if self._rules is not None:
             return self._rules()
         version = self.version
@@ -148,15 +149,16 @@ class Background:
             yield from self._quads(None, predicate, symmetric, "")
 
     def supersorts(self, sort: str) -> frozenset[str]:
-        """``sort`` and everything it is a sub-sort of."""
+        """Return ``sort`` and all sorts above it."""
         above = self.rules.above(NamedNode(sort))
         return frozenset({sort, *(kind.value for kind in above if isinstance(kind, NamedNode))})
 
     def copy(
         self, predicates: Collection[NamedNode] | None, classes: Collection[NamedNode] | None
     ) -> list[Quad]:
-        """The triples of the default graph with these predicates, of rdf:type only these classes;
-        None is any. As quads of the default graph, for a store that holds one window.
+        """Return the triples of the default graph with these predicates, and of rdf:type only those
+        with these classes; None: all. They are quads of the default graph, ready for a store that
+        holds one window.
         """
         wanted: list[tuple[NamedNode | None, NamedNode | None]] = [(None, None)]
         if predicates is not None:
@@ -175,9 +177,9 @@ class Background:
 
 
 def _unchanged(_source: str, _target: str) -> None:
-    """No unit is known."""
+    """There are no units."""
 
 
 def _base(path: str | Path) -> str:
-    """What relative IRIs in a file are relative to."""
+    """Return the base of a file's relative IRIs."""
     return Path(path).absolute().as_uri()

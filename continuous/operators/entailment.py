@@ -1,10 +1,10 @@
-"""What the ontology's schema says of stream triples (SPEC §4, "What is entailed in windows").
+"""The triples that the ontology's schema entails from stream triples (SPEC §4, "What is entailed in
+windows").
 
 The rules are those on single triples (`ontology.entailment`): sub-properties, inverse and symmetric
 properties, equivalences, domains and ranges, sub-classes. Transitivity, property chains and
-owl:sameAs hold in the static side only. `window_schedule` adds the rows that are made here to those
-that come, so that every way to evaluate a query sees them; docs/explanation/semantics.md has the
-table.
+owl:sameAs hold in the static side only. `window_schedule` adds the entailed rows to the pushed
+ones, so every way to evaluate a query reads them; docs/explanation/semantics.md has the table.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from .background import Background
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """The predicates and the classes that a query asks for; None: any."""
+class PatternNeeds:
+    """The predicates and the classes that a query reads; None: any."""
 
     predicates: frozenset[NamedNode] | None = None
     classes: frozenset[NamedNode] | None = None
 
     @classmethod
-    def by(cls, plan: Plan) -> Asked:
-        """What the patterns of a logical plan ask for."""
+    def of(cls, plan: Plan) -> PatternNeeds:
+        """Collect them from the patterns of a logical plan."""
         predicates: set[NamedNode] = set()
         classes: set[NamedNode] = set()
         any_class = False
@@ -57,63 +57,65 @@ class Asked:
         return cls(frozenset(predicates), None if any_class else frozenset(classes))
 
     def among(self, predicates: Iterable[NamedNode]) -> list[NamedNode]:
-        """Those of ``predicates`` that are asked for, by name."""
-        asked = self.predicates
-        return sorted((p for p in predicates if asked is None or p in asked), key=str)
+        """Return those of ``predicates`` that the query reads, by name."""
+        read = self.predicates
+        return sorted((p for p in predicates if read is None or p in read), key=str)
 
     def wants(self, kinds: Iterable[Node]) -> bool:
-        """Whether one of these classes is asked for."""
+        """Whether the query reads one of these classes."""
         return any(self.classes is None or kind in self.classes for kind in kinds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Effect:
-    """What follows from the triples of one predicate: ids of predicates from subject to object,
-    with the change of unit, and back; ids of the narrowest classes of subject and of object."""
+    """The consequences of the triples of one predicate: ids of predicates from subject to object
+    with the conversion of units, ids of inverse predicates, and ids of the narrowest classes of
+    subject and object."""
 
     along: tuple[tuple[int, Conversion | None], ...]
     back: tuple[int, ...]
     subject: tuple[int, ...]
     object: tuple[int, ...]
     named: HeldTerms
-    """Holds the ids."""
+    """Keeps the ids in the dictionary."""
 
 
 class StreamEntailment(TermTable):
-    """The rows that the schema entails of rows, as far as a query asks for them.
+    """The rows that the schema entails from rows, as far as a query reads them.
 
-    Law (tests/laws/continuous/test_entailment.py): with these rows a window holds, of each stream
-    triple, each triple once that the schema and this triple alone entail. Facts of rdf:type come as
-    rows without objects, whose sort says them. What is entailed is decided when a row comes.
+    Law (tests/laws/continuous/test_entailment.py): with these rows a window contains, for each
+    stream triple, every triple that the schema and this triple alone entail, once. Facts of
+    rdf:type come as rows without objects: their sort states the fact. The schema at the arrival of
+    a row decides.
 
-    Cost: nothing where the schema says nothing; a look-up a column; a table that shares the
-    columns an entailed predicate; a pass over the objects for inverses and ranges. Memory: an
-    entry a predicate that was met.
+    Cost: nothing without a schema; else a look-up per column, a table per entailed predicate (it
+    shares the columns), and a pass over the objects for inverses and ranges. Memory: an entry per
+    predicate.
     """
 
     def __init__(
-        self, background: Background, terms: TermValues, asks: Callable[[], Asked]
+        self, background: Background, terms: TermValues, find_needs: Callable[[], PatternNeeds]
     ) -> None:
-        """``asks`` gives what is asked for, when it is needed first."""
+        """``find_needs`` computes what the query reads, on first use."""
         self._background = background
         self._terms = terms
-        self._asks = asks
+        self._find_needs = find_needs
         self._rules = Rules(())
         self._effects: dict[int, _Effect | None] = {}
-        """By predicate's id; None where nothing follows that is asked for."""
+        """By predicate id; None if there are no consequences that the query reads."""
         terms.dictionary.follow(self)
 
     @cached_property
-    def asked(self) -> Asked:
-        """The predicates and classes for which rows are made."""
-        return self._asks()
+    def needs(self) -> PatternNeeds:
+        """What the query reads: only such rows are entailed."""
+        return self._find_needs()
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """See `dictionary.TermTable`."""
         self._effects = {id: effect for id, effect in self._effects.items() if not freed[id]}
 
     def of(self, tables: Sequence[TripleRows]) -> list[TripleRows]:
-        """What follows from these rows, without them."""
+        """Return the rows that these rows entail, without the rows themselves."""
         rules = self._background.rules
         if rules is not self._rules:
             self._rules, self._effects = rules, {}
@@ -133,40 +135,40 @@ class StreamEntailment(TermTable):
                     found += self._follow(effect, predicate, table, column)
         return [rows for rows in found if len(rows)]
 
-    def tells_of_objects(self, features: Collection[str]) -> bool:
-        """Whether streams of these features (IRIs), or of what is a case of them, entail something
-        that is asked for of the objects of their triples, not of their subjects."""
+    def entails_of_objects(self, features: Collection[str]) -> bool:
+        """Whether streams of these features (IRIs) or of their sub-properties entail triples about
+        the objects of their triples, not their subjects, that the query reads."""
         rules = self._background.rules
         wanted = {NamedNode(feature) for feature in features}
         return any(
-            self.asked.among(found.back)
-            # Literals are of datatypes, and nothing is said of them.
+            self.needs.among(found.back)
+            # Ranges that are datatypes entail nothing about literals.
             or any(not kind.value.startswith(XSD) for kind in self._kinds(found.object))
             for found in map(rules.consequences, rules.properties)
             if found.along & wanted
         )
 
-    def described(self) -> Iterator[str]:
-        """What is entailed of streams for the query, for people."""
+    def describe(self) -> Iterator[str]:
+        """Yield a line for `explain` per predicate with consequences."""
         for predicate in sorted(self._background.rules.properties, key=str):
             found = self._background.rules.consequences(predicate)
             name, subject, object = shorten(predicate.value), "?s", "?o"
-            told = [
+            consequences = [
                 *(f"{subject} {shorten(p.value)} {object}" for p in self._along(predicate, found)),
-                *(f"{object} {shorten(p.value)} {subject}" for p in self.asked.among(found.back)),
+                *(f"{object} {shorten(p.value)} {subject}" for p in self.needs.among(found.back)),
                 *(f"{subject} a {shorten(kind.value)}" for kind in self._kinds(found.subject)),
                 *(f"{object} a {shorten(kind.value)}" for kind in self._kinds(found.object)),
             ]
-            if told:
-                yield f"{subject} {name} {object} entails {', '.join(told)}"
+            if consequences:
+                yield f"{subject} {name} {object} entails {', '.join(consequences)}"
 
     def _along(self, predicate: NamedNode, found: Consequences) -> list[NamedNode]:
-        return self.asked.among(found.along - {predicate})
+        return self.needs.among(found.along - {predicate})
 
     def _kinds(self, kinds: frozenset[Node]) -> list[NamedNode]:
-        """The narrowest of the classes, none if nobody asks for any; of equivalent ones the first
-        by name."""
-        if not self.asked.wants(kinds):
+        """Return the narrowest of the classes, or none if the query reads none of them. Of
+        equivalent classes the first by name stands for all."""
+        if not self.needs.wants(kinds):
             return []
         found: list[NamedNode] = []
         above = self._background.rules.above
@@ -183,7 +185,7 @@ class StreamEntailment(TermTable):
         found = self._rules.consequences(predicate)
         groups = (
             self._along(predicate, found),
-            self.asked.among(found.back),
+            self.needs.among(found.back),
             self._kinds(found.subject),
             self._kinds(found.object),
         )
@@ -210,13 +212,13 @@ class StreamEntailment(TermTable):
                 yield TripleRows(time, valid, subject, {}, kind)
         if column.kind is not Kind.TERM or not (effect.back or effect.object):
             return
-        # A literal is no subject in RDF, so nothing is said of it.
+        # RDF has no triples about literals.
         nodes = np.flatnonzero(self._terms.sorts(column.values) == Sort.NODE)
         time, valid, subject = time[nodes], valid[nodes], subject[nodes]
         objects = column.values[nodes]
         same = {predicate, *(super for super, _ in effect.along)}
         for inverse in effect.back:
-            # What is turned into itself is one triple, not two.
+            # The inverse of a triple (a, p, a) is itself: add it once, not twice.
             turned = np.flatnonzero(objects != subject) if inverse in same else slice(None)
             back = ObjectColumn(Kind.TERM, subject[turned])
             yield TripleRows(time[turned], valid[turned], objects[turned], {inverse: back})
@@ -224,22 +226,22 @@ class StreamEntailment(TermTable):
             yield TripleRows(time, valid, objects, {}, kind)
 
     def _is_known(self, sort: int | None, kind: int) -> bool:
-        """Whether the annotation of rows says as much already."""
+        """Whether the rows' annotation implies the class already."""
         if sort is None:
             return False
-        known, wanted = self._terms.dictionary.term(sort), self._terms.dictionary.term(kind)
-        return known == wanted or (
-            isinstance(known, NamedNode) and wanted in self._rules.above(known)
+        annotated, wanted = self._terms.dictionary.term(sort), self._terms.dictionary.term(kind)
+        return annotated == wanted or (
+            isinstance(annotated, NamedNode) and wanted in self._rules.above(annotated)
         )
 
     def _wider(self, table: TripleRows, column: ObjectColumn) -> Iterator[TripleRows]:
-        """Types that a stream tells: rows of a sort say those above it too."""
+        """Yield rows with a sort for a stream's own rdf:type triples: they imply wider sorts."""
         if column.kind is not Kind.TERM:
             return
         there = np.flatnonzero(column.present)
         for id in np.unique(column.values[there]).tolist():
             kind = self._terms.dictionary.term(id)
-            if isinstance(kind, NamedNode) and self.asked.wants(self._rules.above(kind)):
+            if isinstance(kind, NamedNode) and self.needs.wants(self._rules.above(kind)):
                 rows = table.take(there[column.values[there] == id])
                 yield TripleRows(rows.time, rows.valid, rows.subject, {}, id)
 
@@ -252,11 +254,11 @@ _CHANGED: Final = {
     Sort.FLOAT: Kind.FLOAT,
     Sort.DOUBLE: Kind.DOUBLE,
 }
-"""What numbers become in another unit."""
+"""The kinds of numbers after a conversion of units."""
 
 
 def _changed(column: ObjectColumn, change: Conversion | None, terms: TermValues) -> ObjectColumn:
-    """Numbers in another unit: integers become doubles, what is no number stays."""
+    """Convert numbers to another unit. Integers become doubles; other terms stay."""
     if change is None or change.is_identity:
         return column
     if column.kind.is_number:

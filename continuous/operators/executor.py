@@ -1,7 +1,7 @@
-"""The execution of a logical plan on columns, each window anew (SPARQL 1.1 §18.5).
+"""Executes a logical plan on the columns of one window (SPARQL 1.1 §18.5).
 
-All in numpy, a call a column. Solutions come in an order that depends on the rows only, not on
-how they were cut into batches.
+Everything is numpy: a call per column, not per row. The order of solutions depends on the rows
+only, not on how they were cut into batches.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from ..algebra.plan import (
     TypeScan,
     Union,
     Values,
-    asked,
     certain,
-    mentioned,
+    named_variables,
+    used_variables,
     walk,
     with_inputs,
 )
@@ -61,30 +61,31 @@ from .profile import Profile
 
 
 class Source(Protocol):
-    """Where the leaves of a plan come from, and who is told what operators cost."""
+    """The leaves of a plan, and the profile that records the cost of its operators."""
 
     @property
     def profile(self) -> Profile | None: ...
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
-        """The triples of a scan's predicate (a superset of what its constants select)."""
+        """Return the triples of a scan's predicate (a superset of those that its constants
+        select)."""
 
     def matches(self, scan: Scan | AnyScan) -> Relation:
-        """The triples of a scan with what `pairs` has no place for, under `SUBJECT`, `PREDICATE`
-        (of `AnyScan`), `OBJECT` and the names of its times."""
+        """Return the triples of a scan with columns that `pairs` lacks, under `SUBJECT`,
+        `PREDICATE` (of `AnyScan`), `OBJECT` and the names of its times."""
 
     def nodes(self, graph: str) -> ObjectColumn:
-        """Each subject and object of a graph, once."""
+        """Return each subject and object of a graph, once."""
 
     def ready(self, plan: Plan) -> Relation | None:
-        """The solutions of ``plan`` if they are at hand already."""
+        """Return the solutions of ``plan`` if another mechanism has computed them already."""
 
 
 SUBJECT, PREDICATE, OBJECT = "\0s", "\0p", "\0o"
 
 
 def execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
-    """The solutions of ``plan``. Cost: that of sorting each join and group key once."""
+    """Return the solutions of ``plan``. Cost: that of sorting each join and group key once."""
     terms.budget.pauses.pause()
     profile = source.profile
     if profile is None:
@@ -164,7 +165,7 @@ def _projected(relation: Relation, variables: tuple[str, ...]) -> Relation:
 
 
 def distinct(relation: Relation, terms: TermValues) -> Relation:
-    """Each solution once, where it first stands."""
+    """Keep the first of equal solutions."""
     if not relation.columns or relation.rows < 2:
         return relation.take(np.arange(min(relation.rows, 1)))
     codes = key_codes([[column] for column in relation.columns.values()], terms.dictionary)[0]
@@ -172,7 +173,7 @@ def distinct(relation: Relation, terms: TermValues) -> Relation:
 
 
 def united(parts: list[Relation], terms: TermValues) -> Relation:
-    """The rows of one part after the other; what a part does not bind is unbound in its rows."""
+    """Concatenate the parts. A variable that a part does not bind is unbound in its rows."""
     terms.budget.check(sum(part.rows for part in parts), "a union")
     names = dict.fromkeys(name for part in parts for name in part.columns)
     columns = {}
@@ -191,14 +192,14 @@ def united(parts: list[Relation], terms: TermValues) -> Relation:
 
 
 def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
-    """The child with a column that says whether the pattern has a compatible solution.
+    """Add a column to the child: whether the pattern has a compatible solution.
 
-    A pattern that looks at variables from outside (in a FILTER) is solved over the distinct
-    bindings of the child, joined in at each leaf: that is what substituting them means (§18.6).
+    A pattern may use outer variables (in a FILTER). It is then solved over the distinct bindings of
+    the child, which are joined in at each leaf: that is the meaning of substituting them (§18.6).
     """
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
-    names = mentioned(pattern) & child.columns.keys()
+    names = named_variables(pattern) & child.columns.keys()
     if _looks_outside(pattern, names) or _depends(pattern, names):
         found = _substituted(pattern, child, names, source, terms)
     else:
@@ -210,8 +211,8 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
 def _substituted(
     pattern: Plan, child: Relation, names: Set[str], source: Source, terms: TermValues
 ) -> NDArray[np.bool_]:
-    """For which rows of ``child`` the pattern has a solution with the row's terms of ``names`` put
-    in. Rows that leave other variables unbound are solved apart: these stay variables."""
+    """Return for which rows of ``child`` the pattern has a solution after substitution of the row's
+    terms of ``names``. Rows are grouped by which of these they bind: the others stay variables."""
     found = np.zeros(child.rows, np.bool_)
     for at, known in parted_by_bound(child, tuple(sorted(names))):
         part = child.take(at)
@@ -219,7 +220,7 @@ def _substituted(
         row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
         given = Given(known)
         seeds = Relation({**bound.columns, SEED: row}, bound.rows)
-        solved = execute(_seeded(pattern, given), _With(source, given, seeds), terms)
+        solved = execute(_seeded(pattern, given), _SourceWithSeeds(source, given, seeds), terms)
         hit = np.zeros(bound.rows, np.bool_)
         if SEED in solved.columns:
             hit[solved.columns[SEED].values] = True
@@ -230,12 +231,12 @@ def _substituted(
 
 
 SEED = "\0seed"
-"""The row of terms that a solution was found for."""
+"""A column with the number of the substituted row that a solution belongs to."""
 
 
 @dataclass(frozen=True, slots=True)
-class _With:
-    """A source that has the solutions of one `Given` at hand."""
+class _SourceWithSeeds:
+    """A source that also has the solutions of one `Given`."""
 
     source: Source
     given: Given
@@ -259,41 +260,43 @@ class _With:
 
 
 def _looks_outside(plan: Plan, names: Set[str]) -> bool:
-    """Whether an expression in it names one of ``names`` that not every row below it binds."""
+    """Whether an expression uses one of ``names`` that not every row below it binds."""
     for node in walk(plan):
         below: frozenset[str] = frozenset()
         if isinstance(node, Filter | Extend | Order | Aggregate):
             below = certain(node.child)
         elif isinstance(node, LeftJoin):
             below = certain(node.child) | certain(node.optional)
-        if asked(node) & names - below:
+        if used_variables(node) & names - below:
             return True
     return False
 
 
 def _depends(plan: Plan, names: Set[str]) -> bool:
-    """Whether substituting ``names`` changes more than which solutions of ``plan`` remain.
+    """Whether substituting ``names`` does more than select solutions of ``plan``.
 
-    It does in the right side of an OPTIONAL (its left rows get, or miss, a partner by it), in that
-    of a MINUS (what is substituted is no variable that two rows share), and in an EXISTS of which
-    the rows of ``plan`` do not bind them all.
+    It does so in the right side of an OPTIONAL, as it decides which left rows have a partner; in
+    the right side of a MINUS, as a substituted name is no longer a shared variable; and in an
+    EXISTS if the rows of ``plan`` do not bind all names.
     """
     for node in walk(plan):
-        if isinstance(node, LeftJoin) and mentioned(node.optional) & names - certain(node.child):
+        if isinstance(node, LeftJoin) and named_variables(node.optional) & names - certain(
+            node.child
+        ):
             return True
-        if isinstance(node, Minus) and mentioned(node.removed) & names:
+        if isinstance(node, Minus) and named_variables(node.removed) & names:
             return True
-        if isinstance(node, Exists) and mentioned(node.pattern) & names - certain(node.child):
+        if isinstance(node, Exists) and named_variables(node.pattern) & names - certain(node.child):
             return True
     return False
 
 
 def _seeded(plan: Plan, given: Given) -> Plan:
-    """``plan`` with the given solutions joined in at each leaf."""
+    """Join the given solutions in at each leaf of ``plan``."""
     match plan:
         case Minus(child, removed):
-            # Only what is still a variable counts as shared.
-            own = tuple(sorted(mentioned(removed) - frozenset(given.variables)))
+            # Substituted names do not count as shared.
+            own = tuple(sorted(named_variables(removed) - frozenset(given.variables)))
             return Minus(_seeded(child, given), Project((*own, SEED), _seeded(removed, given)))
         case Project() | Distinct() | Aggregate() | Slice() | Order() | Closure():
             return Join((given, plan))
@@ -311,7 +314,7 @@ def _seeded(plan: Plan, given: Given) -> Plan:
 
 
 def _selected(found: Relation, scan: Scan | AnyScan, terms: TermValues) -> Relation:
-    """The matches that fit the positions of a scan, under the names of its variables."""
+    """Select the matches that fit the positions of a scan, and name columns by its variables."""
     places: list[tuple[Position, str]] = [(scan.subject, SUBJECT), (scan.object, OBJECT)]
     if isinstance(scan, AnyScan):
         places.insert(1, (scan.predicate, PREDICATE))
@@ -331,7 +334,7 @@ def _selected(found: Relation, scan: Scan | AnyScan, terms: TermValues) -> Relat
 
 
 def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermValues) -> Relation:
-    """The pairs that match a pattern, as a relation over its variables."""
+    """Return the pairs that match a pattern, as a relation over its variables."""
     keep: NDArray[np.bool_] | None = None
     for position, column in zip((subject, object), pairs, strict=True):
         if isinstance(position, Const):
@@ -361,7 +364,7 @@ def _equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray
 def pairs_of(
     tables: Iterable[TripleRows], predicate: int, extra: Pairs | None, terms: TermValues
 ) -> Pairs:
-    """The triples of ``predicate`` in ``tables``, and ``extra`` after them."""
+    """Return the triples of ``predicate`` in ``tables``, then ``extra``."""
     subjects: list[ObjectColumn] = []
     objects: list[ObjectColumn] = []
     for table in tables:

@@ -1,5 +1,5 @@
-"""Groups of solutions and their aggregates, each window anew (SPARQL 1.1 §11, §18.5.1), and the
-order of solutions (§15.1).
+"""Groups of solutions and their aggregates for one window (SPARQL 1.1 §11, §18.5.1), and the order
+of solutions (§15.1).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Rows = NDArray[np.int64]
 
 
 def aggregate(plan: Aggregate, relation: Relation, terms: TermValues) -> Relation:
-    """A row a group, groups in order of appearance."""
+    """Return a row per group, in order of appearance."""
     group, first = grouping(plan, relation, terms)
     count = len(first)
     result = group_keys(plan, relation, first)
@@ -50,9 +50,9 @@ def aggregate(plan: Aggregate, relation: Relation, terms: TermValues) -> Relatio
 
 
 def grouping(plan: Aggregate, relation: Relation, terms: TermValues) -> tuple[Rows, Rows]:
-    """The group of each row, and the first row of each group.
+    """Return the group of each row, and the first row of each group.
 
-    Without keys all rows are one group; an implicit group is there though it has no row.
+    Without keys all rows are one group; an implicit group exists even without rows.
     """
     if not plan.keys:
         some = plan.implicit or relation.rows > 0
@@ -67,15 +67,15 @@ def grouping(plan: Aggregate, relation: Relation, terms: TermValues) -> tuple[Ro
 
 
 def group_keys(plan: Aggregate, relation: Relation, first: Rows) -> dict[str, ObjectColumn]:
-    """The key columns of the groups that begin at rows ``first``."""
-    # The one group of nothing has no first row to take keys from; it has no keys either.
+    """Return the key columns of the groups that begin at rows ``first``."""
+    # An implicit group without rows has no first row, but no keys either.
     return {key: relation.column(key).take(first) for key in plan.keys}
 
 
 def ordered(
     relation: Relation, keys: Sequence[tuple[Expression, bool]], terms: TermValues
 ) -> Relation:
-    """The rows by the keys, the first one deciding; rows that are equal stay in their order."""
+    """Sort the rows by the keys, the first one first; the sort is stable."""
     arrays: list[NDArray[np.float64] | Rows] = []
     for expression, descending in keys:
         value = evaluate(expression, relation.columns, relation.rows, terms)
@@ -88,7 +88,7 @@ def ordered(
 def _distinct_rows(
     relation: Relation, group: Rows, value: ObjectColumn | None, terms: TermValues
 ) -> Rows:
-    """The first row of each value in each group; of each solution, for COUNT(DISTINCT *)."""
+    """Return the first row of each value in each group; for COUNT(DISTINCT *) of each solution."""
     columns = [value] if value is not None else list(relation.columns.values())
     by_group = ObjectColumn(Kind.INTEGER, group)
     return first_rows(key_codes([[c] for c in (by_group, *columns)], terms.dictionary)[0])
@@ -115,7 +115,7 @@ def _aggregated(
 
 
 def _dense(count: int) -> Groups:
-    """Groups that are there already: each is its own "subject"."""
+    """Return the identity: each group is its own "subject"."""
     groups = Groups()
     groups.reach(count)
     groups.group_of[:count] = np.arange(count)
@@ -132,7 +132,7 @@ def _all_numbers(value: ObjectColumn, terms: TermValues) -> bool:
 
 
 def _first_of(rows: Rows, group: Rows, count: int) -> Rows:
-    """Of each group the one that comes first in ``rows``, -1 where none does."""
+    """Return for each group its first row in ``rows``, or -1."""
     found = np.full(count, -1, np.int64)
     found[group[rows[::-1]]] = rows[::-1]
     return found
@@ -141,8 +141,8 @@ def _first_of(rows: Rows, group: Rows, count: int) -> Rows:
 def _extreme(
     least: bool, value: ObjectColumn, group: Rows, count: int, terms: TermValues
 ) -> ObjectColumn:
-    """MIN or MAX by the order of ORDER BY, of equal numbers the one of the first kind; an error
-    among the values of a group makes it one."""
+    """MIN or MAX by the order of ORDER BY; of equal numbers that of the first kind. An error among
+    the values of a group makes its result an error."""
     keys = sort_keys(value, terms)
     kinds = [terms.sorts(value.values)] if value.kind is Kind.TERM else []
     order = np.lexsort([*kinds, *(key if least else -key for key in keys[::-1]), group])
@@ -156,7 +156,7 @@ def _extreme(
 def _concatenated(
     value: ObjectColumn, group: Rows, count: int, separator: str, terms: TermValues
 ) -> ObjectColumn:
-    """GROUP_CONCAT: a string without a language, of strings alone. Cost: Python a value."""
+    """GROUP_CONCAT: a string without a language, of strings only. Cost: Python per value."""
     dictionary = terms.dictionary
     texts: list[list[str]] = [[] for _ in range(count)]
     failed = np.zeros(count, np.bool_)

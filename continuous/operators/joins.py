@@ -1,7 +1,7 @@
 """Joins of relations whose variables may be unbound: natural, OPTIONAL, MINUS (SPARQL 1.1 §18.3).
 
-Two solutions are compatible if they agree where both are bound. So rows are parted by what they
-bind of the shared variables, and each two parts are matched on what both bind.
+Two solutions are compatible if they agree on the variables that both bind. So rows are grouped by
+which shared variables they bind, and each two groups are matched on the variables that both bind.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Rows: TypeAlias = NDArray[np.int64]
 
 
 def join_all(relations: Sequence[Relation], terms: TermValues) -> Relation:
-    """The natural join: from the smallest on, always the smallest that shares a variable."""
+    """Join all: start with the smallest, then always take the smallest that shares a variable."""
     if not relations:
         return Relation({}, 1)
     waiting = sorted(relations, key=lambda relation: relation.rows)
@@ -42,14 +42,14 @@ def join_all(relations: Sequence[Relation], terms: TermValues) -> Relation:
 
 
 def join(left: Relation, right: Relation, terms: TermValues) -> Relation:
-    """The natural join of two relations, in the order of ``left``, then of ``right``."""
+    """Join two relations, in the order of ``left``, then of ``right``."""
     return _joined(left, right, *match_rows(left, right, terms), terms)
 
 
 def left_join(
     left: Relation, right: Relation, condition: Expression | None, terms: TermValues
 ) -> Relation:
-    """The join where ``condition`` holds, and each row of ``left`` that is not in it."""
+    """Return the join where ``condition`` holds, and the rows of ``left`` without a partner."""
     at_left, at_right = match_rows(left, right, terms)
     if condition is not None:
         joined = _joined(left, right, at_left, at_right, terms)
@@ -67,7 +67,7 @@ def left_join(
 
 
 def minus(left: Relation, right: Relation, terms: TermValues, beside: str = "") -> Relation:
-    """The rows of ``left`` that share no binding with a compatible row of ``right``; that of the
+    """Return the rows of ``left`` that share no binding with a compatible row of ``right``. The
     variable ``beside`` does not count as shared."""
     if not any(name in right.columns for name in left.columns if name != beside):
         return left
@@ -78,7 +78,7 @@ def minus(left: Relation, right: Relation, terms: TermValues, beside: str = "") 
 
 
 def has_match(left: Relation, right: Relation, terms: TermValues) -> NDArray[np.bool_]:
-    """Which rows of ``left`` have a compatible row in ``right``."""
+    """Return which rows of ``left`` have a compatible row in ``right``."""
     found = np.zeros(left.rows, np.bool_)
     if not any(name in right.columns for name in left.columns):
         found[:] = right.rows > 0
@@ -90,12 +90,11 @@ def has_match(left: Relation, right: Relation, terms: TermValues) -> NDArray[np.
 def match_rows(
     left: Relation, right: Relation, terms: TermValues, *, besides: Set[str] | None = None
 ) -> tuple[Rows, Rows]:
-    """All pairs of compatible rows, by the left one, then by the right one.
+    """Return all pairs of compatible rows, by the left one, then by the right one.
 
-    With ``besides``, rows that bind no variable but these together do not count. Cost: a sort of
-    the right keys for each combination of variables that are bound on the two sides: one where all
-    are.
-    Raises `BudgetExceeded`.
+    ``besides``: rows that share no variable but these do not match. Cost: a sort of the right keys
+    per combination of variables bound on the two sides; one if all are bound. Raises
+    `BudgetExceeded`.
     """
     shared = [name for name in left.columns if name in right.columns]
     parts = [
@@ -116,7 +115,7 @@ def match_rows(
 def _combinations(
     left: Relation, right: Relation, shared: Sequence[str]
 ) -> Iterator[tuple[list[str], Rows | None, Rows | None]]:
-    """What two parts of the rows both bind, and these rows (None: all)."""
+    """Yield the variables that two groups of rows both bind, and these rows (None: all)."""
     nullable = [
         name
         for name in shared
@@ -143,7 +142,7 @@ def _parted(relation: Relation, names: Sequence[str]) -> Iterator[tuple[int, Row
 def parted_by_bound(
     relation: Relation, names: Sequence[str]
 ) -> Iterator[tuple[Rows, tuple[str, ...]]]:
-    """The rows by which of ``names`` they bind: places, and these names."""
+    """Yield groups of rows by which of ``names`` they bind: the rows, and these names."""
     if all(relation.columns[name].null is None for name in names):
         yield np.arange(relation.rows), tuple(names)
         return
@@ -159,7 +158,7 @@ def _matched(
     at_right: Rows | None,
     terms: TermValues,
 ) -> tuple[Rows, Rows]:
-    """Pairs of these rows that agree on ``names``, which all of them bind."""
+    """Return the pairs of these rows that agree on ``names``, which all of them bind."""
     lefts = np.arange(left.rows) if at_left is None else at_left
     rights = np.arange(right.rows) if at_right is None else at_right
     if not names:
@@ -180,7 +179,7 @@ def _matched(
 
 
 def match_keys(left: Rows, right: Rows, budget: Budget) -> tuple[Rows, Rows]:
-    """All pairs of rows with equal codes, as two index arrays."""
+    """Return all pairs of rows with equal codes, as two index arrays."""
     with budget.pauses.released():
         order = np.argsort(right, kind="stable")
         ordered = right[order]
@@ -196,7 +195,7 @@ def match_keys(left: Rows, right: Rows, budget: Budget) -> tuple[Rows, Rows]:
 def _joined(
     left: Relation, right: Relation, at_left: Rows, at_right: Rows, terms: TermValues
 ) -> Relation:
-    """The rows of both side by side; where ``at_right`` is -1, of the left alone."""
+    """Return paired rows side by side; where ``at_right`` is -1, the left row alone."""
     columns: dict[str, ObjectColumn] = {}
     pauses = terms.budget.pauses
     for name, column in left.columns.items():

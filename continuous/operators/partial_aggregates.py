@@ -1,8 +1,8 @@
-"""Partial aggregates: what is kept of an aggregate's rows, by group, so that parts can be merged.
+"""Partial aggregates: the state of an aggregate by group, in a form that can be merged.
 
-A `Partial` keeps integers, decimals, floats and doubles apart (SPARQL promotes only at the end),
-and counts what is no number. Law: merging the partials of the parts of a bag is the partial of
-the bag (sums of float64 up to rounding), whatever the parts.
+A `Partial` separates integers, decimals, floats and doubles, because SPARQL promotes only the final
+result, and counts terms that are no numbers. Law: the merge of the partials of a bag's parts is the
+partial of the bag, whatever the parts (sums of float64 up to rounding).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from ...rdf.dictionary import Term
 from ...rdf.timed import Kind, ObjectColumn
 from ..columns.exact_sums import At
-from ..columns.fold_kernels import Groups, RowFold, mirrored
+from ..columns.fold_kernels import Groups, RowFold, mirror
 from ..columns.relation import (
     NeedsOxigraph,
     TermValues,
     either,
     exact_column,
-    scattered,
+    scatter,
     term_column,
 )
 from ..values import decimals
@@ -34,28 +34,30 @@ from ..values.exact_values import Number, Singles, extreme, summed
 from ..values.literals import LONG, Sort
 
 SAFE = 2**62
+"""Two int64 below this have a sum that does not overflow."""
 TERMS, ERRORS, SINGLES = 0, 1, 2
-"""Columns of what no array of numbers holds: other terms, errors of the argument, `Singles`."""
+"""Columns of counts: terms that are no numbers, errors of the argument, and `Singles`."""
 _GREAT = 2.0**960
-"""2^60 doubles that are less than this have a finite sum."""
+"""The sum of 2^60 doubles below this is finite."""
 _CERTAIN = 2.0**53
-"""Below, integers and decimals that are equal as float64 are equal."""
+"""Below this, integers and decimals that are equal as float64 are equal: above, float64 has gaps
+greater than 1."""
 
 Key: TypeAlias = tuple[Kind, int]
-"""A kind of number and, of decimals, the scale of their mantissas (`decimals.SCALES`); else 0."""
+"""A kind of number and, for decimals, the scale of their mantissas (`decimals.SCALES`); else 0."""
 
 
 def dtype_of(key: Key) -> np.dtype[Any]:
-    """How the values of a `Key` are held: integers and mantissas as int64."""
+    """Return the array type of a `Key`: int64 for integers and mantissas."""
     return np.dtype(np.int64 if key[0] <= Kind.DECIMAL else np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Numbers:
-    """The values of one `Key` by group, all of shape ``(groups,)`` but ``ends``.
+    """The values of one `Key` by group, of shape ``(groups,)`` except ``ends``.
 
-    ``sums``: float64, int64, or Python integers where one does not fit. ``ends``: shape
-    ``(groups, 2)``, the least value and the least mirrored one (`sliding_extremes`).
+    ``sums``: float64, int64, or Python integers if one does not fit. ``ends``: shape
+    ``(groups, 2)``, the least value and the least mirrored value (`sliding_extremes`).
     """
 
     sums: NDArray[Any]
@@ -65,9 +67,10 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Rows of one `Key`; with None, of no number: ``column`` is `TERMS` or `ERRORS`.
+    """Rows of one `Key`; without a key, rows that are no numbers: ``column`` is `TERMS` or
+    `ERRORS`.
 
-    ``singles``: the values are numbers of Python, each to be kept by itself (`Singles`).
+    ``single``: the values are Python numbers, each counted by itself (`Singles`).
     """
 
     key: Key | None
@@ -89,11 +92,10 @@ def parts_of(
     *,
     by_value: bool = False,
 ) -> Iterator[Part]:
-    """The rows but those in ``skip``, each kind of number once. A null that is not skipped is an
-    error.
+    """Yield the rows except those in ``skip``, once per kind of number. Nulls count as errors.
 
-    ``by_value``: the `Key` of a number follows from the number alone, so that a row that is taken
-    away later has the key it had when it was added, whatever rows come with it.
+    ``by_value``: derive the `Key` from the number alone. A row that is subtracted later then has
+    the key under which it was added, whatever other rows come with it.
     """
     if column.null is not None:
         failed = column.null if skip is None else column.null & ~skip
@@ -129,7 +131,7 @@ def _number_parts(
     skip: NDArray[np.bool_] | None,
     by_value: bool,
 ) -> Iterator[Part]:
-    """Rows of one kind; decimals as mantissas of one scale, if they have one and may share it."""
+    """Yield the rows of one kind. Decimals become mantissas, of a common scale if allowed."""
     if kind is Kind.INTEGER:
         yield Part((kind, 0), subjects, values, skip)
     elif kind is not Kind.DECIMAL:
@@ -154,10 +156,10 @@ def _number_parts(
 
 
 def _decimal_parts(subjects: NDArray[np.int32], codes: NDArray[np.float64]) -> Iterator[Part]:
-    """Decimals of several scales, a part each."""
+    """Yield decimals of several scales, a part each."""
     rows = np.arange(len(subjects))
     for scale in decimals.SCALES:
-        fits, found = decimals.fitting(codes[rows], scale)
+        fits, found = decimals.fit_scale(codes[rows], scale)
         if fits.any():
             yield Part((Kind.DECIMAL, scale), subjects[rows[fits]], found.values[fits])
             rows = rows[~fits]
@@ -173,10 +175,10 @@ def _single(kind: Kind, subjects: NDArray[np.int32], values: Sequence[Number]) -
 
 
 class NumberFold:
-    """Rows of one `Key` folded by group, integers exactly.
+    """Folds rows of one `Key` by group, integers exactly.
 
-    A sum of int64 wraps around at 64 bits. Where it might, the upper halves of the values are
-    summed too, which tells how often it did.
+    An int64 sum wraps around at 64 bits. If it might, a second fold sums the upper halves of the
+    values, which tells how often it wrapped.
     """
 
     def __init__(self, key: Key, extremes: bool) -> None:
@@ -191,7 +193,7 @@ class NumberFold:
         skip: NDArray[np.bool_] | None,
         groups: Groups,
     ) -> None:
-        """Fold the rows that are not in ``skip``, one after the other."""
+        """Fold the rows that are not in ``skip``, in order."""
         if values.dtype == np.int64 and len(values):
             self._bound += _greatest(values) * len(values)
             if self._bound >= SAFE:
@@ -201,9 +203,9 @@ class NumberFold:
         self._rows.add(subjects, values, skip, groups)
 
     def take(self, used: int) -> tuple[At, NDArray[Any], NDArray[np.int64] | None]:
-        """What was folded, and begin anew: see `RowFold.take`.
+        """Return the folded values and reset; see `RowFold.take`.
 
-        The third: integers whose 2^32-fold the first of the columns lacks, None: of none.
+        The third value: integers to add, times 2^32, to the first of the columns; None: none.
         """
         at, columns = self._rows.take(used)
         self._bound = 0
@@ -212,29 +214,29 @@ class NumberFold:
         self._high.reserve(used)
         high = self._high.state[slice(used) if at is None else at, 0].copy()
         self._high = None
-        # In the lower halves no sum can leave 64 bits: 2^30 rows of 32 bits.
+        # The lower halves cannot overflow 64 bits: that would take 2^31 rows of 32 bits.
         columns[0] -= high << 32
         return at, columns, high
 
     def take_all(self, used: int) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
-        """As `take`, but of each group, also where few were touched."""
+        """Like `take`, but for every group."""
         at, columns, high = self.take(used)
         if at is None:
             return columns, high
-        whole = np.repeat(self._rows.empty[:, np.newaxis], used, axis=1)
-        whole[:, at] = columns
+        all_columns = np.repeat(self._rows.empty[:, np.newaxis], used, axis=1)
+        all_columns[:, at] = columns
         if high is not None:
-            above = np.zeros(used, np.int64)
-            above[at] = high
-            high = above
-        return whole, high
+            all_high = np.zeros(used, np.int64)
+            all_high[at] = high
+            high = all_high
+        return all_columns, high
 
 
 @dataclass(slots=True, eq=False)
 class Partial:
-    """One argument's rows by group.
+    """The rows of one argument by group.
 
-    ``others``: shape ``(groups, 3)``, how many are `TERMS`, `ERRORS` and `SINGLES`, None: none are.
+    ``others``: shape ``(groups, 3)``, the numbers of `TERMS`, `ERRORS` and `SINGLES`; None: all 0.
     Cost and memory: see `RowFold` and `Singles`.
     """
 
@@ -251,16 +253,16 @@ class Partial:
         terms: TermValues,
         extremes: bool,
     ) -> Partial:
-        """All rows of ``column`` for the groups of ``subjects``, which are there."""
-        made = cls()
+        """Fold all rows of ``column``; the groups of ``subjects`` must exist."""
+        partial = cls()
         for part in parts_of(subjects, column, None, terms):
             if part.key is None or part.single:
-                if made.others is None:
-                    made.others = np.zeros((groups.used, 3), np.int64)
+                if partial.others is None:
+                    partial.others = np.zeros((groups.used, 3), np.int64)
                 at = groups.groups(part.subjects)
-                np.add.at(made.others[:, part.column], at, 1)
+                np.add.at(partial.others[:, part.column], at, 1)
                 if part.key is not None:
-                    made.singles.add(at, part.key[0], part.values, 1)
+                    partial.singles.add(at, part.key[0], part.values, 1)
                 continue
             fold = NumberFold(part.key, extremes)
             fold.add(part.subjects, part.values, part.skip, groups)
@@ -268,12 +270,12 @@ class Partial:
             sums, counts = columns[0], columns[1].astype(np.int64)
             if high is not None:
                 sums = high.astype(object) * 2**32 + sums.astype(object)
-            made.numbers[part.key] = Numbers(sums, counts, columns[2:].T if extremes else None)
-        return made
+            partial.numbers[part.key] = Numbers(sums, counts, columns[2:].T if extremes else None)
+        return partial
 
     def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> Partial:
-        """The partial of ``count`` groups where group ``groups[i]`` takes in our ``rows[i]``."""
-        made = Partial(singles=self.singles.merged(groups, rows))
+        """Return the partial of ``count`` groups where group ``groups[i]`` absorbs ``rows[i]``."""
+        partial = Partial(singles=self.singles.merged(groups, rows))
         for key, mine in self.numbers.items():
             sums = mine.sums
             if sums.dtype == np.int64 and len(sums) and _greatest(sums) * len(rows) >= SAFE:
@@ -286,16 +288,16 @@ class Partial:
             if mine.ends is not None:
                 ends = np.full((count, 2), _nothing(mine.ends.dtype), mine.ends.dtype)
                 np.minimum.at(ends, groups, mine.ends[rows])
-            made.numbers[key] = Numbers(total, counts, ends)
+            partial.numbers[key] = Numbers(total, counts, ends)
         if self.others is not None:
-            made.others = np.zeros((count, 3), np.int64)
-            np.add.at(made.others, groups, self.others[rows])
-        return made
+            partial.others = np.zeros((count, 3), np.int64)
+            np.add.at(partial.others, groups, self.others[rows])
+        return partial
 
     def finish(
         self, function: str, groups: NDArray[np.int64], terms: TermValues, star: bool = False
     ) -> ObjectColumn:
-        """The aggregate's value for all ``groups``: null where it is an error or unbound."""
+        """Return the aggregate's value for all ``groups``: null if it is an error or unbound."""
         keys = sorted(key for key, of in self.numbers.items() if of.counts.any())
         numbers = np.zeros(len(groups), np.int64)
         for key in keys:
@@ -310,7 +312,7 @@ class Partial:
         is_extreme = function in ("MIN", "MAX")
         wrong: NDArray[np.bool_] | None = None
         if others is not None:
-            # One error among the values makes the aggregate an error; so does a term in a sum.
+            # An error among the values makes the aggregate an error; so does a term in a sum.
             if is_extreme and others[:, TERMS].any():
                 raise NeedsOxigraph(f"{function} over terms that are no numbers")
             wrong = np.asarray((others[:, TERMS] > 0) | (others[:, ERRORS] > 0))
@@ -330,11 +332,11 @@ class Partial:
             at, rest = np.flatnonzero(single), np.flatnonzero(~single)
             found = [self._one_by_one(function, keys, group) for group in at.tolist()]
             few = term_column(found, terms.dictionary.transient_id)
-            column = scattered([at, rest], [few, column.take(rest)], terms.dictionary)
+            column = scatter([at, rest], [few, column.take(rest)], terms.dictionary)
         return ObjectColumn(column.kind, column.values, either(null, column.null))
 
     def _one_by_one(self, function: str, keys: list[Key], group: int) -> Term | None:
-        """The aggregate's value for one group, of any numbers."""
+        """Return the aggregate's value for one group, in exact Python numbers."""
         there = [key for key in keys if self.numbers[key].counts[group]]
         singles = list(self.singles.numbers(group))
         if function in ("MIN", "MAX"):
@@ -350,7 +352,7 @@ class Partial:
     def _end(self, key: Key, group: int, least: bool) -> Number:
         ends = self.numbers[key].ends
         assert ends is not None
-        return _number(key, ends[group, 0] if least else mirrored(ends[group : group + 1, 1])[0])
+        return _number(key, ends[group, 0] if least else mirror(ends[group : group + 1, 1])[0])
 
     def _total(
         self, average: bool, keys: list[Key], numbers: NDArray[np.int64], terms: TermValues
@@ -377,18 +379,18 @@ class Partial:
                     values = _exact_sum(values, part, scale - key[1])
             places.append(at)
             parts.append(_sum_column(Kind(code), values, scale, numbers[at], average, terms))
-        return scattered(places, parts, terms.dictionary)
+        return scatter(places, parts, terms.dictionary)
 
     def _extreme(
         self, function: str, keys: list[Key], rows: int, terms: TermValues
     ) -> tuple[ObjectColumn, NDArray[np.bool_]]:
-        """The extremes, and for which groups float64 could not tell two numbers apart."""
+        """Return the extremes, and for which groups float64 cannot order two numbers."""
         side = 0 if function == "MIN" else 1
         ends = {}
         for key in keys:
             found = self.numbers[key].ends
             assert found is not None
-            values = mirrored(found[:, 1]) if side else found[:, 0]
+            values = mirror(found[:, 1]) if side else found[:, 0]
             ends[key] = values / 10.0 ** key[1] if key[0] is Kind.DECIMAL else values
         doubtful = np.zeros(rows, np.bool_)
         if len(keys) == 1:
@@ -401,7 +403,7 @@ class Partial:
             value = np.where(there, ends[key].astype(np.float64), worst)
             doubtful |= there & (chosen >= 0) & (value == best) & (np.abs(value) >= _CERTAIN)
             better = (value < best) if side == 0 else (value > best)
-            # A NaN is the extreme, whichever number stands beside it.
+            # A NaN is the extreme, whatever the other numbers.
             better |= ((chosen < 0) & there) | np.isnan(value)
             best, chosen = np.where(better, value, best), np.where(better, i, chosen)
         places, parts = [], []
@@ -410,18 +412,18 @@ class Partial:
             key = keys[max(i, 0)]
             parts.append(ObjectColumn(key[0], ends[key][at]))
             places.append(at)
-        return scattered(places, parts, terms.dictionary), doubtful
+        return scatter(places, parts, terms.dictionary), doubtful
 
 
 def _number(key: Key, value: Any) -> Number:
-    """A sum or an extreme of the arrays as a number of Python."""
+    """Return a sum or extreme of the arrays as a Python number."""
     if key[0] <= Kind.DECIMAL:
         return decimals.scaled(int(value), key[1])
     return float(value)
 
 
 def _exact_sum(total: NDArray[Any], part: NDArray[Any], places: int) -> NDArray[Any]:
-    """``total + part * 10**places``, in Python integers where int64 might overflow."""
+    """Return ``total + part * 10**places``, in Python integers if int64 might overflow."""
     if total.dtype == part.dtype == np.int64 and len(part):
         greatest = max(_greatest(part) * 10**places, _greatest(total))
         if greatest < SAFE // 2:
@@ -437,39 +439,39 @@ def _sum_column(
     average: bool,
     terms: TermValues,
 ) -> ObjectColumn:
-    """Sums as they are shown; ``scale``: of exact ones, which are mantissas."""
+    """Return sums or averages as result values; ``scale``: that of sums that are mantissas."""
     if kind > Kind.DECIMAL:
         return ObjectColumn(kind, sums / np.maximum(numbers, 1) if average else sums)
-    whole = sums
+    fitting = sums
     if sums.dtype == object:
-        # Some are beyond 64 bits, few as a rule: those are computed one by one.
+        # Some exceed 64 bits, usually few: those are computed one by one.
         fits = np.array([-(2**63) <= value < 2**63 for value in sums], np.bool_)
-        whole = np.where(fits, sums, 0).astype(np.int64)
+        fitting = np.where(fits, sums, 0).astype(np.int64)
     else:
         fits = np.ones(len(sums), np.bool_)
     if average:
-        # The average of integers is a decimal (SPARQL 1.1 §18.5.1.4), of nothing the integer 0.
+        # The average of integers is a decimal (SPARQL 1.1 §18.5.1.4), that of no rows is 0.
         kind = Kind.DECIMAL
-        values, known = decimals.quotients(whole, scale, np.maximum(numbers, 1))
-        known &= fits
+        values, exact = decimals.quotients(fitting, scale, np.maximum(numbers, 1))
+        exact &= fits
     elif kind is Kind.INTEGER:
-        values, known = whole, fits
+        values, exact = fitting, fits
     else:
-        values, known = decimals.coded(Mantissas(whole, scale))
-        known &= fits
+        values, exact = decimals.encode(Mantissas(fitting, scale))
+        exact &= fits
     column = ObjectColumn(kind, values)
-    if known.all():
+    if exact.all():
         return column
-    at, rest = np.flatnonzero(~known), np.flatnonzero(known)
-    exact: list[Decimal | None] = []
+    at, rest = np.flatnonzero(~exact), np.flatnonzero(exact)
+    numbers_one_by_one: list[Decimal | None] = []
     for value, count in zip(sums[at].tolist(), numbers[at].tolist(), strict=True):
-        found = Fraction(int(value), 10**scale)
         if average:
-            exact.append(decimals.quotient(found, Fraction(max(count, 1))))
+            total = Fraction(int(value), 10**scale)
+            numbers_one_by_one.append(decimals.quotient(total, Fraction(max(count, 1))))
         else:
-            exact.append(decimals.scaled(int(value), scale))
-    few = exact_column(kind, exact, terms.dictionary.transient_id)
-    return scattered([at, rest], [few, column.take(rest)], terms.dictionary)
+            numbers_one_by_one.append(decimals.scaled(int(value), scale))
+    few = exact_column(kind, numbers_one_by_one, terms.dictionary.transient_id)
+    return scatter([at, rest], [few, column.take(rest)], terms.dictionary)
 
 
 def _nothing(dtype: np.dtype[Any]) -> Any:
@@ -477,7 +479,7 @@ def _nothing(dtype: np.dtype[Any]) -> Any:
 
 
 def _greatest(values: NDArray[Any]) -> int:
-    """The greatest absolute value."""
+    """Return the greatest absolute value."""
     if values.strides == (0,):
         return abs(int(values[0]))
     return max(abs(int(values.max())), abs(int(values.min())))

@@ -1,4 +1,4 @@
-"""Repeated paths: ``p*``, ``p+``, ``p?`` as a set of pairs of ends (SPARQL 1.1 §18.4, ALP)."""
+"""Repeated paths: ``p*``, ``p+``, ``p?`` as a set of pairs of nodes (SPARQL 1.1 §18.4, ALP)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .joins import match_keys
 
 
 def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValues) -> Pairs:
-    """The pairs of ends of the repetition of ``step``, in the order in which nodes are met there;
-    of those that the constants of ``plan`` select no one is missing.
+    """Return the (start, end) pairs of the repetition of ``step``: at least those that the
+    constants of ``plan`` select.
 
-    ``nodes`` are those of the graph: each reaches itself where ``plan.zero``. From an end that is a
-    constant only what it reaches is followed; between two variables every pair is found: O(pairs)
-    memory, a sort a round, as many rounds as the longest shortest path has steps.
+    ``nodes`` are those of the graph: each reaches itself if ``plan.zero``. From a constant end only
+    reachable nodes are followed. Between two variables the result has all pairs: O(pairs) memory, a
+    sort per round, as many rounds as the longest shortest path has steps.
     """
     dictionary = terms.dictionary
     begins, ends = (as_terms(step.column(name), dictionary).values for name in (START, STOP))
@@ -32,7 +32,7 @@ def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValue
         given[0] = np.array([dictionary.transient_id(plan.object.term)], np.int32)
     elif plan.zero:
         given[1] = as_terms(nodes, dictionary).values
-    # Numbered as they are met: ids say when a term came, which may be after it was forgotten.
+    # Number nodes by first appearance. Ids would give an order that depends on forgotten terms.
     numbered, (seed, every, starts, stops) = _numbered([*given, begins, ends])
     if isinstance(plan.subject, Const):
         found = _reached(seed, starts, stops, plan, len(numbered), terms.budget)
@@ -49,7 +49,7 @@ def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValue
 def _numbered(
     parts: Sequence[NDArray[np.int32]],
 ) -> tuple[NDArray[np.int32], list[NDArray[np.int64]]]:
-    """The distinct ids in order of appearance, and the places of all among them, part by part."""
+    """Return the distinct ids in order of appearance, and the ids of each part as places in it."""
     ids, first, inverse = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
@@ -66,7 +66,8 @@ def _reached(
     size: int,
     budget: Budget,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs (seed, what it reaches), each once: what is new in a round goes one step further."""
+    """Return pairs (seed, reachable node), each once. A round extends only the last round's new
+    pairs, so each pair is extended once."""
     front = np.unique(seeds) * size + np.unique(seeds)
     known = front if plan.zero else np.zeros(0, np.int64)
     while len(front):

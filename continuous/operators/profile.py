@@ -1,4 +1,4 @@
-"""What the operators of a query have cost: rows out and time, measured as windows close."""
+"""The measured cost of a query's operators: rows out and time, recorded as windows close."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..algebra.plan import Plan, inputs
 
 @dataclass(slots=True)
 class Cost:
-    """Of one operator, over all windows: how often it ran, rows out, time with its inputs, and time
-    for it beside the evaluation of the plan (as rows come)."""
+    """The cost of one operator over all windows: runs, rows out, time including its inputs, and
+    time spent for it outside the evaluation of the plan (as rows come)."""
 
     windows: int = 0
     rows: int = 0
@@ -21,7 +21,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Of one operator, a window: rows out, and its own time in ns."""
+    """The cost of one operator per window: rows out, and its own time in ns."""
 
     rows: float
     nanoseconds: float
@@ -29,31 +29,31 @@ class Measured:
 
 @dataclass(slots=True)
 class Profile:
-    """The costs by operator. ``clock`` tells ns: nothing in this room reads one by itself."""
+    """The costs by operator. ``clock`` returns ns: nothing below reads a clock by itself."""
 
     clock: Callable[[], int]
     _costs: dict[int, Cost] = field(default_factory=dict)
-    # An operator is told apart by its identity, so it is kept from being another's.
+    # Costs are keyed by id(plan). A reference keeps the plan alive, so its id is not reused.
     _plans: list[Plan] = field(default_factory=list)
 
     def add(self, plan: Plan, rows: int, nanoseconds: int) -> None:
-        """An operator has given ``rows``."""
+        """Record a run of an operator with ``rows`` out."""
         cost = self._of(plan)
         cost.windows += 1
         cost.rows += rows
         cost.nanoseconds += nanoseconds
 
     def beside(self, plan: Plan, nanoseconds: int) -> None:
-        """Time was spent for an operator beside the evaluation of the plan."""
+        """Record time spent for an operator outside the evaluation of the plan."""
         self._of(plan).beside += nanoseconds
 
     @property
     def windows(self) -> int:
-        """How many windows there were."""
+        """The number of windows."""
         return max((cost.windows for cost in self._costs.values()), default=0)
 
     def measured(self, plan: Plan) -> Measured | None:
-        """What an operator has cost; None where it has not run by itself."""
+        """Return the cost of an operator, or None if it has not run by itself."""
         cost = self._costs.get(id(plan))
         if cost is None or not cost.windows:
             return None

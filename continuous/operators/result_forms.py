@@ -1,4 +1,4 @@
-"""Heads: solutions become a table, triples or an answer, in columns ([Events14 §V.A])."""
+"""Result forms: make a table, triples or a boolean of solutions, in columns ([Events14 §V.A])."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .results import Solutions, WindowResult
 
 
 def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValues) -> WindowResult:
-    """The result of the window ``start`` … ``end`` with these solutions."""
+    """Return the result of the window ``start`` … ``end`` with these solutions."""
     match head:
         case Select(variables):
             columns = {name: relation.columns[name] for name in variables}
@@ -40,7 +40,7 @@ def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValu
 
 
 def head_variables(head: Head) -> frozenset[str]:
-    """The variables that the head shows."""
+    """Return the variables that the head uses."""
     match head:
         case Select(variables):
             return frozenset(variables)
@@ -54,10 +54,11 @@ def head_variables(head: Head) -> frozenset[str]:
 
 
 def construct(head: Construct, relation: Relation, time: int, terms: TermValues) -> TimedTriples:
-    """The template's triples for every solution, at τ = ``time``: a graph, so each triple once.
+    """Return the template's triples for all solutions, at τ = ``time``. They are a graph: each
+    triple occurs once.
 
-    Ill-formed triples (an unbound variable, a literal as subject, no IRI as predicate) are left
-    out. Templates about one subject, with a solution a subject, give wide rows.
+    Ill-formed triples (an unbound variable, a literal as subject, no IRI as predicate) are omitted.
+    A template about one subject gives wide rows if each solution has its own subject.
     """
     wide = _wide(head, relation, time, terms)
     if wide is not None:
@@ -77,8 +78,8 @@ def construct(head: Construct, relation: Relation, time: int, terms: TermValues)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instantiated:
-    """What one triple of a template gives of one predicate: the solutions (``rows``) with a
-    well-formed triple, its subjects and objects. ``unique``: no two of them are equal."""
+    """The well-formed triples of one template triple and one predicate: the solutions (``rows``),
+    subjects and objects. ``unique``: no two of them are equal."""
 
     rows: NDArray[np.int64]
     subjects: Ids
@@ -89,7 +90,7 @@ class Instantiated:
 def instantiated(
     head: Construct, relation: Relation, time: int, terms: TermValues
 ) -> dict[int, list[Instantiated]]:
-    """The well-formed triples of every solution, by the id of the predicate."""
+    """Return the well-formed triples of all solutions, by the id of the predicate."""
     found: dict[int, list[Instantiated]] = {}
     for template in head.template:
         subjects, objects = (_position(template[i], relation, time, terms) for i in (0, 2))
@@ -119,7 +120,7 @@ def instantiated(
 
 
 def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> TripleRows | None:
-    """Rows of all the template's objects, where each solution is about a subject of its own."""
+    """Return rows with all the template's objects, if each solution has its own subject."""
     subjects = {subject for subject, _, _ in head.template}
     predicates = {predicate for _, predicate, _ in head.template}
     if len(subjects) != 1 or len(predicates) != len(head.template):
@@ -156,7 +157,8 @@ def _position(
     if isinstance(position, Var):
         return relation.columns.get(position.name)
     if isinstance(position, Blank):
-        # One a solution, the same wherever the input is cut: so its name says which.
+        # One node per solution. Its name contains the row, not a counter: it must not depend on
+        # how the input is cut.
         nodes = (
             BlankNode(f"{position.label}t{time}r{row}".replace("-", "m"))
             for row in range(relation.rows)
@@ -167,7 +169,7 @@ def _position(
 
 
 def _nodes(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
-    """Where there is a term that may be a subject: an IRI or a blank node."""
+    """Whether a term may be a subject: an IRI or a blank node."""
     if column.kind is not Kind.TERM:
         return np.zeros(len(column), np.bool_)
     return np.asarray(column.present & (terms.sorts(column.values) == Sort.NODE))

@@ -1,4 +1,4 @@
-"""What a window gives: solutions, triples or an answer."""
+"""Results of a window: solutions, triples or a boolean."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ...rdf.timed import ObjectColumn, TimedTriples
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Solutions:
-    """A SELECT's solutions, a column a variable, of shape ``(length,)``; null = unbound.
+    """The solutions of a SELECT, a column per variable, of shape ``(length,)``; null = unbound.
 
-    As long as they are kept their terms are: they hold them.
+    The object keeps its terms in the dictionary.
     """
 
     variables: tuple[str, ...]
@@ -36,12 +36,13 @@ class Solutions:
             yield column.held_ids
 
     def take(self, rows: NDArray[np.int64]) -> Solutions:
-        """The solutions at ``rows``."""
+        """Return the solutions at ``rows``."""
         columns = {name: column.take(rows) for name, column in self.columns.items()}
         return Solutions(self.variables, columns, self.dictionary, len(rows))
 
     def rows(self) -> list[dict[str, Term]]:
-        """Each solution as ``name -> term``, unbound variables left out: for edges and tests."""
+        """Return each solution as ``name -> term``, without unbound variables: for edges and
+        tests."""
         rows: list[dict[str, Term]] = [{} for _ in range(self.length)]
         for name in self.variables:
             column = self.columns[name]
@@ -57,8 +58,8 @@ class WindowResult:
     """The result of the window with end ``end`` (ns); ``start`` is the earliest bound of content.
 
     Exactly one of ``solutions`` (SELECT), ``triples`` (CONSTRUCT, DESCRIBE; τ and valid time are
-    ``end``) and ``answer`` (ASK) is there. ``merged``: the bag was asked for, the window held equal
-    triples, and they counted once (docs/explanation/semantics.md says where).
+    ``end``) and ``answer`` (ASK) is set. ``merged``: equal triples in the window counted once
+    although the query has bag semantics (docs/explanation/semantics.md lists the cases).
     """
 
     start: int
@@ -70,7 +71,7 @@ class WindowResult:
 
     @property
     def size(self) -> int:
-        """How many solutions or triples; of an answer, whether it is yes."""
+        """The number of solutions or triples; for an answer, 1 if it is true."""
         if self.solutions is not None:
             return len(self.solutions)
         return len(self.triples) if self.triples is not None else int(bool(self.answer))

@@ -1,4 +1,4 @@
-"""Where triples come from: the static side, encoded once a version, and the content of windows."""
+"""Sources of triples: the static side, encoded once per version, and the windows' contents."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from .profile import Profile
 
 
 class StaticSide:
-    """The background's triples in columns: each scan made once a version of the background, and
-    its terms held as long."""
+    """The background's triples in columns. Each scan runs once per version of the background, and
+    its terms stay in the dictionary as long."""
 
     def __init__(self, background: Background, terms: TermValues) -> None:
         self.background = background
@@ -42,7 +42,7 @@ class StaticSide:
         self._triples: dict[str, Relation] = {}
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
-        """The static triples that ``scan`` selects, each once."""
+        """Return the static triples that ``scan`` selects, each once."""
         self._follow()
         found = self._pairs.get(scan)
         if found is None:
@@ -65,7 +65,7 @@ class StaticSide:
         return found
 
     def triples(self, graph: str) -> Relation:
-        """All static triples of a graph but those of rdf:type, each once."""
+        """Return all static triples of a graph except those of rdf:type, each once."""
         self._follow()
         found = self._triples.get(graph)
         if found is None:
@@ -92,21 +92,21 @@ class StaticSide:
             self._version, self._pairs, self._triples = version, {}, {}
 
     def supersorts(self, sort: int) -> frozenset[str]:
-        """The sort with this id and all it is a sub-sort of."""
+        """Return the sort with this id and all sorts above it."""
         term = self.terms.dictionary.term(sort)
         return (
             self.background.supersorts(term.value) if isinstance(term, NamedNode) else frozenset()
         )
 
     def sort_holds(self, sort: int | None, wanted: str) -> bool:
-        """Whether rows annotated with ``sort`` tell that their subjects are of sort ``wanted``."""
+        """Whether the subjects of rows annotated with ``sort`` are of sort ``wanted``."""
         return sort is not None and wanted in self.supersorts(sort)
 
 
 class WindowSource(ABC):
-    """The leaves of a plan over the content of windows, by graph, and the static side.
+    """The leaves of a plan over the contents of windows, by graph, and the static side.
 
-    ``windows`` are the graphs that are windows: nothing static is in them. Under set semantics
+    ``windows`` are the graphs that are windows: they contain no static triples. Under set semantics
     equal triples of a graph count once. Facts of `TypeScan` are a set under either semantics.
     """
 
@@ -120,11 +120,11 @@ class WindowSource(ABC):
 
     @abstractmethod
     def tables(self, graph: str) -> Sequence[TripleRows]:
-        """The rows of a graph's windows."""
+        """Return the rows of a graph's windows."""
 
     @abstractmethod
     def ready(self, plan: Plan) -> Relation | None:
-        """The solutions of ``plan`` if they are at hand already."""
+        """Return the solutions of ``plan`` if another mechanism has computed them already."""
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         terms = self.static.terms
@@ -134,13 +134,13 @@ class WindowSource(ABC):
             predicate = terms.dictionary.find(scan.predicate)
             pairs = pairs_of(tables, predicate, static, terms)
             return distinct_pairs(pairs, terms) if self.distinct else pairs
-        told = pairs_of(tables, terms.dictionary.find(RDF_TYPE), static, terms)
-        return distinct_pairs(_joined([told, *self._annotated(scan, tables)], terms), terms)
+        stated = pairs_of(tables, terms.dictionary.find(RDF_TYPE), static, terms)
+        return distinct_pairs(_joined([stated, *self._annotated(scan, tables)], terms), terms)
 
     def matches(self, scan: Scan | AnyScan) -> Relation:
-        """Triples with predicates and times. Cost: a column a predicate of the windows."""
+        """Return triples with predicates and times. Cost: a column per predicate of the windows."""
         terms = self.static.terms
-        parts = list(self._told(scan))
+        parts = list(self._stream_triples(scan))
         if scan.graph not in self.windows:
             parts.append(self._static(scan))
         if isinstance(scan, AnyScan):
@@ -162,8 +162,8 @@ class WindowSource(ABC):
         ends = [as_terms(found.columns[name], dictionary).values for name in (SUBJECT, OBJECT)]
         return ObjectColumn(Kind.TERM, ids_in_order(ends, len(dictionary)))
 
-    def _told(self, scan: Scan | AnyScan) -> Iterator[Relation]:
-        """The triples of the windows: a relation a column; those of rdf:type are facts instead."""
+    def _stream_triples(self, scan: Scan | AnyScan) -> Iterator[Relation]:
+        """Yield the windows' triples, a relation per column, except rdf:type (see `_types`)."""
         dictionary = self.static.terms.dictionary
         rdf_type = dictionary.find(RDF_TYPE)
         wanted = dictionary.find(scan.predicate) if isinstance(scan, Scan) else None
@@ -199,7 +199,7 @@ class WindowSource(ABC):
         return Relation({SUBJECT: subjects, PREDICATE: predicate, OBJECT: sorts}, len(subjects))
 
     def _once(self, found: Relation, scan: Scan | AnyScan) -> Relation:
-        """Each triple once, where it first stands, with the times of its latest element."""
+        """Return each triple once, in place of its first, with the times of its latest element."""
         if found.rows < 2:
             return found
         keys = [[found.columns[name]] for name in (SUBJECT, PREDICATE, OBJECT)]
@@ -215,13 +215,13 @@ class WindowSource(ABC):
         return found.take(np.sort(order[last]))
 
     def _annotated(self, scan: TypeScan, tables: Sequence[TripleRows]) -> Iterable[Pairs]:
-        """What the annotation of the rows says: ``every UAV`` makes each subject a UAV."""
+        """Yield the types that annotations imply: ``every UAV`` makes each subject a UAV."""
         dictionary = self.static.terms.dictionary
         by_sort: dict[int, list[NDArray[np.int32]]] = {}
         for table in tables:
             if table.sort is not None:
                 by_sort.setdefault(table.sort, []).append(table.subject)
-        # By name: ids depend on how the input was cut.
+        # By name: ids depend on how the input is cut.
         for sort, parts in sorted(by_sort.items(), key=lambda item: str(dictionary.term(item[0]))):
             subjects = ids_in_order(parts, len(dictionary))
             for name in sorted(self.static.supersorts(sort)):
@@ -233,7 +233,7 @@ class WindowSource(ABC):
 
 
 class EmptyWindows(WindowSource):
-    """The leaves of a plan over windows that hold nothing: the static side alone."""
+    """The leaves of a plan over empty windows: the static side alone."""
 
     def tables(self, graph: str) -> Sequence[TripleRows]:
         return ()
@@ -243,7 +243,7 @@ class EmptyWindows(WindowSource):
 
 
 def distinct_ids(parts: Sequence[NDArray[np.int32]], size: int) -> NDArray[np.int32]:
-    """The distinct ids below ``size`` in ``parts``, ascending: O(ids + size), no sort."""
+    """Return the distinct ids below ``size`` in ``parts``, ascending: O(ids + size), no sort."""
     seen = np.zeros(size, np.bool_)
     for part in parts:
         seen[part] = True
@@ -251,20 +251,20 @@ def distinct_ids(parts: Sequence[NDArray[np.int32]], size: int) -> NDArray[np.in
 
 
 def ids_in_order(parts: Sequence[NDArray[np.int32]], size: int) -> NDArray[np.int32]:
-    """The distinct ids below ``size`` in ``parts``, as they are met: O(ids), no sort.
+    """Return the distinct ids below ``size`` in ``parts``, in order of appearance: O(ids), no sort.
 
-    What others see the order of is ordered so: by id it would depend on what was forgotten when.
+    Use it where the order is visible in results: an order by id would depend on forgotten terms.
     """
     ids = np.concatenate(parts)
     rows = np.arange(len(ids), dtype=np.int32)
     place = np.empty(size, np.int32)
     place[ids[::-1]] = rows[::-1]
-    once: NDArray[np.int32] = ids[place[ids] == rows]
-    return once
+    first: NDArray[np.int32] = ids[place[ids] == rows]
+    return first
 
 
 def distinct_pairs(pairs: Pairs, terms: TermValues) -> Pairs:
-    """Each (subject, object) once, where it first stands."""
+    """Return each (subject, object) once, in place of its first."""
     if len(pairs[0]) < 2:
         return pairs
     rows = first_rows(key_codes([[pairs[0]], [pairs[1]]], terms.dictionary)[0])
@@ -289,7 +289,7 @@ def _constant(id: int, rows: int) -> ObjectColumn:
 
 
 def _column(part: Relation, name: str) -> ObjectColumn:
-    """A column of a part; times of what has none are null."""
+    """Return a column of a part; missing times are null."""
     found = part.columns.get(name)
     if found is not None:
         return found

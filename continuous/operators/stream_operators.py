@@ -1,9 +1,9 @@
-"""From the results of windows to the stream that is given out: RSTREAM, ISTREAM, DSTREAM
+"""Stream operators: from the results of windows to the output stream: RSTREAM, ISTREAM, DSTREAM
 ([CQL §3]; RSP-QL §4.4).
 
-ISTREAM gives what is in the present result and was not in the one before, DSTREAM what was and is
-not any more. The result before the first one is empty. Of solutions the difference is one of bags:
-three of a kind after two are one new one.
+ISTREAM outputs the part of a result that the previous result lacks, DSTREAM the part of the
+previous result that this one lacks. The first result follows an empty one. Solutions are compared
+as bags: three equal solutions after two output one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .results import Solutions, WindowResult
 
 
 class Difference:
-    """Keeps the result before. Cost: a sort of both results; memory: one result."""
+    """Compares each result with the previous one. Cost: a sort of both; memory: one result."""
 
     def __init__(self, operator: StreamOperator, terms: TermValues) -> None:
         self.operator = operator
@@ -28,12 +28,12 @@ class Difference:
         self._before: WindowResult | None = None
 
     def of(self, result: WindowResult) -> WindowResult:
-        """What of ``result``, the next one, is given out."""
+        """Return the output for ``result``, the next one."""
         before, self._before = self._before, result
         new, old = (before, result), (result, before)
         without, whole = new if self.operator is StreamOperator.ISTREAM else old
         if result.answer is not None:
-            # An answer is one solution without variables: there is one, or none.
+            # An answer is a bag of solutions without variables: one, or none.
             was = without is not None and bool(without.answer)
             return replace(result, answer=whole is not None and bool(whole.answer) and not was)
         if result.triples is not None:
@@ -46,7 +46,7 @@ class Difference:
         return replace(result, solutions=whole.solutions.take(rows))
 
     def _rows(self, whole: Solutions, without: Solutions | None) -> NDArray[np.int64]:
-        """The rows of ``whole`` that are more than those equal to them in ``without``."""
+        """Return the rows of ``whole`` in excess of equal rows in ``without``."""
         if without is None or not without.length:
             return np.arange(whole.length)
         if not whole.variables:
@@ -58,16 +58,16 @@ class Difference:
         ordered = mine[order]
         nth = np.arange(len(mine)) - np.searchsorted(ordered, ordered, "left")
         at = np.searchsorted(values, ordered)
-        known = (at < len(values)) & (values[np.minimum(at, len(values) - 1)] == ordered)
-        had = np.where(known, numbers[np.minimum(at, len(values) - 1)], 0)
+        common = (at < len(values)) & (values[np.minimum(at, len(values) - 1)] == ordered)
+        had = np.where(common, numbers[np.minimum(at, len(values) - 1)], 0)
         return np.sort(order[nth >= had])
 
     def _triples(
         self, whole: WindowResult | None, without: WindowResult | None, end: int
     ) -> TimedTriples:
-        """A graph without another one, at the time of the present result."""
-        gone = set() if without is None else _graph(without)
-        kept = [] if whole is None else [triple for triple in _graph(whole) if triple not in gone]
+        """Return the triples of one graph that the other lacks, at the time of this result."""
+        removed = set() if without is None else _graph(without)
+        kept = [] if whole is None else [one for one in _graph(whole) if one not in removed]
         return from_terms(((end, *triple) for triple in kept), self.terms.dictionary)
 
 

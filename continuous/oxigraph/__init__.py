@@ -1,1 +1,1 @@
-"""What columns do not do: a window as a store of Oxigraph."""
+"""Evaluation of a window by an Oxigraph store, for queries that columns do not support."""

@@ -1,10 +1,10 @@
-"""The bag on Oxigraph: a query in which equal triples of a window count each.
+"""Bag semantics on Oxigraph: a rewritten query in which equal triples of a window count each.
 
-A store is a set of quads. So the n-th of equal triples stands in the n-th *copy graph* too, and a
-triple pattern P of the query becomes ``GRAPH ?g {P}`` with a variable of its own: it matches once
-a copy. `window_store` fills the copies; the default graph holds each triple once.
+A store is a set of quads. So the n-th of equal triples is also stored in the n-th *copy graph*, and
+a triple pattern P of the query becomes ``GRAPH ?g {P}`` with a fresh variable: it matches once per
+copy. `window_store` fills the copies; the default graph contains each triple once.
 
-What counts solutions as a set anyway stays as it is, on the default graph: ``?x a Sort`` (a set of
+Patterns whose solutions are a set in any case still read the default graph: ``?x a Sort`` (a set of
 facts, docs/explanation/semantics.md), FILTER with EXISTS, MINUS, and the paths ``p*``, ``p+`` and
 ``p?``.
 """
@@ -21,24 +21,24 @@ from ...sparql import ast
 from ..algebra.unsupported import Unsupported
 
 HIDDEN = "dyknow_copy_"
-"""Variables of copy graphs begin with this; ``SELECT *`` would show them."""
+"""The prefix of variables for copy graphs. They are removed from results: ``SELECT *`` has them."""
 
 
 def copy_graph(number: int) -> NamedNode:
-    """The graph of the ``number``-th (from 0) of equal triples."""
+    """Return the graph of the ``number``-th (from 0) of equal triples."""
     return NamedNode(f"urn:dyknow:copy:{number}")
 
 
-def counting(query: ast.Query) -> ast.Query:
-    """The query with each triple pattern asked of the copy graphs.
+def count_copies(query: ast.Query) -> ast.Query:
+    """Make each triple pattern of the query read the copy graphs.
 
-    Raises `Unsupported` for what this does not cover: GRAPH, other paths, DISTINCT over ``*``.
-    Cost: one pass over the tree.
+    Raises `Unsupported` for GRAPH, other paths, and DISTINCT over ``*``. Cost: one pass over the
+    tree.
     """
     if query.where is None:
         raise Unsupported("a query without WHERE")
     if query.is_short:
-        # A graph of triples as they are: there is nothing to count.
+        # CONSTRUCT WHERE returns the graph of the matched triples: a set in any case.
         return query
     return _Rewriter().query(query)
 
@@ -85,14 +85,15 @@ class _Rewriter:
         return ast.Graph(Variable(f"{HIDDEN}{self.patterns}"), ast.Group((pattern,)))
 
     def place(self, term: ast.Place) -> ast.Place:
-        """A term of a pattern. A blank node becomes a hidden variable: it stands in two graphs."""
+        """Return a term of a pattern. A blank node is local to a graph pattern, and the rewritten
+        one is split, so it becomes a hidden variable."""
         if not isinstance(term, BlankNode):
             return term
         return self.nodes.setdefault(term.value, Variable(f"{HIDDEN}node_{len(self.nodes)}"))
 
 
 def _counts(verb: ast.Path | Variable) -> bool:
-    """Whether a pattern with this predicate matches once a copy."""
+    """Whether a pattern with this predicate matches once per copy."""
     match verb:
         case NamedNode() | Variable():
             return verb != RDF_TYPE

@@ -1,4 +1,4 @@
-"""A query for Oxigraph, with calls of `standard_functions` where it is not as the standard."""
+"""Rewrites a query for Oxigraph: it calls `standard_functions` where Oxigraph deviates."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..values.standard_functions import ORDER, TRUTH
 _BOOLEANS: Final = (ast.Comparison, ast.Logical, ast.In, ast.Exists)
 
 
-def standard(query: ast.Query) -> ast.Query:
-    """The query with calls of `standard_functions` where Oxigraph may be otherwise."""
+def rewrite_to_standard(query: ast.Query) -> ast.Query:
+    """Replace the parts of a query that Oxigraph evaluates otherwise by `standard_functions`."""
     return ast.rewrite(query, _changed)
 
 
@@ -37,7 +37,7 @@ def _changed(node: object) -> object | None:
 
 
 def _truth(expression: ast.Expression) -> ast.Expression:
-    """An expression of whose value the boolean value is asked."""
+    """Rewrite an expression whose effective boolean value is used."""
     found = ast.rewrite(expression, _changed)
     is_boolean = isinstance(expression, _BOOLEANS) or (
         isinstance(expression, ast.Unary) and expression.operator == "!"

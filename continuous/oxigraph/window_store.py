@@ -1,7 +1,8 @@
-"""Oxigraph a window: a fresh store with the window's content and the static triples it needs.
+"""Evaluation of windows by Oxigraph: a fresh store per window, with its content and the static
+triples that the query needs.
 
-A long-lived store leaks under adding and removing, and a fresh one is exact. A store merges equal
-triples: under bag semantics a window that holds some is asked by `bag_rewrite.counting`.
+A long-lived store would leak memory under additions and removals. A store merges equal triples: if
+a window has some under bag semantics, `bag_rewrite.count_copies` rewrites the query.
 """
 
 from __future__ import annotations
@@ -26,26 +27,28 @@ from ...streams.time import format_time
 from ..algebra.from_sparql import Graphs
 from ..algebra.plan import DEFAULT
 from ..algebra.unsupported import Unsupported
-from ..columns.oxigraph_port import NOTHING, Found, Kept, Table
+from ..columns.oxigraph_port import NO_QUADS, SparqlResult, StoredQuads, Table
 from ..columns.relation import TermValues, term_column
 from ..operators.results import Solutions, WindowResult
 from ..operators.sources import StaticSide, distinct_ids
 from ..values.literals import canonical
-from .bag_rewrite import HIDDEN, copy_graph, counting
-from .standard_rewrite import standard
+from .bag_rewrite import HIDDEN, copy_graph, count_copies
+from .standard_rewrite import rewrite_to_standard
 
 _DEFAULT = DefaultGraph()
 
 
 class OxigraphWindows:
-    """Evaluates a query over one window after the other.
+    """Evaluates a query for successive windows.
 
-    Cost a window: a Python object a triple of the window and of the static triples that the query
-    can touch (chosen once a version of the background), then Oxigraph's; under bag semantics a
-    look-up a triple more, and twice the store where triples are equal. Memory: one such store.
-    Blank nodes that the query makes are called by ``seed`` and the window. Oxigraph reads the text
-    where it evaluates it, in the service another process (`oxigraph_port`). Nothing is printed
-    before a window, or `explain`, needs it: most queries are evaluated in columns.
+    Cost per window: a Python object per triple of the window and per static triple that the query
+    can match (selected once per version of the background), and Oxigraph's own cost. Under bag
+    semantics add a look-up per triple, and a store twice as large if there are equal triples.
+    Memory: one such store.
+
+    The query's new blank nodes get names from ``seed`` and the window. Oxigraph parses the text
+    where it evaluates it: in the service in another process (`oxigraph_port`). The text is only
+    made when a window, or `explain`, needs it, since most queries are evaluated in columns.
     """
 
     def __init__(
@@ -59,115 +62,116 @@ class OxigraphWindows:
         seed: str = "",
     ) -> None:
         self.graphs = graphs or Graphs()
-        self.asked = query
+        self.source = query
         self.distinct = distinct
         self.static = static
         self.terms = terms
         self.seed = seed
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
-        self._kept = NOTHING
+        self._kept = NO_QUADS
 
     @cached_property
     def query(self) -> ast.Query:
-        """What is asked, with the terms of parameters."""
-        return _restricted(body_with_rows(self.asked), self.graphs)
+        """The SPARQL query, with the terms of parameters."""
+        return _restricted(body_with_rows(self.source), self.graphs)
 
     @cached_property
     def sparql(self) -> str:
-        """The same as text, with the prefixes of the source."""
-        return print_query(self.query, self.asked.prefixes)
+        """The SPARQL text, with the prefixes of the source."""
+        return print_query(self.query, self.source.prefixes)
 
     @cached_property
     def _text(self) -> _Text:
-        return _Text(standard(self.query))
+        return _Text(rewrite_to_standard(self.query))
 
     @cached_property
     def _label(self) -> str:
-        told = f"{self.sparql} {self.seed}".encode()
-        return f"q{hashlib.blake2b(told, digest_size=8).hexdigest()}"
+        text = f"{self.sparql} {self.seed}".encode()
+        return f"q{hashlib.blake2b(text, digest_size=8).hexdigest()}"
 
     @cached_property
     def _named(self) -> tuple[frozenset[NamedNode] | None, frozenset[NamedNode] | None]:
-        return named(self.query)
+        return named_predicates(self.query)
 
     @cached_property
-    def counting(self) -> _Text | None:
-        """The text for windows that hold equal triples, None where they count once."""
+    def bag_text(self) -> _Text | None:
+        """The text for windows with equal triples; None if they count once."""
         if self.distinct:
             return None
         try:
-            return _Text(standard(counting(self.query)))
+            return _Text(rewrite_to_standard(count_copies(self.query)))
         except Unsupported as unsupported:
             self.merges = str(unsupported)
             return None
 
     merges: str = ""
-    """Under bag semantics: why equal triples are merged nevertheless (`counting` is None)."""
+    """Why equal triples are merged although the query has bag semantics (`bag_text` is None)."""
 
     def solve(
         self, contents: Mapping[str, Sequence[TripleRows]], start: int, end: int
     ) -> WindowResult:
-        """The result of the query over the content of windows, by graph, and the static side."""
+        """Return the result of the query over the windows' content, by graph, and the static
+        side."""
         static = self._static_quads()
         content = list(self._content(contents.get(DEFAULT, ()), _DEFAULT))
-        asked = list(content)
-        again = False
+        quads = list(content)
+        has_equal = False
         for name in self.graphs.windows:
             named = list(self._content(contents.get(name, ()), NamedNode(name)))
-            again |= len(set(named)) < len(named)
-            asked += named
+            has_equal |= len(set(named)) < len(named)
+            quads += named
         copies = [] if self.distinct else _copies(static, content)
         text = self._text
-        if copies and self.counting is not None:
-            asked += copies
-            text = self.counting
-        merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
+        if copies and self.bag_text is not None:
+            quads += copies
+            text = self.bag_text
+        merged = (bool(copies) or (has_equal and not self.distinct)) and self.bag_text is None
         budget = self.terms.budget
         with budget.pauses.released(waits=True):
-            found = budget.asking.ask(text.at(end), self._kept, asked)
-        found = self._named_again(found, end, asked)
-        return replace(self._read(found, start, end), merged=merged)
+            result = budget.oxigraph.ask(text.at(end), self._kept, quads)
+        result = self._rename_nodes(result, end, quads)
+        return replace(self._read(result, start, end), merged=merged)
 
-    def _named_again(self, found: Found, end: int, asked: Iterable[Quad]) -> Found:
-        """What was found, with blank nodes that the query has made named by the window: Oxigraph
-        calls them otherwise each time, and a window may be computed again."""
-        if isinstance(found, bool):
-            return found
-        rows = found.rows if isinstance(found, Table) else found
-        made = dict.fromkeys(term for row in rows for term in row if isinstance(term, BlankNode))
-        if not made:
-            return found
-        known = {t for q in (*asked, *self._kept.quads) for t in (q.subject, q.object)}
+    def _rename_nodes(self, result: SparqlResult, end: int, quads: Iterable[Quad]) -> SparqlResult:
+        """Rename the blank nodes that the query created, by window and order. Oxigraph names them
+        randomly, but a window that is computed again must give the same result."""
+        if isinstance(result, bool):
+            return result
+        rows = result.rows if isinstance(result, Table) else result
+        nodes = dict.fromkeys(term for row in rows for term in row if isinstance(term, BlankNode))
+        if not nodes:
+            return result
+        existing = {t for q in (*quads, *self._kept.quads) for t in (q.subject, q.object)}
         names: dict[Any, Any] = {
             node: BlankNode(f"{self._label}t{end}n{number}".replace("-", "m"))
-            for number, node in enumerate(node for node in made if node not in known)
+            for number, node in enumerate(node for node in nodes if node not in existing)
         }
-        if isinstance(found, Table):
-            again = [[names.get(term, term) for term in row] for row in rows]
-            return Table(found.variables, again)
-        return [Triple(*(names.get(term, term) for term in triple)) for triple in found]
+        if isinstance(result, Table):
+            renamed = [[names.get(term, term) for term in row] for row in rows]
+            return Table(result.variables, renamed)
+        return [Triple(*(names.get(term, term) for term in triple)) for triple in result]
 
-    def _read(self, found: Found, start: int, end: int) -> WindowResult:
+    def _read(self, result: SparqlResult, start: int, end: int) -> WindowResult:
         dictionary = self.terms.dictionary
-        if isinstance(found, bool):
-            return WindowResult(start, end, answer=found)
-        if not isinstance(found, Table):
+        if isinstance(result, bool):
+            return WindowResult(start, end, answer=result)
+        if not isinstance(result, Table):
             triples = dict.fromkeys(
-                (end, _term(t.subject), t.predicate, _term(t.object)) for t in found
+                (end, _term(t.subject), t.predicate, _term(t.object)) for t in result
             )
-            made = from_terms(triples, dictionary)
-            return WindowResult(start, end, triples=TimedTriples(dictionary, made.tables))
-        places = {name: i for i, name in enumerate(found.variables) if not name.startswith(HIDDEN)}
+            rows = from_terms(triples, dictionary)
+            return WindowResult(start, end, triples=TimedTriples(dictionary, rows.tables))
+        places = {name: i for i, name in enumerate(result.variables) if not name.startswith(HIDDEN)}
         columns = {
-            name: term_column([row[i] for row in found.rows], dictionary.transient_id)
+            name: term_column([row[i] for row in result.rows], dictionary.transient_id)
             for name, i in places.items()
         }
-        solutions = Solutions(tuple(places), columns, dictionary, len(found.rows))
+        solutions = Solutions(tuple(places), columns, dictionary, len(result.rows))
         return WindowResult(start, end, solutions=solutions)
 
     def _static_quads(self) -> dict[Quad, None]:
-        """The static triples that the query can touch, each once; those of named graphs aside."""
+        """Return the static triples of the default graph that the query can match, each once."""
         background = self.static.background
         version = background.version
         if version != self._version:
@@ -182,7 +186,7 @@ class OxigraphWindows:
                 for s, p, o in background.triples(name)
                 if _is_node(s)
             ]
-            self._kept = Kept([*self._quads, *named_quads])
+            self._kept = StoredQuads([*self._quads, *named_quads])
         return self._quads
 
     def _content(
@@ -203,7 +207,7 @@ class OxigraphWindows:
 
 
 class _Text:
-    """A query as text, with NOW() as the end of a window: nothing here reads a clock."""
+    """A query as text, with NOW() as the end of a window: no clock is read here."""
 
     def __init__(self, query: ast.Query) -> None:
         text = print_query(query)
@@ -218,13 +222,13 @@ class _Text:
         self._parts = print_query(ast.rewrite(query, marked)).split(f"<{mark}>")
 
     def at(self, end: int) -> str:
-        """The text for the window that ends then."""
+        """Return the text for the window that ends at ``end``."""
         now = Literal(format_time(end), datatype=NamedNode(XSD + "dateTime"))
         return term_text(now).join(self._parts)
 
 
 def _restricted(query: ast.Query, graphs: Graphs) -> ast.Query:
-    """The query with the graphs that each ``GRAPH ?g`` may stand for: windows or static ones."""
+    """Restrict each ``GRAPH ?g`` to the graphs that it may mean: windows or static ones."""
 
     def change(node: object) -> ast.Group | None:
         if not isinstance(node, ast.Group):
@@ -246,19 +250,19 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
 
 
 def _copies(static: Collection[Quad], content: Sequence[Quad]) -> list[Quad]:
-    """Every triple once a copy graph, as often as it is there; empty if all are there once.
+    """Return every triple in as many copy graphs as it has copies; nothing if all occur once.
 
-    A static triple is one more element. Types are a set of facts and have one copy.
+    A static triple is one more copy. Types are a set of facts and have one copy.
     """
     counts = dict.fromkeys(static, 1)
-    again = False
+    has_equal = False
     for quad in content:
-        known = counts.get(quad, 0)
-        if known and quad.predicate == RDF_TYPE:
+        count = counts.get(quad, 0)
+        if count and quad.predicate == RDF_TYPE:
             continue
-        again |= known > 0
-        counts[quad] = known + 1
-    if not again:
+        has_equal |= count > 0
+        counts[quad] = count + 1
+    if not has_equal:
         return []
     return [
         Quad(quad.subject, quad.predicate, quad.object, copy_graph(number))
@@ -271,10 +275,10 @@ def _value(term: Any) -> Any:
     return canonical(term) if isinstance(term, Literal) else term
 
 
-def named(
+def named_predicates(
     query: ast.Query,
 ) -> tuple[frozenset[NamedNode] | None, frozenset[NamedNode] | None]:
-    """The predicates and the classes that a query names; None where it may touch any."""
+    """Return the predicates and the classes that a query names; None if it may read any."""
     predicates: set[NamedNode] = set()
     classes: set[NamedNode] = set()
     anything = any_class = query.form is ast.Form.DESCRIBE

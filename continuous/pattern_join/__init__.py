@@ -1,1 +1,1 @@
-"""Joins of triple patterns over a window by compiled loops, and the rows that they keep."""
+"""Joins of triple patterns over a window in compiled loops, and the rows that these store."""

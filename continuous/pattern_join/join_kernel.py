@@ -1,14 +1,14 @@
-"""The compiled join of triple patterns: one loop for every query, which reads its patterns as data.
+"""The compiled join of triple patterns: one loop for every query, which reads the patterns as data.
 
-The rows are those of `row_kernels`. Solutions are kept from one evaluation to the next: those
-of which a row has gone go, and those that a new row makes come, found pattern by pattern: the new
-rows of one, joined with the rows of the patterns before it that are not new and all rows of those
-after it. The patterns are put in order by how much they leave, and matched one inside the other,
-along a chain where an end is bound. `solver` makes the tables and reads the answers. The loop is
-the same in plain Python (``py_func``).
+The rows are those of `row_kernels`. Solutions are kept from one evaluation to the next: that is
+semi-naive evaluation. Solutions with a removed row are dropped. New ones are found pattern by
+pattern: the new rows of one (its delta) are joined with the old rows of the patterns before it and
+all rows of those after it, so that none is found twice. The patterns are ordered by selectivity and
+matched as nested loops, along a hash chain if an end is bound. `solver` makes the tables and reads
+the results. The loop is the same in plain Python (``py_func``).
 
-It is one function of four hundred lines, and makes this file long, because what is compiled can
-call nothing that is not: its parts are headed by comments instead of names.
+It is one function of four hundred lines, and makes this file long: compiled code can only call
+compiled code, and calls would cost time in the inner loop. Comments head its parts instead.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ from .row_kernels import (
     WAYS,
 )
 
-# What a filter does: put a value on the stack, or combine the last ones.
+# The operations of a filter: push a value on the stack, or combine the last ones.
 CONSTANT, VARIABLE, ADD, SUBTRACT, MULTIPLY, DIVIDE = 0, 1, 2, 3, 4, 5
 EQUAL, UNEQUAL, LESS, LESS_EQUAL, GREATER, GREATER_EQUAL = 6, 7, 8, 9, 10, 11
 AND, OR, NOT, NEGATE = 12, 13, 14, 15
 
 LONGS = 9
-"""`literals.Sort`: from here on no term is told from another by its id alone."""
+"""`literals.Sort`: terms of this sort and above may be equal in value though their ids differ."""
 OVERSPENT = -2
-"""The answer of `match` that has looked at more rows than it may."""
+"""The result of `match` if it visited more rows than allowed."""
 DOUBTFUL = -1
-"""The answer of `match` where a filter meets what only `expression_evaluation` can judge."""
+"""The result of `match` if a filter meets values that only `expression_evaluation` can compare."""
 
-# What is known of a depth: its slot, subject, object and way, which ends have values before it, the
-# rows it looks at (from one, below one), and whether it goes on to static ones.
+# A step of the join, one per depth: its slot, subject, object and way, which ends are bound before,
+# the bounds of its rows (from, below), and whether it continues with static rows.
 AT_SLOT, AT_SUBJECT, AT_OBJECT, AT_WAY, KNOWS_SUBJECT, KNOWS_OBJECT, ABOVE, BELOW = range(8)
 GOES_ON, STEP = 8, 9
 
 STATIC = -1
-"""In place of the row of a pattern in a solution: a static one."""
+"""Stands for a static row in a solution."""
 
 
 def _match(
-    # The rows of the windows, and the static ones; by slot how many are visible.
+    # The rows of the windows, and the static ones; the number of visible ones by slot.
     rows: Any,
     heads: Any,
     sizes: Any,
@@ -74,36 +74,36 @@ def _match(
     static_heads: Any,
     static_sizes: Any,
     static_visible: Any,
-    # The rows from here on are new, so many of each slot; ``whole``: all are.
+    # Rows from here on are new, with their number by slot; ``from_scratch``: all rows are new.
     first_new: int,
     new: Any,
-    whole: bool,
+    from_scratch: bool,
     windows: int,
-    # A row a pattern: slot, subject and object as a variable, or below 0 as constant -1 - i.
+    # One row per pattern: slot, subject and object, each a variable, or a constant as -1 - i.
     patterns: Any,
     needed: Any,
     constant_tags: Any,
     constant_bits: Any,
-    # The filters: a row an operation (what, argument), where each begins, the variables it needs.
+    # The filters: one row per operation (code, argument), their starts, the variables they need.
     operations: Any,
     filter_starts: Any,
     filter_needs: Any,
     term_sorts: Any,
-    # By variable: where its values go, -1 for nowhere.
+    # By variable: its output row, or -1.
     shown: Any,
-    # The solutions: a row of each pattern, then the first of them; ``kept`` are known.
+    # The solutions: a row of each pattern, then the oldest of them; the first ``kept`` are known.
     solutions: Any,
     kept: int,
     out_tags: Any,
     out_bits: Any,
     uniform: Any,
-    # How many rows it may look at, below 0 any number.
-    most: int,
+    # The limit of visited rows, or below 0.
+    visit_limit: int,
 ) -> tuple[int, int]:
-    """Writes the solutions, a row a variable, and returns how many stayed and how many there are
-    now (they may not have fitted), or `DOUBTFUL` or `OVERSPENT`. Where ``solutions`` has no
-    columns, none is to be known the next time. ``uniform``: the one tag of a variable's values, -1
-    if they differ."""
+    """Write the solutions, a row per variable. Return how many old ones stayed, and how many there
+    are now (they may not have fitted), or `DOUBTFUL` or `OVERSPENT`. If ``solutions`` has no
+    columns, nothing is kept for the next evaluation. ``uniform``: the common tag of a variable's
+    values, or -1."""
     pattern_count = patterns.shape[0]
     variable_count = shown.shape[0]
     shown_count = out_tags.shape[0]
@@ -111,7 +111,7 @@ def _match(
     capacity = out_tags.shape[1]
     keeps = solutions.shape[1] > 0
     floor = marks[FLOOR]
-    # The solutions that stay. In one window without copies rows go in order.
+    # The solutions that stay. With one window and no copies rows expire in order, which is simpler.
     found = np.int64(0)
     simple = windows == 1 and marks[LASTING] == 0
     for n in range(kept):
@@ -132,7 +132,7 @@ def _match(
                     out_bits[v, found] = out_bits[v, n]
             found += 1
     stayed = found
-    looked = np.int64(0)
+    visited = np.int64(0)
     order = np.empty(pattern_count, np.int64)
     ways = np.empty(pattern_count, np.int64)
     chosen = np.zeros(pattern_count, np.bool_)
@@ -151,17 +151,17 @@ def _match(
     step = np.empty((pattern_count, STEP), np.int64)
     cursor = np.full(pattern_count + 1, -2, np.int64)
     on_static = np.zeros(pattern_count + 1, np.bool_)
-    # One turn a pattern that may have new rows; where nothing is known, one over all rows.
-    for turn in range(1 if whole else pattern_count):
-        possible = whole or new[patterns[turn, 0]] > 0
+    # One round per pattern that may have new rows; from scratch, one round over all rows.
+    for delta in range(1 if from_scratch else pattern_count):
+        possible = from_scratch or new[patterns[delta, 0]] > 0
         for p in range(pattern_count):
             slot = patterns[p, 0]
             number = visible[slot] + static_visible[slot]
-            if number == 0 or (not whole and p < turn and number == new[slot]):
+            if number == 0 or (not from_scratch and p < delta and number == new[slot]):
                 possible = False
         if not possible:
             continue
-        # The order of the patterns, and how the rows of each are found.
+        # Order the patterns greedily by cost, and choose how to find the rows of each.
         chosen[:] = False
         bound[:] = False
         for depth in range(pattern_count):
@@ -170,7 +170,7 @@ def _match(
                 if chosen[p]:
                     continue
                 slot, s, o = patterns[p, 0], patterns[p, 1], patterns[p, 2]
-                if p == turn and not whole:
+                if p == delta and not from_scratch:
                     number = float(new[slot])
                 else:
                     number = float(visible[slot] + static_visible[slot])
@@ -179,7 +179,7 @@ def _match(
                 if subject_bound and object_bound:
                     cost, way = 0.5, BY_TRIPLE if needed[slot] & 8 else BY_SUBJECT
                 elif subject_bound:
-                    # One subject of a slot may have most of it.
+                    # A constant subject may have most rows of a slot.
                     cost, way = 1.0 + (0.01 * number if s < 0 else 0.0), BY_SUBJECT
                 elif object_bound:
                     cost, way = 2.0 + 0.1 * number, BY_OBJECT
@@ -188,12 +188,12 @@ def _match(
                 else:
                     cost, way = 3.0 + number, BY_SLOT
                 for f in range(filter_count):
-                    # Among equals first what a filter looks at: fewer go on from there.
+                    # Of equal costs prefer a pattern with a filter: fewer rows remain.
                     if (s >= 0 and filter_needs[f, s]) or (o >= 0 and filter_needs[f, o]):
                         cost -= 0.25
                         break
                 if not (s >= 0 and bound[s]) and not (o >= 0 and bound[o]) and depth > 0:
-                    # It shares nothing with what is bound: a product.
+                    # It shares no variable with the bound ones: a product.
                     cost = cost * 4.0 + 4.0
                 if cost < best_cost:
                     best, best_cost, best_way = p, cost, way
@@ -204,7 +204,7 @@ def _match(
                 bound[patterns[best, 1]] = True
             if patterns[best, 2] >= 0:
                 bound[patterns[best, 2]] = True
-        # The depth at which all variables of a filter are bound.
+        # Each filter runs at the depth at which all its variables are bound.
         filter_depth[:] = 0
         for f in range(filter_count):
             for depth in range(pattern_count):
@@ -219,7 +219,7 @@ def _match(
                                 first = False
                         if first:
                             filter_depth[f] = depth
-        # What is known at each depth, and between which rows it looks.
+        # The steps: which ends are bound at each depth, and between which rows it searches.
         bound[:] = False
         for depth in range(pattern_count):
             p = order[depth]
@@ -230,20 +230,20 @@ def _match(
             step[depth, AT_OBJECT] = o if o >= 0 else variable_count - 1 - o
             step[depth, KNOWS_SUBJECT] = 1 if s < 0 or bound[s] else 0
             step[depth, KNOWS_OBJECT] = 1 if o < 0 or bound[o] else 0
-            step[depth, ABOVE] = first_new if p == turn and not whole else floors[slot]
-            step[depth, BELOW] = first_new if p < turn and not whole else marks[COUNT]
-            goes_on = static_visible[slot] > 0 and (p != turn or whole)
+            step[depth, ABOVE] = first_new if p == delta and not from_scratch else floors[slot]
+            step[depth, BELOW] = first_new if p < delta and not from_scratch else marks[COUNT]
+            goes_on = static_visible[slot] > 0 and (p != delta or from_scratch)
             step[depth, GOES_ON] = 1 if goes_on else 0
             if s >= 0:
                 bound[s] = True
             if o >= 0:
                 bound[o] = True
-        # One pattern inside the other; a cursor a depth: the row, and on which side it is.
+        # Nested loops without recursion; a cursor per depth: its row, and on which side it is.
         cursor[:] = -2
         on_static[:] = False
         depth = 0
         while depth >= 0:
-            if most >= 0 and looked > most:
+            if visit_limit >= 0 and visited > visit_limit:
                 return OVERSPENT, OVERSPENT
             if depth == pattern_count:
                 if found < capacity:
@@ -269,11 +269,11 @@ def _match(
             above, below = step[depth, ABOVE], step[depth, BELOW]
             at, static_side = cursor[depth], on_static[depth]
             matched = False
-            # No number is the subject of a triple.
+            # A number cannot be a subject: then there is nothing to search.
             while not subject_known or value_tags[s] == 0:
-                looked += 1
+                visited += 1
                 if at == -2:
-                    # Where the chain begins.
+                    # Find the head of the chain.
                     if way == BY_SLOT:
                         key, static_key = slot, slot
                     else:
@@ -338,7 +338,7 @@ def _match(
             if not object_known:
                 value_tags[o] = row_tag
                 value_bits[o] = row_bits
-            # The filters that can be judged now: three-valued; only what is true goes on.
+            # Run the filters of this depth, in three-valued logic; only true passes.
             passes = True
             for f in range(filter_count):
                 if filter_depth[f] != depth:
@@ -410,7 +410,7 @@ def _match(
                         if what == DIVIDE:
                             if b == 0.0:
                                 if tag > 2:
-                                    # Infinite, or no number.
+                                    # Infinity or NaN.
                                     return DOUBTFUL, DOUBTFUL
                                 stack_tags[top] = -1
                                 continue
@@ -425,7 +425,7 @@ def _match(
                             else:
                                 value = a / b
                         else:
-                            # As `decimals.combined`: mantissas of one scale.
+                            # As `decimals.combine`: mantissas of a common scale.
                             scale = np.int64(0)
                             while scale <= 15:
                                 x = np.rint(a * POWERS[scale + 22])
@@ -443,7 +443,7 @@ def _match(
                                 value = x * y
                                 scale = scale * 2
                             else:
-                                # As `decimals.quotients`, a digit after the other.
+                                # As `decimals.quotients`, digit by digit.
                                 above, below = np.int64(abs(x)), np.int64(abs(y))
                                 digits, rest = above // below, above % below
                                 scale = np.int64(0)
@@ -489,7 +489,7 @@ def _match(
                     elif what <= UNEQUAL:
                         same = a_tag == b_tag and a_id == b_id
                         if not same:
-                            # Other literals, and numbers that are too long for a column.
+                            # Other literals, and numbers that do not fit a column.
                             if a_tag == 0 and not 0 < term_sorts[a_id] < LONGS:
                                 return DOUBTFUL, DOUBTFUL
                             if b_tag == 0 and not 0 < term_sorts[b_id] < LONGS:
@@ -522,7 +522,7 @@ def _match(
     return int(stayed), int(found)
 
 
-def _of_match() -> Any:
+def _match_signature() -> Any:
     from numba import types
 
     int8s, int32s, int64s = types.int8[::1], types.int32[::1], types.int64[::1]
@@ -556,4 +556,4 @@ def _of_match() -> Any:
     )
 
 
-match = Kernel(_match, _of_match)
+match = Kernel(_match, _match_signature)

@@ -1,5 +1,5 @@
-"""Which parts of a plan the compiled loop serves: patterns with constant predicates, their joins,
-and filters of numbers on them (see `solver`).
+"""The parts of a plan that the compiled loop evaluates: patterns with constant predicates, their
+joins, and numeric filters on them (see `solver`).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from ..algebra.plan import (
     Project,
     Scan,
     TypeScan,
-    asked,
     inputs,
     outputs,
+    used_variables,
     walk,
     with_inputs,
 )
@@ -77,7 +77,7 @@ _HIGHEST = 60
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A predicate in a graph; of classes, `RDF_TYPE`."""
+    """A predicate in a graph; `RDF_TYPE` for classes."""
 
     graph: str
     predicate: NamedNode
@@ -88,7 +88,7 @@ def slot_of(leaf: Scan | TypeScan) -> Slot:
 
 
 def pattern_parts(plan: Plan) -> Plan:
-    """``plan`` with the parts of each join that this room serves put together in one join."""
+    """Put the parts of each join that the loop can evaluate together into one join."""
     plan = with_inputs(plan, pattern_parts)
     if isinstance(plan, Join):
         served = tuple(part for part in plan.parts if _is_served(part))
@@ -99,7 +99,7 @@ def pattern_parts(plan: Plan) -> Plan:
 
 
 def served_parts(plan: Plan) -> Iterator[Plan]:
-    """The largest parts of ``plan`` that are served: joins and filters of patterns."""
+    """Yield the largest parts of ``plan`` that the loop can evaluate."""
     if _is_served(plan) and any(True for _ in leaves(plan)):
         yield plan
         return
@@ -116,9 +116,9 @@ def _is_served(plan: Plan) -> bool:
         case Join(parts):
             return bool(parts) and all(_is_served(part) for part in parts)
         case Filter(condition, child):
-            # What a filter inside a join does not see there is unbound.
-            seen = variables(condition) <= outputs(child)
-            return seen and _is_served(child) and _is_compiled(condition)
+            # A variable that the child does not bind is unbound in this filter, whatever its name.
+            bound = variables(condition) <= outputs(child)
+            return bound and _is_served(child) and _is_compiled(condition)
         case _:
             return False
 
@@ -138,7 +138,7 @@ def conditions(plan: Plan) -> Iterator[Expression]:
 
 
 def _is_compiled(expression: Expression) -> bool:
-    """Whether the loop knows all of it, and its stack is high enough."""
+    """Whether the loop implements all of it, and its stack suffices."""
     height = 0
     for one in postorder(expression):
         match one:
@@ -156,26 +156,26 @@ def _is_compiled(expression: Expression) -> bool:
 
 
 def needed_outside(plan: Plan, parts: Sequence[Plan]) -> list[frozenset[str]]:
-    """For each of ``parts`` the variables of it that the rest of ``plan`` looks at: all, where it
+    """Return for each of ``parts`` its variables that the rest of ``plan`` uses; all of them if it
     compares whole solutions. Cost: one pass over the plan, and one over each part."""
     nodes = {id(node): node for node in walk(plan)}
-    looks = {number: _looked_at(node) for number, node in nodes.items()}
-    all_names = Counter(chain.from_iterable(looks.values()))
-    wholes = {number for number, node in nodes.items() if _compares_whole(node)}
-    found = []
+    uses = {number: _used_names(node) for number, node in nodes.items()}
+    all_uses = Counter(chain.from_iterable(uses.values()))
+    comparing = {number for number, node in nodes.items() if _compares_solutions(node)}
+    needed = []
     for part in parts:
         inside = {id(node) for node in walk(part)}
-        own = Counter(chain.from_iterable(looks[number] for number in inside))
-        if wholes <= inside:
-            found.append(frozenset(n for n in outputs(part) if all_names[n] > own[n]))
+        own = Counter(chain.from_iterable(uses[number] for number in inside))
+        if comparing <= inside:
+            needed.append(frozenset(n for n in outputs(part) if all_uses[n] > own[n]))
         else:
-            found.append(outputs(part))
-    return found
+            needed.append(outputs(part))
+    return needed
 
 
-def _looked_at(node: Plan) -> frozenset[str]:
-    """The variables that one node looks at, of what its inputs give."""
-    names = asked(node)
+def _used_names(node: Plan) -> frozenset[str]:
+    """Return the variables of its inputs that one node uses."""
+    names = used_variables(node)
     if not inputs(node):
         names |= outputs(node)
     match node:
@@ -188,8 +188,8 @@ def _looked_at(node: Plan) -> frozenset[str]:
     return names
 
 
-def _compares_whole(node: Plan) -> bool:
-    """Whether a node compares all that its input gives."""
+def _compares_solutions(node: Plan) -> bool:
+    """Whether a node compares whole solutions of its input."""
     match node:
         case Aggregate(_, aggregations):
             return any(one.distinct and one.argument is None for one in aggregations)

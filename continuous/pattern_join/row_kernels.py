@@ -1,14 +1,14 @@
-"""The compiled loops that keep the triples of windows for joins of patterns (`window_rows`).
+"""The compiled loops that store the triples of windows for joins of patterns (`window_rows`).
 
 A triple is a row of numbers: its *slot* (a predicate in a graph that the query names), the id of
-its subject, its object as tag and bits (`relation.TermValues.encoded`), its time and its window. A
-row stays from the evaluation that sees it first to the one that does not see it any more, and is
-linked to the rows before it with the same slot, subject, object or triple: a chain goes from the
-newest row to the oldest, so nothing has to be taken out of it. Each loop is the same in plain
-Python (``py_func``).
+its subject, its object as tag and bits (`relation.TermValues.encode`), its time and its window. A
+row stays from the first evaluation whose window contains it to the last. It is linked to the
+previous rows with the same slot, subject, object or triple. Such a chain goes from the newest row
+to the oldest, so a search stops at the first expired row, and nothing is unlinked. Each loop is the
+same in plain Python (``py_func``).
 
-Hashes of a row are written out wherever they are needed, since what is compiled can call nothing
-that is not; `join_kernel` has them too.
+The hashes of a row are written out at each use, since compiled code can only call compiled code;
+`join_kernel` has them too.
 """
 
 from __future__ import annotations
@@ -20,45 +20,45 @@ from numpy.typing import NDArray
 
 from ...streams.jit import Kernel
 
-# Of a row what a join looks at, in half a cache line: its slot with tag and state (`PLACE`), its
-# subject, the bits of its object, low and high, and the row before it in each chain.
+# The columns of a row that a join reads, in half a cache line: its slot with tag and state
+# (`PLACE`), its subject, the bits of its object (low, high), and its predecessor in each chain.
 PLACE, SUBJECT, LOW, HIGH, LINKS = 0, 1, 2, 3, 4
 ROW = 8
 BY_SLOT, BY_SUBJECT, BY_OBJECT, BY_TRIPLE = 0, 1, 2, 3
 WAYS = 4
 SLOT_MASK, TAG_SHIFT, TAG_MASK, STATE_SHIFT = 0xFFFF, 16, 0xFF, 24
 SEEN_MASK = 0x7F00FFFF
-"""Of a place what is the slot alone, where the row is visible."""
-# What only its coming and going needs. ROOT: the row that stands for all of its triple, COPIES: how
-# many of them are in the windows. DERIVED: it says what the sort of an annotation means.
+"""Masks the slot and the visibility of a place."""
+# Columns that only `select_rows` needs. ROOT: the row that represents all equal triples, COPIES:
+# their number in the windows. DERIVED: the row follows from the sort of an annotation.
 WINDOW, ROOT, COPIES, DERIVED = 0, 1, 2, 3
 
 VISIBLE, GONE, COPY, COVERED = 0, 1, 2, 3
-"""A row that joins see; that has left its window; that another row stands for (equal triples count
-once); that a static triple stands for, or the classes of its sort."""
+"""Visible to joins; expired; represented by an equal row (equal triples count once); represented by
+a static triple, or by the classes of its sort."""
 
 SORT_SLOT = SLOT_MASK
-"""Of a row that says of what sort its subject is, by number."""
+"""The slot of a row that states the sort of its subject, as a number."""
 
-# What is counted: rows, those that have not gone, the first that may be visible, the visible ones
-# that have left their window and stand for others, pending rows from and to.
+# Counters: rows, rows that have not expired, the first row that may be visible, visible rows that
+# have expired but represent others, the first and the last pending row.
 COUNT, KEPT, FLOOR, LASTING, FIRST_PENDING, LAST_PENDING, MARKS = 0, 1, 2, 3, 4, 5, 6
 
 LOST = -2
-"""Where a row is that has gone."""
+"""The new position of a row that was removed."""
 
 DONE, UNORDERED = 0, -1
-"""The answers of `turn`; else how many more rows there has to be room for."""
+"""The results of `select_rows`; otherwise the number of rows that need space."""
 
 
-def _wait(
-    # What has come, part by part, each a row: window, slot, kind, length; ``by`` puts it in order.
+def _append_pending(
+    # New rows, part by part (window, slot, kind, length); ``by`` orders them by time.
     parts: Any,
     subjects: Any,
     words: Any,
     times: Any,
     by: Any,
-    # By term: its tag and bits (`relation.TermValues.encoded`).
+    # By term: its tag and bits (`relation.TermValues.encode`).
     term_tags: Any,
     term_bits: Any,
     pending: Any,
@@ -66,7 +66,7 @@ def _wait(
     pending_times: Any,
     start: int,
 ) -> None:
-    """Writes what has come to the pending rows from ``start`` on."""
+    """Write new rows to the pending rows from ``start`` on."""
     part_of = np.empty(times.shape[0], np.int32)
     row = 0
     for p in range(parts.shape[0]):
@@ -87,16 +87,15 @@ def _wait(
         pending_times[start + n] = times[row]
 
 
-def _turn(
-    # By window, its bounds; by sort that was met, the windows, slots and classes it stands for.
+def _select_rows(
+    # By window its bounds; by annotated sort the windows, slots and classes that it implies.
     lows: Any,
     highs: Any,
     sort_starts: Any,
     sort_windows: Any,
     sort_slots: Any,
     sort_classes: Any,
-    # What has come and no evaluation has seen, in order of time: window, slot, subject, tag; bits,
-    # time.
+    # Rows that no evaluation has seen, in order of time: window, slot, subject, tag; bits; times.
     pending: Any,
     pending_bits: Any,
     pending_times: Any,
@@ -112,9 +111,9 @@ def _turn(
     details: Any,
     heads: Any,
     sizes: Any,
-    # By slot: the visible rows, those that ever were, the first that may be visible, those that
-    # have left their window and stand for others. By window: the rows before have gone; and by
-    # slot: the rows that have not.
+    # By slot: the number of visible rows, of all that ever were, the first that may be visible, the
+    # expired ones that represent others. By window: the rows before have expired; and by slot: the
+    # number of rows that have not.
     visible: Any,
     entered: Any,
     floors: Any,
@@ -123,7 +122,7 @@ def _turn(
     inside: Any,
     marks: Any,
 ) -> int:
-    """Rows at or below the low bound of their window go, pending ones within its bounds come."""
+    """Expire rows at or below the low bound of their window; insert pending ones in its bounds."""
     slot_count = visible.shape[0]
     for w in range(swept.shape[0]):
         i = swept[w]
@@ -159,7 +158,7 @@ def _turn(
     top = highs[0]
     for w in range(1, highs.shape[0]):
         top = max(top, highs[w])
-    # Whether each slot's rows come in order of (time, window, tag), and how many rows they are.
+    # Check whether each slot's rows are in order of (time, window, tag), and count them.
     last_time = np.full(slot_count + 1, -9223372036854775807, np.int64)
     last_place = np.zeros(slot_count + 1, np.int64)
     wanted = np.int64(0)
@@ -191,7 +190,7 @@ def _turn(
             last_part = sort_starts[pending_bits[at] + 1]
         base = part
         while part < last_part:
-            # First the row itself, then what its sort means.
+            # Insert the row itself first, then the facts that its sort implies.
             if part == base:
                 slot, tag, word = pending[at, 1], pending[at, 3], pending_bits[at]
             else:
@@ -258,14 +257,14 @@ def _turn(
                 rows[n, LINKS + BY_SLOT] = heads[key + sizes[WAYS + BY_SLOT]]
                 heads[key + sizes[WAYS + BY_SLOT]] = n
             if needed[slot] & 2:
-                # The slots of a subject have neighbouring buckets, so have neighbouring ids.
+                # The slots of a subject have neighbouring buckets, as do neighbouring ids.
                 key = np.int64(subject)
                 key = (key + (key >> 8)) * slot_count + slot
                 bucket = (key & (sizes[BY_SUBJECT] - 1)) + sizes[WAYS + BY_SUBJECT]
                 rows[n, LINKS + BY_SUBJECT] = heads[bucket]
                 heads[bucket] = n
             if needed[slot] & 4:
-                # No product leaves 63 bits, so that plain Python agrees; doubles differ above.
+                # Products stay below 63 bits, so that plain Python gives the same hash.
                 mixed = ((word ^ high ^ (word >> 45)) & 0x7FFFFFFF) * 40503 + slot * 9973
                 bucket = (mixed ^ (mixed >> 16)) & (sizes[BY_OBJECT] - 1)
                 bucket += sizes[WAYS + BY_OBJECT]
@@ -278,7 +277,7 @@ def _turn(
                 bucket += sizes[WAYS + BY_TRIPLE]
                 rows[n, LINKS + BY_TRIPLE] = heads[bucket]
                 heads[bucket] = n
-    # What came early for its window waits on, before the others.
+    # Rows beyond the high bound of their window stay pending, before the others.
     free = end
     for at in range(end - 1, first - 1, -1):
         if pending_times[at] > highs[pending[at, 0]]:
@@ -301,8 +300,8 @@ def _turn(
 
 
 def _pack(rows: Any, times: Any, details: Any, swept: Any, marks: Any, moved: Any) -> None:
-    """Moves the rows that have not gone together; ``moved`` takes where each is now, `LOST` of one
-    that has gone. They are to be linked anew."""
+    """Move the remaining rows together. ``moved`` receives the new position of each row, or `LOST`.
+    They must be linked again."""
     count, kept = marks[COUNT], np.int64(0)
     for w in range(swept.shape[0]):
         before = np.int64(0)
@@ -328,7 +327,7 @@ def _pack(rows: Any, times: Any, details: Any, swept: Any, marks: Any, moved: An
 
 
 def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
-    """Links all visible rows anew, oldest first; ``heads`` becomes where the chains begin."""
+    """Link all visible rows, oldest first; write the heads of the chains to ``heads``."""
     slot_count = needed.shape[0]
     heads[:] = -1
     for n in range(count):
@@ -341,14 +340,14 @@ def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
                 rows[n, LINKS + BY_SLOT] = heads[key + sizes[WAYS + BY_SLOT]]
                 heads[key + sizes[WAYS + BY_SLOT]] = n
             if needed[slot] & 2:
-                # The slots of a subject have neighbouring buckets, so have neighbouring ids.
+                # The slots of a subject have neighbouring buckets, as do neighbouring ids.
                 key = np.int64(subject)
                 key = (key + (key >> 8)) * slot_count + slot
                 bucket = (key & (sizes[BY_SUBJECT] - 1)) + sizes[WAYS + BY_SUBJECT]
                 rows[n, LINKS + BY_SUBJECT] = heads[bucket]
                 heads[bucket] = n
             if needed[slot] & 4:
-                # No product leaves 63 bits, so that plain Python agrees; doubles differ above.
+                # Products stay below 63 bits, so that plain Python gives the same hash.
                 mixed = ((word ^ high ^ (word >> 45)) & 0x7FFFFFFF) * 40503 + slot * 9973
                 bucket = (mixed ^ (mixed >> 16)) & (sizes[BY_OBJECT] - 1)
                 bucket += sizes[WAYS + BY_OBJECT]
@@ -363,7 +362,7 @@ def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
                 heads[bucket] = n
 
 
-def _of_turn() -> Any:
+def _select_rows_signature() -> Any:
     from numba import types
 
     int32s, int64s, int32_rows = types.int32[::1], types.int64[::1], types.int32[:, ::1]
@@ -387,7 +386,7 @@ def _of_turn() -> Any:
     )
 
 
-def _of_wait() -> Any:
+def _append_pending_signature() -> Any:
     from numba import types
 
     int64s, int32_rows = types.int64[::1], types.int32[:, ::1]
@@ -403,14 +402,14 @@ def _of_wait() -> Any:
     )
 
 
-def _of_pack() -> Any:
+def _pack_signature() -> Any:
     from numba import types
 
     int64s, int32_rows = types.int64[::1], types.int32[:, ::1]
     return types.void(int32_rows, int64s, int32_rows, int64s, int64s, int64s)
 
 
-def _of_link() -> Any:
+def _link_signature() -> Any:
     from numba import types
 
     int32s, int64s = types.int32[::1], types.int64[::1]
@@ -420,8 +419,8 @@ def _of_link() -> Any:
 def chain_heads(
     rows: int, needed: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Where chains over so many rows begin, of none yet: by way the number of buckets, as many as
-    rows where any slot needs them, then where they begin."""
+    """Return empty chain heads for this number of rows, and by way the number of buckets and their
+    start. A way has as many buckets as rows if any slot needs it."""
     some = int(np.bitwise_or.reduce(needed))
     buckets = 1 << max(3, rows).bit_length()
     ways = range(BY_SUBJECT, WAYS)
@@ -431,7 +430,7 @@ def chain_heads(
     return heads, np.array([*sizes, *starts[:-1]], np.int64)
 
 
-wait = Kernel(_wait, _of_wait)
-turn = Kernel(_turn, _of_turn)
-pack = Kernel(_pack, _of_pack)
-link = Kernel(_link, _of_link)
+append_pending = Kernel(_append_pending, _append_pending_signature)
+select_rows = Kernel(_select_rows, _select_rows_signature)
+pack = Kernel(_pack, _pack_signature)
+link = Kernel(_link, _link_signature)

@@ -1,14 +1,13 @@
-"""Triple patterns joined by a compiled loop, over the rows of all windows as numbers.
+"""Joins of triple patterns by a compiled loop, over the rows of all windows as numbers.
 
-It serves a plan's parts that are patterns with constant predicates, their joins, and filters of
-numbers on them (`plan_cut`); what stands above is executed by `executor`. Law (tests/laws):
-the same solutions as `executor.execute` gives for that part, in an order that depends on the rows
-and the evaluations only.
+The loop evaluates the parts of a plan that are patterns with constant predicates, their joins, and
+numeric filters on them (`plan_cut`); `executor` evaluates the rest. Law (tests/laws): the solutions
+equal those of `executor.execute`, in an order that depends on the rows and the evaluations only.
 
-Cost: some ten microseconds a window, then tens of nanoseconds a row that has come and a step of its
-joins, and a few a solution that stays. Memory: some 200 bytes a triple of the windows; a solution
-takes 4 bytes a pattern and 9 a variable, and where they are many more than the triples they are not
-kept, and found anew each time; static triples of the named predicates once.
+Cost: some ten microseconds per window, then tens of nanoseconds per new row and per step of its
+joins, and a few per solution that stays. Memory: some 200 bytes per triple of the windows; per
+solution 4 bytes per pattern and 9 per variable; static triples of the named predicates once. If
+there are many more solutions than triples, they are not kept but found again each time.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from ..algebra.expressions import (
 )
 from ..algebra.plan import Plan, Position, TypeScan, outputs
 from ..columns.budget import BudgetExceeded
-from ..columns.relation import Relation, TermValues, decoded, decoded_terms
+from ..columns.relation import Relation, TermValues, decode, decode_terms
 from ..operators.sources import StaticSide
 from ..values.literals import canonical
 from .join_kernel import CONSTANT, DOUBTFUL, OVERSPENT, VARIABLE, match
@@ -44,7 +43,7 @@ from .window_rows import PatternRows
 
 _FIRST_CAPACITY = 256
 _MOST = 4
-"""So many solutions a row are kept."""
+"""The greatest number of kept solutions per row."""
 _NEVER = -2
 _KINDS = tuple(Kind)
 
@@ -84,24 +83,26 @@ class PatternJoin:
         self.filter_starts = np.array(starts, np.int64)
         self.filter_needs = np.array(needs, np.bool_)
         self.filter_needs = self.filter_needs.reshape(len(needs), len(self.variables))
-        # In the spelling that is compared: the loop has their ids as long as there is one.
+        # The loop compares ids of canonical terms. `HeldTerms` keeps those in the dictionary.
         self._named = HeldTerms(terms.dictionary, (canonical(one.term) for one in constants))
-        encoded = terms.encoded(ObjectColumn(Kind.TERM, self._named.ids))
+        encoded = terms.encode(ObjectColumn(Kind.TERM, self._named.ids))
         self.constant_tags, self.constant_bits = encoded
         self._uniform = np.zeros(len(self._shown), np.int8)
-        self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
-        """So many solutions are known, of so many rows, as of this turn."""
+        self._kept, self._seen, self._seen_selection = 0, 0, _NEVER
+        """The numbers of kept solutions and of rows at the last evaluation, and its selection."""
         self._entered = np.zeros(len(slots), np.int64)
         self._solutions: NDArray[np.int32] = np.empty((0, len(rows) + 1), np.int32)
         self._tags: NDArray[np.int8] = np.empty((len(self._shown), 0), np.int8)
         self._bits: NDArray[np.int64] = np.empty((len(self._shown), 0), np.int64)
 
     def chains(self) -> Iterable[tuple[int, int]]:
-        """The chains that the loop may walk along, as slot and bit."""
+        """Yield the chains that the loop may follow, as slot and bit."""
         ends = self.patterns[:, 1:].tolist()
-        known = [end for pair in ends for end in set(pair)]
+        all_ends = [end for pair in ends for end in set(pair)]
         for slot, subject, object in self.patterns.tolist():
-            by_subject, by_object = (end < 0 or known.count(end) > 1 for end in (subject, object))
+            by_subject, by_object = (
+                end < 0 or all_ends.count(end) > 1 for end in (subject, object)
+            )
             yield slot, 1 << BY_SLOT
             if by_subject or subject == object:
                 yield slot, 1 << BY_SUBJECT
@@ -111,13 +112,13 @@ class PatternJoin:
                 yield slot, 1 << BY_TRIPLE
 
     def solve(self, rows: PatternRows, static: StaticArrays) -> Relation | None:
-        """The solutions over these rows; None where a filter has to be judged by
-        `expression_evaluation`."""
-        # What came in a turn that it has not seen may have gone: then it is not told what is new.
-        whole = self._seen_turn != rows.turns - 1
-        if whole:
+        """Return the solutions over these rows; None if `expression_evaluation` must evaluate a
+        filter."""
+        # Rows of a selection without evaluation may have expired, so the kept solutions are stale.
+        from_scratch = self._seen_selection != rows.selections - 1
+        if from_scratch:
             self._kept = 0
-        most = _FIRST_CAPACITY + _MOST * rows.count
+        most_kept = _FIRST_CAPACITY + _MOST * rows.count
         while True:
             with self.terms.budget.pauses.released():
                 stayed, found = match(
@@ -130,7 +131,7 @@ class PatternJoin:
                     *static,
                     self._seen,
                     rows.entered - self._entered,
-                    whole,
+                    from_scratch,
                     len(rows.windows),
                     self.patterns,
                     rows.needed,
@@ -146,37 +147,37 @@ class PatternJoin:
                     self._tags,
                     self._bits,
                     self._uniform,
-                    self.terms.budget.looks,
+                    self.terms.budget.row_visits,
                 )
             if found == DOUBTFUL:
-                self.forget()
+                self.reset()
                 return None
             if found == OVERSPENT:
-                self.forget()
-                looks = self.terms.budget.looks
-                raise BudgetExceeded(f"a join looks at more than {looks} rows for a window")
+                self.reset()
+                limit = self.terms.budget.row_visits
+                raise BudgetExceeded(f"a join looks at more than {limit} rows for a window")
             try:
                 self.terms.budget.check(found, "a join")
             except BudgetExceeded:
-                self.forget()
+                self.reset()
                 raise
             if found <= self._bits.shape[1]:
                 break
-            keeps = found <= most
+            keeps = found <= most_kept
             self._kept = stayed if keeps else 0
-            whole |= not keeps
+            from_scratch |= not keeps
             self._make_room(2 * found, keeps=keeps)
-        keeps = found <= most and self._solutions.shape[1] > 0
+        keeps = found <= most_kept and self._solutions.shape[1] > 0
         relation = Relation(self._columns(found, copied=keeps), found)
         if keeps:
-            self._kept, self._seen, self._seen_turn = found, rows.count, rows.turns
+            self._kept, self._seen, self._seen_selection = found, rows.count, rows.selections
             self._entered = rows.entered.copy()
             if self._bits.shape[1] > 8 * max(found, _FIRST_CAPACITY):
                 self._make_room(2 * found)
         else:
-            # The result has these arrays.
-            self.forget()
-            self._make_room(2 * found, keeps=found <= most)
+            # The result owns these arrays now.
+            self.reset()
+            self._make_room(2 * found, keeps=found <= most_kept)
         return relation
 
     def _columns(self, found: int, *, copied: bool) -> dict[str, ObjectColumn]:
@@ -184,29 +185,29 @@ class PatternJoin:
         for i, name in enumerate(self._shown):
             tag, words = self._uniform[i], self._bits[i, :found]
             if tag < 0:
-                columns[name] = decoded_terms(self._tags[i, :found], words, self.terms.dictionary)
+                columns[name] = decode_terms(self._tags[i, :found], words, self.terms.dictionary)
             else:
-                column = decoded(_KINDS[tag], words)
-                # What is not of 64 bits is another array already.
+                column = decode(_KINDS[tag], words)
+                # Values that are not of 64 bits have been copied by `decode`.
                 if copied and column.values.itemsize == words.itemsize:
                     column = ObjectColumn(column.kind, column.values.copy())
                 columns[name] = column
         return columns
 
-    def forget(self) -> None:
-        """No solution is known."""
-        self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
+    def reset(self) -> None:
+        """Drop all kept solutions."""
+        self._kept, self._seen, self._seen_selection = 0, 0, _NEVER
 
-    def moved(self, moved: NDArray[np.int64]) -> None:
-        """Rows have gone to these places."""
+    def renumber_rows(self, moved: NDArray[np.int64]) -> None:
+        """Replace row numbers in kept solutions after rows have moved."""
         self._seen = int(np.count_nonzero(moved[: self._seen] != LOST))
-        known = self._solutions[: self._kept]
-        if known.size and len(moved):
-            stays = (known < 0) | (known >= len(moved))
-            known[:] = np.where(stays, known, moved.take(known, mode="clip"))
+        solutions = self._solutions[: self._kept]
+        if solutions.size and len(moved):
+            stays = (solutions < 0) | (solutions >= len(moved))
+            solutions[:] = np.where(stays, solutions, moved.take(solutions, mode="clip"))
 
     def _make_room(self, capacity: int, *, keeps: bool = True) -> None:
-        """Room for so many solutions; ``keeps``: with those that are known."""
+        """Allocate space for ``capacity`` solutions; ``keeps``: copy the kept ones."""
         capacity, kept = max(capacity, _FIRST_CAPACITY), self._kept
         before = self._solutions, self._tags, self._bits
         width = len(self.patterns) + 1 if keeps else 0
@@ -221,7 +222,7 @@ class PatternJoin:
 def _compiled(
     expression: Expression, place: Mapping[str, int], constants: dict[Const, int]
 ) -> Iterable[tuple[int, int]]:
-    """The operations of a filter, arguments first."""
+    """Yield the operations of a filter, arguments first."""
     for one in postorder(expression):
         match one:
             case Var(name):
@@ -233,7 +234,7 @@ def _compiled(
 
 
 class PatternSolver:
-    """All served parts of a query's plan, over the same rows."""
+    """All parts of a query's plan that the loop evaluates, over the same rows."""
 
     def __init__(
         self,
@@ -243,7 +244,7 @@ class PatternSolver:
         *,
         distinct: bool,
     ) -> None:
-        """``parts``: each with the variables that are looked at outside it."""
+        """``parts``: each with its variables that the rest of the plan uses."""
         self.static = static
         named = (slot_of(leaf) for part, _ in parts for leaf in leaves(part))
         slots = list(dict.fromkeys(named))
@@ -267,39 +268,40 @@ class PatternSolver:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_joins": None}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept, _joins=_by_identity(kept["_parts"]))
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _joins=_by_identity(state["_parts"]))
 
-    def turn(self, lows: NDArray[np.int64], highs: NDArray[np.int64]) -> None:
-        """The windows whose bounds these are: what `solve` is about from now on."""
+    def select(self, lows: NDArray[np.int64], highs: NDArray[np.int64]) -> None:
+        """Move the windows to these bounds: `solve` reads their rows from now on."""
         version = self.static.background.version
         if version != self._version:
             if self._version is not None:
-                self.rows.start_anew()
+                self.rows.reinsert_rows()
                 for join in self._joins.values():
-                    join.forget()
+                    join.reset()
             self._version = version
-        self._move(self.rows.turn(lows, highs, self._sorts(), self._static_rows.arrays))
+        self._move(self.rows.select(lows, highs, self._sorts(), self._static_rows.arrays))
 
     def drop(self) -> None:
-        """Forget what has left the windows."""
+        """Drop expired rows."""
         if self.rows.is_full:
             self._move(self.rows.compact())
 
     def _move(self, moved: NDArray[np.int64] | None) -> None:
         if moved is not None:
             for join in self._joins.values():
-                join.moved(moved)
+                join.renumber_rows(moved)
 
     def solve(self, part: Plan) -> Relation | None:
-        """The solutions of a part; None if it is not served, or cannot be with this data."""
+        """Return the solutions of a part; None if the loop does not evaluate it, or cannot for this
+        data."""
         join = self._joins.get(id(part))
         if join is None or self._version is None:
             return None
         return join.solve(self.rows, self._static_rows.arrays)
 
     def _sorts(self) -> tuple[NDArray[np.int64], ...]:
-        """For each annotated sort the facts it stands for: windows, slots and classes."""
+        """Return the facts that each annotated sort implies: windows, slots and classes."""
         state = (self.static.background.version, len(self.rows.sorts))
         if state != self._expanded:
             self._expanded = state
@@ -323,5 +325,5 @@ class PatternSolver:
 
 
 def _by_identity(parts: Sequence[tuple[Plan, PatternJoin]]) -> dict[int, PatternJoin]:
-    """Parts are told apart by identity, which hashing a deep plan would cost more than."""
+    """Key parts by identity: hashing a deep plan would cost more than its evaluation."""
     return {id(part): join for part, join in parts}

@@ -1,4 +1,4 @@
-"""The static triples that patterns can touch, as rows of numbers (`row_kernels`)."""
+"""The static triples that patterns can match, as rows of numbers (`row_kernels`)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from .row_kernels import (
 )
 
 StaticArrays: TypeAlias = tuple[NDArray[Any], ...]
-"""Rows, the heads of their chains and how many these are; by slot how many rows there are."""
+"""Rows, the heads of their chains with their sizes, and by slot the number of rows."""
 
 
 class StaticRows:
-    """The static triples of the slots, with their chains: made once a version of the background."""
+    """The static triples of the slots, with their chains: built once per background version."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class StaticRows:
 
     @property
     def arrays(self) -> StaticArrays:
-        """As they are now."""
+        """The arrays for the present version of the background."""
         version = self.static.background.version
         if version != self._version:
             self._version = version
@@ -66,7 +66,7 @@ class StaticRows:
             else:
                 scan = Scan(Var("s"), slot.predicate, Var("o"), slot.graph)
             subjects, objects = self.static.pairs(scan)
-            parts.append((subjects.values, *terms.encoded(terms.canonical(objects))))
+            parts.append((subjects.values, *terms.encode(terms.canonical(objects))))
             counts[number] = len(subjects)
         total = int(counts.sum())
         rows = np.zeros((total, ROW), np.int32)
@@ -77,8 +77,8 @@ class StaticRows:
             rows[:, PLACE] += tags.astype(np.int32) << TAG_SHIFT
             rows[:, LOW] = words.astype(np.int32)
             rows[:, HIGH] = words >> 32
-        # A join asks for several slots of one subject: they stand together. Subjects stand as they
-        # were met, since what their ids are depends on what was there before.
+        # A join reads several slots of one subject, so keep a subject's rows together. Subjects are
+        # in order of appearance: an order by id would depend on the dictionary's history.
         _, first, who = np.unique(rows[:, SUBJECT], return_index=True, return_inverse=True)
         rows = rows[np.argsort(first[who.reshape(-1)], kind="stable")]
         heads, sizes = chain_heads(total, self.needed)

@@ -1,4 +1,4 @@
-"""The triples that patterns can touch, as rows of numbers: those of the windows."""
+"""The triples of windows that patterns can match, as rows of numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...rdf.namespaces import RDF_TYPE
 from ...rdf.timed import Kind, TripleRows
-from ..columns.relation import TermValues, bits, decoded
+from ..columns.relation import TermValues, bits, decode
 from .plan_cut import Slot
 from .row_kernels import (
     COUNT,
@@ -32,28 +32,28 @@ from .row_kernels import (
     TAG_SHIFT,
     UNORDERED,
     WINDOW,
+    append_pending,
     chain_heads,
     link,
     pack,
-    turn,
-    wait,
+    select_rows,
 )
 from .static_rows import StaticArrays
 
 _WAITING = 256
-"""At most so many columns wait: they hold on to the batches that they are of."""
+"""The limit of columns not yet copied: they keep whole batches in memory."""
 _LEAST = 512
-"""Rows that there is room for at least."""
+"""The least number of rows with allocated space."""
 
 
 class PatternRows:
-    """The triples of all windows that the patterns of a query can touch.
+    """The triples of all windows that the patterns of a query can match.
 
     ``windows``: the graph of each window, by its number. ``once``, ``needed``: by slot whether
-    equal triples count once, and which chains joins walk along (`row_kernels`).
+    equal triples count once, and which chains joins follow (`row_kernels`).
 
-    Law: what is visible after `turn` are the triples within the bounds, however they came; rows of
-    a slot stand in order of evaluation, time, window and kind.
+    Law: `select` makes the triples within the bounds visible, however they came. The rows of a slot
+    are in order of evaluation, time, window and kind.
     """
 
     def __init__(
@@ -68,31 +68,31 @@ class PatternRows:
         self.windows = tuple(windows)
         self.terms = terms
         self.sorts: dict[int, int] = {}
-        """The sorts of annotations that have been met, numbered."""
-        self.turns = 0
-        """How often `turn` was called."""
+        """The sorts of annotations so far, numbered."""
+        self.selections = 0
+        """The number of calls of `select`."""
         self.needed = needed
         self._once = once
-        self._waiting: list[tuple[Any, ...]] = []
-        """Window, slot, kind, subjects, values and times of what has come and nobody has seen."""
-        self._asks_for_sorts = [Slot(graph, RDF_TYPE) in self.slots for graph in windows]
+        self._uncopied: list[tuple[Any, ...]] = []
+        """Window, slot, kind, subjects, values and times of rows that are not pending yet."""
+        self._reads_sorts = [Slot(graph, RDF_TYPE) in self.slots for graph in windows]
         self._numbers: list[dict[int, int]] = [{} for _ in windows]
-        """By window: the slot of a predicate's id."""
+        """By window: the slot of each predicate id."""
         self._pending = _pending(_LEAST)
         self._ordered = True
-        """Whether times of pending rows ascend."""
+        """Whether pending rows are in order of time."""
         self.marks = np.zeros(MARKS, np.int64)
         self._start()
         terms.dictionary.hold(self)
 
     def _start(self) -> None:
-        """No row is here; pending ones stay pending."""
+        """Remove all rows; pending ones stay."""
         slots = len(self.slots)
         self.marks[:FIRST_PENDING] = 0
         self.visible = np.zeros(slots, np.int64)
-        """By slot: how many rows joins see."""
+        """By slot: the number of rows that joins see."""
         self.entered = np.zeros(slots, np.int64)
-        """By slot: how many such rows there ever were."""
+        """By slot: the number of such rows ever."""
         self.floors = np.zeros(slots, np.int64)
         """By slot: the first row that may be visible."""
         self._lasting = np.zeros(slots, np.int64)
@@ -103,11 +103,11 @@ class PatternRows:
 
     @property
     def count(self) -> int:
-        """How many rows are here, those that have gone and are not forgotten among them."""
+        """The number of rows, including expired ones that are not removed."""
         return int(self.marks[COUNT])
 
     def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
-        """See `dictionary.Holder`. Rows that have gone are passed by, whatever their ids are."""
+        """See `dictionary.Holder`. Joins skip expired rows, so their ids do not matter."""
         count = self.count
         rows = self.rows[:count][self.rows[:count, PLACE] >> STATE_SHIFT != GONE]
         slots, subjects, tags = _columns(rows)
@@ -119,17 +119,17 @@ class PatternRows:
         yield words[places[:, 3] == Kind.TERM]
         yield list(self.sorts)
         yield from map(list, self._numbers)
-        # What waits has not been spelled, so it is told as it came.
-        for _, _, kind, subjects, values, _ in self._waiting:
+        # Uncopied values are not canonical yet: hold the ids as they are.
+        for _, _, kind, subjects, values, _ in self._uncopied:
             yield subjects
             if kind is Kind.TERM:
                 yield values
 
     def push(self, window: int, tables: Sequence[TripleRows]) -> None:
-        """Rows of a window. Cost: a copy of each column that a pattern names, when somebody looks
-        at them: then all that have come since are taken in together."""
+        """Add rows of a window. Cost: a copy of each column that a pattern names, made at the next
+        `select` for all rows since the last one together."""
         numbers = self._slots_of(window)
-        parts = self._waiting
+        parts = self._uncopied
         for rows in tables:
             for predicate, column in rows.objects.items():
                 slot = numbers.get(predicate)
@@ -140,37 +140,37 @@ class PatternRows:
                     at = np.flatnonzero(~column.null)
                     subjects, values, times = subjects[at], values[at], times[at]
                 parts.append((window, slot, column.kind, subjects, values, times))
-            if rows.sort is not None and self._asks_for_sorts[window] and len(rows):
+            if rows.sort is not None and self._reads_sorts[window] and len(rows):
                 number = self.sorts.setdefault(rows.sort, len(self.sorts))
                 numbered = np.full(len(rows), number, np.int64)
                 part = (window, SORT_SLOT, Kind.INTEGER, rows.subject, numbered, rows.time)
                 parts.append(part)
         if len(parts) >= _WAITING:
-            self._take_in()
+            self._copy()
 
-    def _take_in(self) -> None:
-        """What has come is pending: columns one after the other, in as few calls as there are
-        kinds of arrays."""
-        if not self._waiting:
+    def _copy(self) -> None:
+        """Copy new rows to the pending ones, with as few numpy calls as there are kinds of
+        arrays."""
+        if not self._uncopied:
             return
-        windows, slots, kinds, subjects, values, times = zip(*self._waiting, strict=True)
-        self._waiting = []
+        windows, slots, kinds, subjects, values, times = zip(*self._uncopied, strict=True)
+        self._uncopied = []
         lengths = map(len, subjects)
-        self._wait(
+        self._append_pending(
             np.array(list(zip(windows, slots, kinds, lengths, strict=True)), np.int64),
             np.concatenate(subjects),
             np.concatenate([bits(part) for part in values]),
             np.concatenate(times),
         )
 
-    def _wait(
+    def _append_pending(
         self,
         parts: NDArray[np.int64],
         subjects: NDArray[np.int32],
         words: NDArray[Any],
         times: NDArray[Any],
     ) -> None:
-        """These rows are pending, too; ``parts``: windows, slots, kinds, how many they are."""
+        """Append rows to the pending ones; ``parts``: windows, slots, kinds and lengths."""
         first, last = self.marks[FIRST_PENDING:].tolist()
         stop = last + len(times)
         if first == last:
@@ -183,16 +183,18 @@ class PatternRows:
             first, last, stop = 0, last - first, stop - first
             self._pending[0][:last] = places
             self._pending[1][:last], self._pending[2][:last] = all_words, all_times
-        # Tables of the same time, and inputs in turn: cheaper here than with all others.
+        # Sort the new rows now: they come in runs by table, which is cheap, unlike a sort of all.
         by = times.argsort(kind="stable")
-        wait(parts, subjects, words, times, by, *self.terms.encodings, *self._pending, last)
+        append_pending(
+            parts, subjects, words, times, by, *self.terms.encodings, *self._pending, last
+        )
         if stop > last > first:
             moments = self._pending[2]
             self._ordered &= bool(moments[last - 1] <= moments[last])
         self.marks[FIRST_PENDING:] = first, stop
 
     def _slots_of(self, window: int) -> dict[int, int]:
-        """The dictionary may learn a predicate after the query was planned."""
+        """Return the slots of a window by predicate id, interned on first use."""
         found = self._numbers[window]
         if len(found) < len(self.slots):
             graph = self.windows[window]
@@ -201,24 +203,24 @@ class PatternRows:
                     found[self.terms.dictionary.transient_id(slot.predicate)] = number
         return found
 
-    def turn(
+    def select(
         self,
         lows: NDArray[np.int64],
         highs: NDArray[np.int64],
         sorts: tuple[NDArray[np.int64], ...],
         static: StaticArrays,
     ) -> NDArray[np.int64] | None:
-        """The windows have these bounds now; ``sorts`` says what those of annotations stand for.
+        """Move the windows to these bounds. ``sorts``: the facts that annotated sorts imply.
 
-        Returns where rows have moved to (`LOST` of one that has gone), if they have.
+        Returns the new positions of rows (`LOST` if removed), or None if they have not moved.
         """
-        self._take_in()
+        self._copy()
         if not self._ordered:
             self._order()
-        self.turns += 1
+        self.selections += 1
         moved = None
         while True:
-            answer = turn(
+            answer = select_rows(
                 lows,
                 highs,
                 *sorts,
@@ -244,11 +246,11 @@ class PatternRows:
             if answer == UNORDERED:
                 self._order()
             else:
-                # It comes to this once a turn: then there is room.
+                # At most once per call: then there is enough space.
                 moved = self.compact(answer)
 
     def _order(self) -> None:
-        """Put the pending rows in order of time, window, slot and kind, else of arrival."""
+        """Sort the pending rows by time, window, slot and kind, then by arrival."""
         first, last = self.marks[FIRST_PENDING:].tolist()
         places, words, times = (part[first:last] for part in self._pending)
         window, slot, _, tag = places.T
@@ -258,13 +260,13 @@ class PatternRows:
 
     @property
     def is_full(self) -> bool:
-        """Whether half of the rows have left the windows."""
+        """Whether half of the rows have expired."""
         count, kept = self.marks[: KEPT + 1].tolist()
         return bool(count >= _LEAST and count >= 2 * kept)
 
     def compact(self, wanted: int = 0) -> NDArray[np.int64]:
-        """Rows that have gone are dropped, and there is room for so many more, and for as many
-        again; returns as `turn`."""
+        """Remove expired rows, and allocate space for ``wanted`` further ones and as many again.
+        Returns as `select`."""
         wanted += int(self.marks[KEPT])
         moved = np.empty(self.count, np.int64)
         pack(self.rows, self._times, self._details, self._swept, self.marks, moved)
@@ -280,12 +282,12 @@ class PatternRows:
         link(self.rows, self.needed, self.heads, self.sizes, self.count)
         return moved
 
-    def start_anew(self) -> None:
-        """All rows come again at the next `turn`: what is static, or what sorts mean, is other than
-        it was."""
-        at = self._told()
+    def reinsert_rows(self) -> None:
+        """Make all rows pending again, since static triples or the meanings of sorts have
+        changed."""
+        at = self._stated_rows()
         rows, times, windows = self.rows[at], self._times[at], self._details[at, WINDOW]
-        self._take_in()
+        self._copy()
         self._start()
         first, last = self.marks[FIRST_PENDING:].tolist()
         places, words, later = (part[first:last].copy() for part in self._pending)
@@ -293,13 +295,13 @@ class PatternRows:
         self.marks[FIRST_PENDING:] = 0
         ones = np.ones(len(rows), np.int32)
         parts = np.stack([windows, slots, tags, ones], axis=1).astype(np.int64)
-        self._wait(parts, np.ascontiguousarray(subjects), _words(rows), times)
+        self._append_pending(parts, np.ascontiguousarray(subjects), _words(rows), times)
         window, slot, subject, tag = places.T
         parts = np.stack([window, slot, tag, np.ones_like(window)], axis=1).astype(np.int64)
-        self._wait(parts, np.ascontiguousarray(subject), words, later)
+        self._append_pending(parts, np.ascontiguousarray(subject), words, later)
 
-    def _told(self) -> NDArray[np.int64]:
-        """The rows that streams have said, and that have not gone."""
+    def _stated_rows(self) -> NDArray[np.int64]:
+        """Return the rows that streams stated and that have not expired."""
         count = self.count
         there = self.rows[:count, PLACE] >> STATE_SHIFT != GONE
         return np.flatnonzero(there & (self._details[:count, DERIVED] == 0))
@@ -307,8 +309,9 @@ class PatternRows:
     def tables(
         self, lows: NDArray[np.int64], highs: NDArray[np.int64]
     ) -> dict[str, list[TripleRows]]:
-        """The triples in the windows as narrow tables, by graph (their valid time is unknown)."""
-        at = self._told()
+        """Return the triples in the windows as narrow tables, by graph. Their valid time is
+        unknown."""
+        at = self._stated_rows()
         window, time = self._details[at, WINDOW], self._times[at]
         inside = (time > lows[window]) & (time <= highs[window])
         at, window, time = at[inside], window[inside], time[inside]
@@ -323,29 +326,29 @@ class PatternRows:
             at = at[np.argsort(time[at], kind="stable")]
             tables = found.setdefault(self.windows[w], [])
             if number == SORT_SLOT:
-                made = TripleRows(time[at], time[at], subject[at], {}, sorts[kind])
+                table = TripleRows(time[at], time[at], subject[at], {}, sorts[kind])
             else:
                 predicate = self.terms.dictionary.transient_id(names[number].predicate)
-                column = decoded(Kind(kind), words[at])
-                made = TripleRows(time[at], time[at], subject[at], {predicate: column})
-            tables.append(made)
+                column = decode(Kind(kind), words[at])
+                table = TripleRows(time[at], time[at], subject[at], {predicate: column})
+            tables.append(table)
         return found
 
 
 def _columns(rows: NDArray[np.int32]) -> tuple[NDArray[Any], ...]:
-    """Slots, subjects and tags."""
+    """Return slots, subjects and tags."""
     places = rows[:, PLACE]
     return places & SLOT_MASK, rows[:, SUBJECT], (places >> TAG_SHIFT) & TAG_MASK
 
 
 def _words(rows: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The bits of objects."""
+    """Return the bits of objects."""
     high, low = (rows[:, half].astype(np.int64) for half in (HIGH, LOW))
     return (high << 32) | (low & 0xFFFFFFFF)
 
 
 def _pending(capacity: int) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
-    """Room for window, slot, subject and tag; bits; times."""
+    """Allocate window, slot, subject and tag; bits; times."""
     capacity = max(_LEAST, capacity)
     return (
         np.empty((capacity, 4), np.int32),
@@ -355,7 +358,7 @@ def _pending(capacity: int) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArr
 
 
 def _room(capacity: int) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-    """Room for rows, their times and details."""
+    """Allocate rows, their times and details."""
     capacity = max(_LEAST, capacity)
     rows, details = np.empty((capacity, ROW), np.int32), np.empty((capacity, 4), np.int32)
     return rows, np.empty(capacity, np.int64), details

@@ -1,1 +1,1 @@
-"""Queries that differ in constants only, evaluated as one."""
+"""Shared evaluation of queries that differ in constants only."""

@@ -1,7 +1,7 @@
-"""Cohorts: instances of a template that one computation serves, over windows that all share.
+"""Cohorts: instances of a template that share one computation over common windows.
 
-They all read the contents of the template's windows, so that a cohort costs its plan, its partial
-aggregates and its table, but no rows.
+All cohorts read the template's windows. So a cohort costs its plan, its partial aggregates and its
+table, but stores no rows.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..algebra.plan import (
 )
 from ..algebra.plan_text import describe, describe_query
 from ..algebra.rewrite_rules import optimize
-from ..algebra.template_parameters import Joint, Step, Unfit, joint
+from ..algebra.template_parameters import Joint, Step, Unfit, build_joint
 from ..algebra.unsupported import Unsupported
 from ..columns.expression_evaluation import evaluate, holds
 from ..columns.relation import NeedsOxigraph, Relation
@@ -39,34 +39,34 @@ from ..estimation.estimates import estimate
 from ..estimation.input_rates import Flow
 from ..estimation.pattern_sizes import Known
 from ..evaluation.execution import Execution, WindowRows
-from ..evaluation.solver import Reading, Solver
+from ..evaluation.solver import QueryBody, Solver
 from ..operators.executor import distinct, execute, united
 from ..operators.result_forms import finish
 from ..operators.sources import StaticSide
-from ..windows.window_schedule import Windowing
-from .instance_results import Apart, Common, Joined
+from ..windows.window_schedule import OpenWindows
+from .instance_results import CommonResult, JoinedResults, SeparateResults
 from .instance_table import INSTANCE, InstanceTable
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where a cohort is found: by what its instances agree on, and by number."""
+class CohortId:
+    """The identity of a cohort: the terms that its instances agree on, and a serial number."""
 
     key: tuple[object, ...]
     serial: int
 
 
-LARGEST = 2_000_000
-"""So many pairs of a solution and an instance are looked at at a time."""
+PAIRS_AT_ONCE = 2_000_000
+"""The limit of (solution, instance) pairs in memory at a time."""
 OwnQuery: TypeAlias = Callable[[int, Mapping[str, Term]], ContinuousQuery]
-"""The query of an instance, by its number and its terms in the table of its cohort."""
+"""Returns the query of an instance, from its number and its terms in the cohort's table."""
 
 
-class Alone:
-    """Instances with the same arguments, evaluated as their own query is."""
+class SingleCohort:
+    """Instances with equal arguments: their query is evaluated once."""
 
     def __init__(
-        self, query: ContinuousQuery, windows: Windowing, static: StaticSide, place: Place
+        self, query: ContinuousQuery, windows: OpenWindows, static: StaticSide, place: CohortId
     ) -> None:
         self.place = place
         self._solver = Solver(query, windows, static)
@@ -86,32 +86,32 @@ class Alone:
         return self._solver.explain({})
 
     def fold(self, end: int) -> None:
-        """The rows up to ``end`` are there."""
+        """Fold the rows up to ``end``, which are complete."""
         self._solver.fold(end)
 
-    def results(self, end: int, *, reports: bool) -> tuple[Common, ...]:
-        found = self._solver.result(end, reports=reports)
-        if found is None:
+    def results(self, end: int, *, reports: bool) -> tuple[CommonResult, ...]:
+        result = self._solver.result(end, reports=reports)
+        if result is None:
             return ()
-        return (Common(np.array(self._members, np.int64), found),)
+        return (CommonResult(np.array(self._members, np.int64), result),)
 
 
-class Together:
-    """Instances that agree on the fixed parameters: the plan is computed once, then joined with
-    the table of their other arguments.
+class JoinedCohort:
+    """Instances that agree on the fixed parameters. The plan is computed once, then joined with the
+    table of their other arguments.
 
-    ``own`` gives the query of an instance by itself. ``alone``: no other cohort reads the windows.
+    ``own`` returns the query of a single instance. ``alone``: no other cohort reads the windows.
 
-    Cost a window: that of the plan, then `InstanceTable.join`, then numpy a column on what that
-    gives. A window that columns cannot judge is evaluated for each instance alone.
+    Cost per window: that of the plan, then `InstanceTable.join`, then numpy per column of the
+    result. If columns cannot compute a window, each instance is evaluated separately.
     """
 
     def __init__(
         self,
         own: OwnQuery,
-        windows: Windowing,
+        windows: OpenWindows,
         static: StaticSide,
-        place: Place,
+        place: CohortId,
         joint: Joint,
         *,
         alone: bool = False,
@@ -129,7 +129,7 @@ class Together:
         self._alone: dict[int, Solver] = {}
 
     def explain(self) -> str:
-        """The shared plan, how it is computed, and what is done to what the join gives."""
+        """Describe the shared plan, its execution, and the steps after the join."""
         lines = describe_query(Query(self.joint.head, self.joint.plan))
         shape = self._execution.shape
         if isinstance(shape, str):
@@ -140,7 +140,7 @@ class Together:
         return "\n".join(lines)
 
     def costs(self, flows: Mapping[str, Flow]) -> Iterator[str]:
-        """What the shared plan is likely to cost; ``flows`` is what is known of the inputs."""
+        """Yield the table of the shared plan's estimated costs; ``flows`` are the inputs' rates."""
         execution, options = self._execution, self.windows.options
         distinct = options.semantics == "set"
         known = Known(self.windows.schedule, self.static, flows, distinct)
@@ -159,10 +159,12 @@ class Together:
         self.table.remove(number)
 
     def fold(self, end: int) -> None:
-        """The rows up to ``end`` are there."""
+        """Fold the rows up to ``end``, which are complete."""
         self._execution.fold(end)
 
-    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common | Apart, ...]:
+    def results(
+        self, end: int, *, reports: bool
+    ) -> tuple[JoinedResults | CommonResult | SeparateResults, ...]:
         numbers, alive = self.table.members()
         start, shown = self.windows.span(end)
         rows = WindowRows(self.windows.contents, end)
@@ -171,20 +173,20 @@ class Together:
             try:
                 relation = execute(self._execution.plan, source, self.terms)
                 if not self.table.columns:
-                    # They do not differ at all.
+                    # There are no other arguments: all instances have the same result.
                     self.terms.budget.check_result(relation.rows)
                     result = finish(head, relation, start, shown, self.terms)
-                    return (Common(numbers[alive], result),)
+                    return (CommonResult(numbers[alive], result),)
                 relation = self._solutions(relation)
                 self.terms.budget.check(relation.rows, "a join with the instances")
             except NeedsOxigraph:
                 continue
             self._alone = {}
-            return (Joined(start, shown, head, relation, numbers, alive, self.terms),)
-        return (self._each(rows),)
+            return (JoinedResults(start, shown, head, relation, numbers, alive, self.terms),)
+        return (self._solve_each(rows),)
 
     def _solutions(self, relation: Relation) -> Relation:
-        """What the instances have of the solutions of the plan."""
+        """Join the plan's solutions with the table, and apply the remaining steps."""
         pieces: list[Relation] = []
         after: tuple[Step, ...] = ()
         for piece in self._pieces(relation):
@@ -195,19 +197,19 @@ class Together:
                 joined = self._step(step, joined)
             pieces.append(joined)
             after = rest[len(alone) :]
-        found = pieces[0]
+        solutions = pieces[0]
         if len(pieces) > 1:
-            found = replace(united(pieces, self.terms), key=found.key)
+            solutions = replace(united(pieces, self.terms), key=solutions.key)
         for step in after:
-            found = self._step(step, found)
-        return found
+            solutions = self._step(step, solutions)
+        return solutions
 
     def _pieces(self, relation: Relation) -> Sequence[Relation]:
-        """The solutions, so many at a time that they fit in memory with all instances, where each
-        meets each."""
+        """Split the solutions if each would meet every instance, so that the pairs of one piece fit
+        in memory."""
         size = relation.rows
         if not self.joint.joined and self.joint.search is None:
-            size = max(1, LARGEST // self.live)
+            size = max(1, PAIRS_AT_ONCE // self.live)
         if size >= relation.rows:
             return (relation,)
         starts = range(0, relation.rows, size)
@@ -224,7 +226,7 @@ class Together:
                 value = evaluate(expression, columns, relation.rows, terms)
                 return Relation({**columns, variable: value}, relation.rows, relation.key)
             case Project(variables):
-                # Parameters are known everywhere in a template.
+                # Parameters are in scope everywhere in a template, so a subquery keeps them.
                 own = (*self.joint.joined, *self.joint.compared, INSTANCE)
                 kept = {name: relation.column(name) for name in variables}
                 kept |= {name: columns[name] for name in own if name in columns}
@@ -234,48 +236,49 @@ class Together:
             case Distinct():
                 return relation if relation.key is not None else distinct(relation, terms)
 
-    def _each(self, rows: WindowRows) -> Apart:
-        """Every instance alone. Cost: a plan each, and an evaluation each."""
+    def _solve_each(self, rows: WindowRows) -> SeparateResults:
+        """Evaluate each instance separately. Cost: a plan and an evaluation per instance."""
         numbers, alive = self.table.members()
-        found = {}
+        results = {}
         for row in np.flatnonzero(alive).tolist():
             number = int(numbers[row])
             if number not in self._alone:
                 columns = self.table.columns.items()
                 query = self._own(number, {name: column.term(row) for name, column in columns})
                 self._alone[number] = Solver(query, self.windows, self.static, folds=False)
-            found[number] = self._alone[number].solve(rows)
-        return Apart(found)
+            results[number] = self._alone[number].solve(rows)
+        return SeparateResults(results)
 
 
-def joint_of(
-    windows: Windowing,
+def find_joint(
+    windows: OpenWindows,
     query: ContinuousQuery,
     arguments: Mapping[str, Term],
     fixed: tuple[str, ...] = (),
 ) -> tuple[Joint | None, dict[str, str]]:
-    """How instances that agree with ``arguments`` on the fixed parameters are computed together:
-    these are ``fixed`` and those that the reasons name. None where nothing is left to share."""
+    """Return how instances that agree with ``arguments`` on the fixed parameters are computed
+    together, and the fixed parameters: ``fixed`` and those with a reason. None: there is nothing
+    left to share."""
     reasons = dict.fromkeys(fixed, "")
     if query.operator is not StreamOperator.RSTREAM:
         why = f"{query.operator} compares the results of an instance"
         return None, dict.fromkeys(arguments, why)
     bound = bind(query, {Variable(name): term for name, term in arguments.items()})
-    reading = Reading.of(bound, windows.schedule)
+    body = QueryBody.of(bound, windows.schedule)
     before = {variable.value: term for variable, term in query.bindings.items()}
-    for name in arguments.keys() & _graph_names(reading.tree):
+    for name in arguments.keys() & _graph_names(body.tree):
         reasons[name] = f"?{name} is a graph"
     try:
-        head = reading.translated({**before, **arguments}).head
+        head = body.translate({**before, **arguments}).head
         while True:
             names = [name for name in arguments if name not in reasons]
             if not names:
                 return None, reasons
-            found = reading.translated(before | {name: arguments[name] for name in reasons})
+            found = body.translate(before | {name: arguments[name] for name in reasons})
             shown = head if isinstance(head, Select) else found.head
             plan, _ = optimize(found.plan)
             try:
-                return joint(Query(shown, plan), names), reasons
+                return build_joint(Query(shown, plan), names), reasons
             except Unfit as unfit:
                 reasons |= {name: str(unfit) for name in names if unfit.name in (name, "")}
     except (Unsupported, ValueError) as unsupported:
@@ -283,6 +286,6 @@ def joint_of(
 
 
 def _graph_names(tree: ast.Query) -> frozenset[str]:
-    """The variables after GRAPH or WINDOW."""
+    """Return the variables after GRAPH or WINDOW."""
     graphs = (node for node in ast.walk(tree) if isinstance(node, ast.Graph))
     return frozenset(graph.name.value for graph in graphs if isinstance(graph.name, Variable))

@@ -1,5 +1,5 @@
-"""The index of instances: those that agree on the joined terms are a group, sorted in itself
-by the compared term that a condition searches for.
+"""The index of instances. Instances that agree on the joined terms form a group, sorted by the
+compared term that a condition searches for.
 """
 
 from __future__ import annotations
@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
 from ..algebra.template_parameters import Joint
-from ..columns.relation import Relation, TermValues, as_terms, bits, decoded
+from ..columns.relation import Relation, TermValues, as_terms, bits, decode
 from ..values.literals import LONG
-from .instance_kernel import fired, least_of
-from .instance_terms import Terms
+from .instance_kernel import find_pairs, least_of
+from .instance_terms import InstanceTerms
 
 Rows: TypeAlias = NDArray[np.int64]
 EXACT = 2**53
-"""Below, float64 tells integers apart."""
+"""Below this, distinct integers have distinct float64s."""
 
 
 class InstanceIndex:
     """Rows ``start`` … ``stop`` of the columns of a table.
 
-    Law: `find` gives each pair of a solution and a row that agree on the joined terms and fulfil
-    the searched condition, once. Cost: a sort to make, then O(solutions + pairs) a call. Memory: 24
-    bytes a row, 16 a group, 8 a term of the dictionary.
+    Law: `find` returns each pair of a solution and a row that agree on the joined terms and satisfy
+    the searched condition, once. Cost: a sort to build, then O(solutions + pairs) per call. Memory:
+    24 bytes per row, 16 per group, 8 per term of the dictionary.
     """
 
     def __init__(
         self,
         joint: Joint,
-        columns: Mapping[str, Terms],
+        columns: Mapping[str, InstanceTerms],
         terms: TermValues,
         start: int,
         stop: int,
@@ -46,15 +46,15 @@ class InstanceIndex:
         groups = np.zeros(len(rows), np.int64)
         count = min(1, len(rows))
         self._levels: list[Rows] = []
-        """After each joined term the combinations that occur, numbered by their places: so that
-        the next combination of two numbers stays small."""
+        """After each joined term, the combinations that occur. Their positions number them, so
+        that the product with the next term's codes stays small."""
         for key in self._keys:
             distinct, groups = np.unique(groups * key.count + key.codes, return_inverse=True)
             groups, count = groups.reshape(-1), len(distinct)
             self._levels.append(distinct)
         self.limits = np.zeros(len(rows), np.float64)
         self.is_exact = True
-        """Whether float64 tells all limits apart from any number of a column."""
+        """Whether float64 distinguishes all limits from any number of a column."""
         if self.search is not None:
             limits = columns[self.search.limit]
             self.limits = _limits(limits, rows)
@@ -73,10 +73,10 @@ class InstanceIndex:
         self._least = least_of(self.starts, self.limits)
 
     def find(self, relation: Relation, values: ObjectColumn | None) -> tuple[Rows, Rows]:
-        """Rows of ``relation`` and of the table that belong together."""
+        """Return the pairs of a row of ``relation`` and a row of the table."""
         groups = self._groups(relation)
         if values is None or self.search is None:
-            # Nothing to search for: all of a group.
+            # Without a condition every row of a group matches.
             number, strict = np.zeros(relation.rows), False
             limits, least = np.zeros(len(self.limits)), np.zeros(len(self._least))
             least[0] = np.nan
@@ -87,17 +87,17 @@ class InstanceIndex:
             limits, least = self.limits, self._least
             if values.null is not None:
                 groups = np.where(values.null, -1, groups)
-        at, places = fired(groups, number, self.starts, limits, least, strict)
+        at, places = find_pairs(groups, number, self.starts, limits, least, strict)
         return at, self.rows[places]
 
     def _groups(self, relation: Relation) -> Rows:
-        """The group of each row, -1 for none."""
+        """Return the group of each row, or -1."""
         groups = np.full(relation.rows, 0 if len(self.rows) else -1)
         for i, name in enumerate(self.joined):
             key, distinct = self._keys[i], self._levels[i]
             codes = key.find(relation.column(name))
             if i == 0:
-                # The codes of the first are the combinations.
+                # The codes of the first term number the combinations.
                 groups = codes
                 continue
             wanted = groups * key.count + codes
@@ -108,21 +108,21 @@ class InstanceIndex:
 
 
 class _Key:
-    """One joined term of some rows: its codes 0, 1, 2 …, and the code of a term in a column."""
+    """One joined term of some rows: codes 0, 1, 2 …, and the code of each term in a column."""
 
-    def __init__(self, terms: Terms, rows: Rows) -> None:
+    def __init__(self, terms: InstanceTerms, rows: Rows) -> None:
         self.terms = terms
         self.tags, self.bits = terms.tags[rows], terms.bits[rows]
-        self.codes, self.count = self._coded()
+        self.codes, self.count = self._encode()
         self._of_id: NDArray[np.int64] | None = None
         terms.dictionary.hold(self)
 
     def held_ids(self) -> Iterator[Rows]:
-        """The terms that numbers have been given, to be found by id; the others are the table's."""
+        """The ids that numbers got for the look-up by id; the table holds the other terms."""
         if self._of_id is not None:
             yield np.flatnonzero(self._of_id >= 0)
 
-    def _coded(self) -> tuple[Rows, int]:
+    def _encode(self) -> tuple[Rows, int]:
         codes = np.zeros(len(self.tags), np.int64)
         self._first: list[tuple[int, Rows, int]] = []
         count = 0
@@ -135,7 +135,7 @@ class _Key:
         return codes, count
 
     def find(self, column: ObjectColumn) -> Rows:
-        """The code of each object, -1 for a term that no row has."""
+        """Return the code of each object, -1 for a term that no row has."""
         if column.kind is Kind.TERM:
             return self._by_id(column)
         found = np.full(len(column), -1)
@@ -152,13 +152,13 @@ class _Key:
         if self._of_id is None:
             table = np.full(0, -1)
             for tag, distinct, first in self._first:
-                # A column of mixed objects has its numbers as terms.
-                ids = as_terms(decoded(Kind(tag), distinct), dictionary).values
+                # A column of mixed kinds has numbers as terms, so they need ids, too.
+                ids = as_terms(decode(Kind(tag), distinct), dictionary).values
                 if len(ids) and ids.max() >= len(table):
                     table = np.concatenate([table, np.full(ids.max() + 1 - len(table), -1)])
                 table[ids] = np.arange(first, first + len(ids))
             self._of_id = table
-        # The last place is that of NO_TERM (-1) and of ids that are newer.
+        # The last place is for NO_TERM (index -1); the padding is for ids that are newer.
         padded = self._of_id
         if not len(padded) or len(padded) <= len(dictionary):
             padded = self._of_id = np.concatenate(
@@ -168,13 +168,13 @@ class _Key:
         return found if column.null is None else np.where(column.null, -1, found)
 
 
-def _limits(column: Terms, rows: Rows) -> NDArray[np.float64]:
-    """The numbers among the terms as floats; what is none, no value is greater or less than: NaN,
-    which sorts behind all, on either side."""
+def _limits(column: InstanceTerms, rows: Rows) -> NDArray[np.float64]:
+    """Return the numbers among the terms as floats. Other terms become NaN: no value is greater or
+    less, and NaN sorts last in both directions."""
     tags, values = column.tags[rows], column.bits[rows]
     limits = np.full(len(rows), np.nan)
     for kind in (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE):
         at = tags == kind
         if at.any():
-            limits[at] = decoded(kind, values[at]).values
+            limits[at] = decode(kind, values[at]).values
     return limits

@@ -1,5 +1,5 @@
-"""The compiled loop that finds the instances of solutions (see `streams.jit`), and its twin in
-numpy, which looks at every instance of a group.
+"""The compiled loop that finds the instances of solutions (see `streams.jit`), and its numpy twin,
+which visits every instance of a group.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..columns.fold_kernels import read_only
 Rows = NDArray[np.int64]
 
 
-def _fire(
+def _find_pairs(
     groups: Any,
     values: Any,
     starts: Any,
@@ -25,13 +25,13 @@ def _fire(
     at: Any,
     places: Any,
 ) -> int:
-    """Write the pairs of a row and a place in its group whose limit the value of the row exceeds
-    (or, not ``strict``, reaches); returns how many there are, also of those beyond the room.
+    """Write each pair of a row and a place in its group whose limit the row's value exceeds (or
+    reaches, unless ``strict``). Returns the number of pairs, including those that did not fit.
 
-    ``least[group + 1]`` is the least limit of a group; of no group (-1) it is NaN.
+    ``least[group + 1]`` is the least limit of a group; for no group (-1) it is NaN.
     """
     rows, room = groups.shape[0], at.shape[0]
-    # Most rows are for nobody: choosing the others first, without a branch, costs half of testing.
+    # Most rows match no instance. Selecting the others first, without a branch, halves the cost.
     chosen = np.empty(512, np.int64)
     count = 0
     start = 0
@@ -51,7 +51,7 @@ def _fire(
             group, value = groups[row], values[row]
             for place in range(starts[group], starts[group + 1]):
                 limit = limits[place]
-                # Limits ascend; of NaN nothing is true.
+                # Limits ascend, so the first failure ends the search; comparisons with NaN fail.
                 if not (limit < value or (not strict and limit == value)):
                     break
                 if count < room:
@@ -78,11 +78,11 @@ def _signature() -> Any:
     )
 
 
-kernel = Kernel(_fire, _signature)
+kernel = Kernel(_find_pairs, _signature)
 _FIRST_ROOM = 1024
 
 
-def fired(
+def find_pairs(
     groups: Rows,
     values: NDArray[np.float64],
     starts: Rows,
@@ -90,14 +90,15 @@ def fired(
     least: NDArray[np.float64],
     strict: bool,
 ) -> tuple[Rows, Rows]:
-    """All pairs of a row and a place with ``limits[place] < values[row]`` (``<=`` unless strict).
+    """Return all pairs of a row and a place with ``limits[place] < values[row]`` (``<=`` unless
+    strict), in order of rows, then of places.
 
-    Row ``i`` has the places ``starts[groups[i]]`` to ``starts[groups[i] + 1]``, by ascending limit
-    (NaN last), none if its group is -1; ``least`` is `least_of` these. In order of rows, then of
-    places. Cost: O(rows + pairs).
+    The places of row ``i`` are ``starts[groups[i]]`` to ``starts[groups[i] + 1]``, by ascending
+    limit (NaN last); it has none if its group is -1. ``least`` is `least_of` these. Cost: O(rows +
+    pairs).
     """
     if not JIT:
-        return fired_plain(groups, values, starts, limits, strict)
+        return find_pairs_plain(groups, values, starts, limits, strict)
     room = max(_FIRST_ROOM, len(groups) // 4)
     while True:
         at, places = np.empty(room, np.int64), np.empty(room, np.int64)
@@ -108,18 +109,18 @@ def fired(
 
 
 def least_of(starts: Rows, limits: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The least limit of each group, behind the NaN of no group. No group is empty."""
+    """Return the least limit of each group, after a NaN for no group. No group is empty."""
     return np.concatenate([[np.nan], limits[starts[:-1]]])
 
 
-def fired_plain(
+def find_pairs_plain(
     groups: Rows,
     values: NDArray[np.float64],
     starts: Rows,
     limits: NDArray[np.float64],
     strict: bool,
 ) -> tuple[Rows, Rows]:
-    """The twin of `fired`. Cost: O(rows + instances of their groups)."""
+    """The twin of `find_pairs`. Cost: O(rows + instances of their groups)."""
     rows = np.flatnonzero(groups >= 0)
     low = starts[groups[rows]]
     sizes = starts[groups[rows] + 1] - low

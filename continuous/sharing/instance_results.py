@@ -1,4 +1,4 @@
-"""What a window gives for all instances of a template: columns with an instance number a row."""
+"""Results of a window for all instances: columns with an instance number per row."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from ..operators.results import Solutions, WindowResult
 from .instance_table import INSTANCE
 
 Numbers: TypeAlias = NDArray[np.int64]
-"""Instance numbers: of instances, ascending; of rows, as the rows are."""
+"""Instance numbers: ascending for a set of instances, in row order for rows."""
 
 
 @dataclass(frozen=True, eq=False)
-class Common:
-    """Instances that all have the same result."""
+class CommonResult:
+    """Instances with the same result."""
 
     instances: Numbers
     result: WindowResult
@@ -70,8 +70,8 @@ class Common:
 
 
 @dataclass(frozen=True, eq=False)
-class Apart:
-    """Instances that each have a result of their own, numbers ascending."""
+class SeparateResults:
+    """Instances with separate results, by ascending number."""
 
     results: Mapping[int, WindowResult]
 
@@ -84,7 +84,7 @@ class Apart:
 
     @property
     def answered(self) -> Numbers:
-        return self._those(lambda result: result.answer is not None or result.size > 0)
+        return self._select(lambda result: result.answer is not None or result.size > 0)
 
     def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
         for part in self._parts():
@@ -103,22 +103,22 @@ class Apart:
             yield from part.triples()
 
     def holding(self) -> Numbers:
-        return self._those(lambda result: bool(result.answer))
+        return self._select(lambda result: bool(result.answer))
 
-    def _parts(self) -> Iterator[Common]:
+    def _parts(self) -> Iterator[CommonResult]:
         for number, result in self.results.items():
-            yield Common(np.array([number], np.int64), result)
+            yield CommonResult(np.array([number], np.int64), result)
 
-    def _those(self, chosen: Callable[[WindowResult], bool]) -> Numbers:
+    def _select(self, chosen: Callable[[WindowResult], bool]) -> Numbers:
         return np.array([n for n, result in self.results.items() if chosen(result)], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class JoinedResults:
     """The solutions of all instances of a cohort in one relation.
 
-    ``numbers``: of the rows of the cohort's table, to which `INSTANCE` points; only those that are
-    ``alive`` have a result.
+    ``numbers``: the instance numbers of the rows of the cohort's table, which `INSTANCE` indexes.
+    Only ``alive`` rows have a result.
     """
 
     start: int
@@ -171,7 +171,7 @@ class Joined:
             yield self._numbers, found
 
     def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
-        """As `result_forms.construct`, each triple once an instance."""
+        """As `result_forms.construct`, each triple once per instance."""
         if not isinstance(self.head, Construct):
             return
         relation = _of_one(self.relation)
@@ -209,53 +209,54 @@ class Joined:
 
 @dataclass(frozen=True, eq=False)
 class InstanceResults:
-    """The results of the window with end ``end`` (ns), of all instances that are there.
+    """The results of the window with end ``end`` (ns) for all present instances.
 
-    Law: ``of(i)`` is what instance i alone would give. Cost: columns are made when asked for; `of`
-    sorts the solutions once, then looks one up. Memory: the solutions and the table's numbers.
+    Law: ``of(i)`` is the result of instance i alone. Cost: columns are made on request; `of` sorts
+    the solutions once, then finds those of one instance. Memory: the solutions and the table's
+    numbers.
     """
 
     start: int
     end: int
-    parts: tuple[Common | Apart | Joined, ...]
+    parts: tuple[CommonResult | SeparateResults | JoinedResults, ...]
 
     def of(self, instance: int) -> WindowResult | None:
-        """The result of one instance; None if it was not there when the window closed."""
+        """Return the result of one instance; None if it did not exist when the window closed."""
         return next((r for part in self.parts if (r := part.of(instance)) is not None), None)
 
     @property
     def instances(self) -> Numbers:
-        """The instances that have a result, which may be empty, ascending."""
+        """The instances that have a result, empty ones included, ascending."""
         return np.sort(np.concatenate([_NONE, *(part.reported for part in self.parts)]))
 
     @property
     def answered(self) -> Numbers:
-        """The instances that have solutions (of an ASK: an answer), ascending."""
+        """The instances that have solutions (for ASK: an answer), ascending."""
         return np.sort(np.concatenate([_NONE, *(part.answered for part in self.parts)]))
 
     def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
-        """The instances whose result has no solutions, ascending, with that result: it is one for
-        many."""
+        """Yield the instances whose result has no solutions, ascending, and that result, which many
+        share."""
         for part in self.parts:
             yield from part.silent()
 
     @property
     def size(self) -> int:
-        """How many solutions all instances have together (of common results, how many rows)."""
+        """The number of solutions of all instances (of common results: rows)."""
         return sum(part.rows for part in self.parts)
 
     def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
-        """Of a SELECT: tables of solutions, with the instance of each."""
+        """Yield tables of solutions of a SELECT, with the instance of each row."""
         for part in self.parts:
             yield from part.solutions()
 
     def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
-        """Of a CONSTRUCT: tables of triples, with the instance of each row."""
+        """Yield tables of triples of a CONSTRUCT, with the instance of each row."""
         for part in self.parts:
             yield from part.triples()
 
     def holding(self) -> Numbers:
-        """Of an ASK: the instances whose answer is yes, ascending."""
+        """Return the instances whose answer to an ASK is true, ascending."""
         return np.sort(np.concatenate([_NONE, *(part.holding() for part in self.parts)]))
 
 
@@ -263,7 +264,7 @@ _NONE: Numbers = np.zeros(0, np.int64)
 
 
 def _of_one(relation: Relation) -> Relation:
-    """With the key that the rows of one instance have among each other."""
+    """Replace the key by that of a single instance's rows."""
     return replace(relation, key=None if relation.key is None else relation.key - {INSTANCE})
 
 

@@ -1,5 +1,5 @@
-"""The table of a template's instances: their terms in columns, and which of them a solution is for.
-A window costs O(solutions + what it gives), however many instances there are.
+"""The table of a template's instances: their terms in columns, and a join with solutions. A window
+costs O(solutions + matches), however many instances exist.
 """
 
 from __future__ import annotations
@@ -15,36 +15,38 @@ from ...rdf.timed import Kind, ObjectColumn
 from ..algebra.template_parameters import Joint, Search
 from ..columns.relation import Relation, TermValues
 from .instance_index import EXACT, InstanceIndex, Rows
-from .instance_terms import Growing, Terms
+from .instance_terms import GrowingArray, InstanceTerms
 
 INSTANCE = "\0instance"
-"""The column of a joined relation that says which row of the table a solution is for."""
+"""The column of a joined relation with the row of the table that a solution belongs to."""
 
 RECENT = 1024
-"""Instances are looked up in two indexes: recent ones become part of the main one when they are
-this many and an eighth of it, so that adding one does not sort all."""
+"""Recent instances have an index of their own, so that adding one does not sort all. They join the
+main index when they are more than this and more than an eighth of it."""
 
 
 class InstanceTable:
-    """The instances of one cohort, a row each: number, joined and compared terms.
+    """The instances of one cohort, one row each: number, joined and compared terms.
 
-    Law: `join` gives each solution once for every live row that has its joined terms (and fulfils
-    the searched condition). Memory: 9 bytes a row, 9 a term, and 16 for the index.
+    Law: `join` returns each solution once for every live row that has its joined terms (and
+    satisfies the searched condition). Memory: 9 bytes per row, 9 per term, and 16 for the index.
     """
 
     def __init__(self, joint: Joint, terms: TermValues) -> None:
         self.joint = joint
         self.terms = terms
-        self.columns = {name: Terms(terms.dictionary) for name in (*joint.joined, *joint.compared)}
+        self.columns = {
+            name: InstanceTerms(terms.dictionary) for name in (*joint.joined, *joint.compared)
+        }
         self.live = 0
         self._numbers = array("q")
-        self._settled, self._alive = Growing(np.int64), Growing(np.bool_)
+        self._settled, self._alive = GrowingArray(np.int64), GrowingArray(np.bool_)
         self._removed: set[int] = set()
         self._main: InstanceIndex | None = None
         self._recent: InstanceIndex | None = None
 
     def add(self, number: int, arguments: Mapping[str, Term]) -> None:
-        """Add an instance, its number greater than all before. Cost: a list a term."""
+        """Add an instance; its number must be the greatest so far. Cost: an append per term."""
         self._numbers.append(number)
         for name, column in self.columns.items():
             column.append(arguments[name])
@@ -55,8 +57,8 @@ class InstanceTable:
         self.live -= 1
 
     def members(self) -> tuple[Rows, NDArray[np.bool_]]:
-        """The numbers of all rows, ascending, and which of them are alive. They never change: a
-        change makes new ones. Cost: of what came since; of all rows when some went."""
+        """Return the numbers of all rows, ascending, and which rows are alive. Callers may keep the
+        arrays: a change makes new ones. Cost: that of the new rows; of all rows after a removal."""
         if self._numbers:
             self._settled.extend(np.array(self._numbers, np.int64))
             self._alive.extend(np.ones(len(self._numbers), np.bool_))
@@ -64,17 +66,17 @@ class InstanceTable:
         for column in self.columns.values():
             column.settle()
         if self._removed:
-            gone = np.fromiter(self._removed, np.int64)
+            removed = np.fromiter(self._removed, np.int64)
             self._removed = set()
             alive = self._alive.view.copy()
-            alive[np.searchsorted(self._settled.view, gone)] = False
+            alive[np.searchsorted(self._settled.view, removed)] = False
             self._alive.replace(alive)
             if 2 * self.live < len(alive):
                 self._compact()
         return self._settled.view, self._alive.view
 
     def _compact(self) -> None:
-        """Forget the rows that have gone, as they are half of all."""
+        """Drop the removed rows, which are more than half of all."""
         kept = np.flatnonzero(self._alive.view)
         self._settled.replace(self._settled.view[kept])
         self._alive.replace(self._alive.view[kept])
@@ -83,8 +85,8 @@ class InstanceTable:
         self._main = self._recent = None
 
     def join(self, relation: Relation) -> tuple[Relation, bool]:
-        """The solutions with the rows they are for (`INSTANCE`) and the compared terms of these;
-        and whether the searched condition was decided. Call `members` first."""
+        """Return the solutions with their rows of the table (`INSTANCE`) and these rows' compared
+        terms, and whether the searched condition is decided. Call `members` first."""
         search = self.joint.search
         values = None if search is None else self._searched(search, relation)
         decided = values is not None
@@ -97,17 +99,17 @@ class InstanceTable:
             at, rows = at[alive], rows[alive]
         columns = {name: column.take(at) for name, column in relation.columns.items()}
         for name in self.joint.compared:
-            if name in self.joint.asked or not decided:
+            if name in self.joint.used_variables or not decided:
                 columns[name] = self.columns[name].column(rows)
         columns[INSTANCE] = ObjectColumn(Kind.INTEGER, rows)
-        # Within an instance the joined terms are the same, so the rest of a key is one.
+        # Joined terms are constant within an instance, so the other variables of a key suffice.
         key = None
         if relation.key is not None:
             key = relation.key - frozenset(self.joint.joined) | {INSTANCE}
         return Relation(columns, len(at), key), decided
 
     def _searched(self, search: Search, relation: Relation) -> ObjectColumn | None:
-        """The column to search with, if floats say its order against the limits exactly."""
+        """Return the column to search with, or None if floats could misorder it and the limits."""
         column = relation.column(search.value)
         if not column.kind.is_number or not all(index.is_exact for index in self._indexes()):
             return None

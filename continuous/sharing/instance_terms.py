@@ -1,4 +1,4 @@
-"""Terms of instances in growing columns, numbers as numbers."""
+"""InstanceTerms of instances in growing columns; numbers need no dictionary entry."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from pyoxigraph import Literal, NamedNode
 
 from ...rdf.dictionary import Term, TermDictionary
 from ...rdf.timed import DATATYPES, Kind, ObjectColumn, split_term
-from ..columns.relation import bits, decoded, decoded_terms
+from ..columns.relation import bits, decode, decode_terms
 from ..values.literals import canonical
 
 _BLOCK = 4096
-"""As many terms wait to be encoded: long lists of them keep the garbage collector busy."""
+"""The number of terms encoded at a time. Longer lists would slow down the garbage collector."""
 _READ: Mapping[str, tuple[Kind, Any]] = {
     DATATYPES[Kind.DOUBLE].value: (Kind.DOUBLE, float),
     DATATYPES[Kind.INTEGER].value: (Kind.INTEGER, int),
 }
 
 
-class Growing:
-    """An array that grows at its end; a `view` of it stays as it is. Cost: O(what comes)."""
+class GrowingArray:
+    """An array that grows at its end; its views do not change. Cost: O(appended values)."""
 
     def __init__(self, kind: Any) -> None:
         self._values: NDArray[Any] = np.zeros(0, kind)
@@ -40,19 +40,19 @@ class Growing:
         self.view = self._values[:stop]
 
     def replace(self, values: NDArray[Any]) -> None:
-        """Other values from now on; ``values`` is ours."""
+        """Replace the values; the array takes over ``values``."""
         self._values = self.view = values
 
 
-class Terms:
-    """A growing column of terms: a tag (`Kind`) and 64 bits each, as `TermValues.encoded` has them.
+class InstanceTerms:
+    """A growing column of terms, each a tag (`Kind`) and 64 bits, as in `TermValues.encode`.
 
-    Numbers never enter the dictionary: a million thresholds are 9 bytes each.
+    Numbers never enter the dictionary, so a million thresholds take 9 bytes each.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:
         self.dictionary = dictionary
-        self._tags, self._bits = Growing(np.int8), Growing(np.int64)
+        self._tags, self._bits = GrowingArray(np.int8), GrowingArray(np.int64)
         self._waiting: list[Term] = []
         dictionary.hold(self)
 
@@ -69,13 +69,13 @@ class Terms:
         return self._bits.view
 
     def append(self, term: Term) -> None:
-        """Cost: some microseconds a term, most of them when a block is encoded."""
+        """Append a term. Cost: some microseconds per term, mostly when a block is encoded."""
         self._waiting.append(term)
         if len(self._waiting) == _BLOCK:
             self.settle()
 
     def settle(self) -> None:
-        """Encode what waits."""
+        """Encode the appended terms."""
         if not self._waiting:
             return
         dictionary = self.dictionary
@@ -97,26 +97,26 @@ class Terms:
         self._bits.replace(self.bits[rows])
 
     def column(self, rows: NDArray[np.int64]) -> ObjectColumn:
-        """The terms of these rows."""
+        """Return the terms of these rows."""
         tags, values = self.tags[rows], self.bits[rows]
         if not len(tags):
             return ObjectColumn(Kind.TERM, np.zeros(0, np.int32))
         if (tags == tags[0]).all():
-            return decoded(Kind(int(tags[0])), values)
-        return decoded_terms(tags, values, self.dictionary)
+            return decode(Kind(int(tags[0])), values)
+        return decode_terms(tags, values, self.dictionary)
 
     def term(self, row: int) -> Term:
         return self.column(np.array([row])).term_at(0, self.dictionary)
 
 
 def _split(term: Term, dictionary: TermDictionary) -> tuple[Kind, Any]:
-    """`split_term` of the canonical spelling; doubles and integers without spelling them first."""
+    """Apply `split_term` to the canonical spelling. Doubles and integers skip that spelling."""
     if isinstance(term, NamedNode):
         return Kind.TERM, dictionary.transient_id(term)
     if isinstance(term, Literal):
-        known, text = _READ.get(term.datatype.value), term.value
-        if known is not None and text.isascii() and "_" not in text and text == text.strip():
-            kind, read = known
+        reader, text = _READ.get(term.datatype.value), term.value
+        if reader is not None and text.isascii() and "_" not in text and text == text.strip():
+            kind, read = reader
             try:
                 value = read(text)
             except ValueError:

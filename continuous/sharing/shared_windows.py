@@ -1,7 +1,7 @@
-"""Windows that many queries read: rows and watermarks in, one value a window out for all of them.
+"""Windows that many queries read: their evaluator returns one value per window for all of them.
 
-What is computed over them is the business of `template_instances` (of a template) and
-`similar_queries` (queries that differ in constants).
+Subclasses: `template_instances` (instances of a template), `similar_queries` (queries that differ
+in constants).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from .instance_results import InstanceResults
 
 
 def own_windows(query: ContinuousQuery, schedule: Schedule, options: Options) -> str:
-    """Why what is in the windows of a query, or which it reports, is its own: it depends on when
-    the query began. "" where it does not."""
+    """Return why the windows or reports of a query depend on when it started, so that it cannot
+    share them; "" if they do not."""
     if query.operator is not StreamOperator.RSTREAM:
         return f"{query.operator} compares results with those before, of its own"
     if options.report != "non-empty":
@@ -30,7 +30,7 @@ def own_windows(query: ContinuousQuery, schedule: Schedule, options: Options) ->
 
 
 def own_solutions(query: Query) -> str:
-    """Why the solutions of a query are its own, in the same windows as others; "" where not."""
+    """Return why a query's solutions may differ from those of others in the same windows, or ""."""
     nodes = walk(query.plan)
     if any(isinstance(node, Order) for node in nodes):
         return "ORDER BY orders the solutions of one query"
@@ -47,8 +47,8 @@ class SharedWindows(WindowedEvaluator[InstanceResults]):
 
     @abstractmethod
     def remove(self, instance: int) -> None:
-        """Forget a query, by its number; raises ``KeyError`` if it is not there."""
+        """Remove a query by its number; raises ``KeyError`` if there is none."""
 
     @abstractmethod
     def explain(self) -> str:
-        """What is shared, and how it is computed."""
+        """Describe what is shared, and how it is computed."""

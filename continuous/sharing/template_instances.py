@@ -1,8 +1,8 @@
 """All instances of one template as one continuous query (DESIGN §3 "Sharing").
 
-Rows and watermarks in, one value a window out that holds the result of every instance. The windows
-are kept once; instances that agree on what has to be fixed in the plan (`template_parameters`) are
-a cohort, which computes the plan once and joins it with the table of its instances (`cohorts`).
+The evaluator returns one value per window, with the results of all instances. It stores the windows
+once. Instances that agree on the fixed parameters (`template_parameters`) are a cohort, which
+computes the plan once and joins it with the table of its instances (`cohorts`).
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from ...languages.csparql.ast import ContinuousQuery
 from ...rdf.dictionary import Term, TermDictionary
 from ..algebra.options import Options
 from ..algebra.plan import Ask
-from ..algebra.template_parameters import confined, described
+from ..algebra.template_parameters import describe_parameters, is_confined
 from ..columns.budget import UNLIMITED, Budget
-from ..evaluation.solver import Reading
+from ..evaluation.solver import QueryBody
 from ..operators.background import Background
-from .cohorts import Alone, Place, Together, joint_of
-from .instance_results import Apart, Common, InstanceResults, Joined
+from .cohorts import CohortId, JoinedCohort, SingleCohort, find_joint
+from .instance_results import CommonResult, InstanceResults, JoinedResults, SeparateResults
 from .shared_windows import SharedWindows, own_solutions, own_windows
 
 
 @dataclass(slots=True, eq=False)
 class _Family:
-    """Instances that give the same parameters. ``fixed``: those that they must agree on to be a
-    cohort, with why."""
+    """Instances that bind the same parameters. ``fixed``: the parameters that a cohort must agree
+    on, with the reasons."""
 
     names: tuple[str, ...]
     fixed: Mapping[str, str]
 
 
 class TemplateEvaluator(SharedWindows):
-    """The instances of a template over named inputs; ``query`` has its parameters free.
+    """The instances of a template over named inputs; ``query`` has unbound parameters.
 
-    Law (tests/laws): ``of(i)`` of a window is what a `ContinuousEvaluator` of
-    ``bind(query, arguments)`` gives for it, from the first window on that closes after `add` and
-    until `remove`. (Where results are compared with those before, as by ISTREAM, the first one of
-    new arguments has none before.)
+    Law (tests/laws): ``of(i)`` of a window equals the result of a `ContinuousEvaluator` of
+    ``bind(query, arguments)``, from the first window that closes after `add` until `remove`. (If
+    results are compared with previous ones, as by ISTREAM, the first result of new arguments has no
+    previous one.)
 
-    Cost: that of one query a cohort, then O(its solutions + what it gives out): see `explain` for
-    what is shared. Memory: the rows of the open windows once, partial aggregates a cohort; an
-    instance as `InstanceTable` says and 8 bytes that stay when it has gone; one that is evaluated
-    alone keeps a plan.
+    Cost: that of one query per cohort, then O(its solutions + all results); `explain` shows what is
+    shared. Memory: the rows of the open windows once, partial aggregates per cohort; per instance
+    that of `InstanceTable`, and 8 bytes that stay after its removal. Arguments evaluated alone have
+    a plan of their own.
     """
 
     def __init__(
@@ -62,22 +62,23 @@ class TemplateEvaluator(SharedWindows):
         super().__init__(query, dictionary, background, inputs, options, budget)
         self.query = query
         self._families: dict[tuple[Variable, ...], _Family] = {}
-        self._cohorts: dict[tuple[object, ...], Alone | Together] = {}
-        self._serials: dict[int, Alone | Together] = {}
+        self._cohorts: dict[tuple[object, ...], SingleCohort | JoinedCohort] = {}
+        self._serials: dict[int, SingleCohort | JoinedCohort] = {}
         self._cohort_of = array("q")
-        """By instance the serial number of its cohort, -1 of one that has gone."""
+        """The serial number of each instance's cohort; -1 after its removal."""
         self._live = self._next = 0
 
     def __len__(self) -> int:
-        """How many instances there are."""
+        """The number of instances."""
         return self._live
 
     def add(self, arguments: Mapping[Variable, Term]) -> int:
-        """A new instance, by its number (never given again); arguments left out stay variables.
+        """Add an instance; return its number, which is never reused. Missing arguments stay
+        variables.
 
-        It has results from the next window on that closes. Raises ``ValueError`` as `bind` does,
-        and where the query makes no SPARQL. Cost: about 2 µs in a cohort that is there; the first
-        one of a cohort plans the query.
+        It has results from the next window that closes. Raises ``ValueError`` as `bind` does, and
+        if the query has no SPARQL form. Cost: about 2 µs in an existing cohort; the first instance
+        of a cohort plans the query.
         """
         names = tuple(arguments)
         family = self._families.get(names)
@@ -86,7 +87,7 @@ class TemplateEvaluator(SharedWindows):
         given: dict[str, Term] = {}
         for variable, term in arguments.items():
             if isinstance(term, BlankNode):
-                raise ValueError(f"{variable} is given a blank node, which names nothing here")
+                raise ValueError(f"{variable} is a blank node, which names nothing in a request")
             given[variable.value] = term
         key: tuple[object, ...] = (family.names, *[given[name] for name in family.fixed])
         cohort = self._cohorts.get(key)
@@ -104,30 +105,31 @@ class TemplateEvaluator(SharedWindows):
         one_by_one: Collection[str],
         streamed: Collection[str],
     ) -> frozenset[str] | None:
-        """The parameters on which instances with such arguments have to agree to share more than
-        their windows; None if they share nothing more, or what they give is their own
-        (`own_windows`, `own_solutions`), or if those in ``one_by_one`` are among these, or need
-        other triples than those about their term, of the predicates (IRIs) that are ``streamed``:
-        else an instance has what it would have over these alone.
+        """Return the parameters on which instances with such arguments must agree to share more
+        than their windows. None in these cases: they share nothing more; their results are their
+        own (`own_windows`, `own_solutions`); parameters in ``one_by_one`` are among the fixed ones;
+        or the instances need other triples of the ``streamed`` predicates (IRIs) than those about
+        their terms in ``one_by_one``. Otherwise an instance has the results that it would have over
+        those triples alone.
         """
         given = {variable.value: term for variable, term in arguments.items()}
-        found, fixed = joint_of(self._windows, self.query, given)
-        if found is None or not fixed.keys().isdisjoint(one_by_one):
+        joint, fixed = find_joint(self._windows, self.query, given)
+        if joint is None or not fixed.keys().isdisjoint(one_by_one):
             return None
         windows = self._windows
         if own_windows(self.query, windows.schedule, windows.options):
             return None
-        reading = Reading.of(bind(self.query, arguments), windows.schedule)
-        if own_solutions(reading.translated(given)):
+        body = QueryBody.of(bind(self.query, arguments), windows.schedule)
+        if own_solutions(body.translate(given)):
             return None
-        if one_by_one and windows.entailment.tells_of_objects(streamed):
+        if one_by_one and windows.entailment.entails_of_objects(streamed):
             return None
-        # ASK says no as well.
-        alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)
+        # An ASK also reports false, for which no triple about the term is needed.
+        alike = not isinstance(joint.head, Ask) and is_confined(joint.plan, one_by_one, streamed)
         return frozenset(fixed) if alike or not one_by_one else None
 
     def remove(self, instance: int) -> None:
-        """Forget an instance; raises ``KeyError`` if it is not there."""
+        """Remove an instance; raises ``KeyError`` if it does not exist."""
         if not 0 <= instance < len(self._cohort_of) or self._cohort_of[instance] < 0:
             raise KeyError(instance)
         cohort = self._serials[self._cohort_of[instance]]
@@ -138,7 +140,7 @@ class TemplateEvaluator(SharedWindows):
             del self._serials[cohort.place.serial], self._cohorts[cohort.place.key]
 
     def explain(self) -> str:
-        """What is shared among which instances, and the plan of each cohort (of some)."""
+        """Describe what is shared among which instances, and the plans of some cohorts."""
         lines = [f"{len(self)} instances in {len(self._cohorts)} cohorts"]
         for family in dict.fromkeys(self._families.values()):
             mine = [(key, c) for key, c in self._cohorts.items() if key[0] == family.names]
@@ -148,9 +150,9 @@ class TemplateEvaluator(SharedWindows):
             given = ", ".join(f"?{name}" for name in family.names) or "no parameter"
             lines.append(f"given {given}: {count} instances in {len(mine)} cohorts")
             cohort = mine[0][1]
-            if isinstance(cohort, Together):
-                told = described(cohort.joint, family.fixed)
-                lines += [f"  {line}" for line in told]
+            if isinstance(cohort, JoinedCohort):
+                parameters = describe_parameters(cohort.joint, family.fixed)
+                lines += [f"  {line}" for line in parameters]
                 lines.append("  computed once a cohort, then joined with the table of instances:")
             else:
                 lines += [f"  ?{name}: fixed, {why}" for name, why in family.fixed.items()]
@@ -159,33 +161,33 @@ class TemplateEvaluator(SharedWindows):
         return "\n".join(lines)
 
     def _family(self, arguments: Mapping[Variable, Term]) -> _Family:
-        """Its parameters in one order, whatever the order of the arguments."""
+        """Return the family of the arguments, in any order of theirs."""
         bind(self.query, arguments)
         ordered = sorted(arguments.items(), key=lambda item: item[0].value)
         given = {variable.value: term for variable, term in ordered}
         for family in self._families.values():
             if family.names == tuple(given):
                 return family
-        return _Family(tuple(given), joint_of(self._windows, self.query, given)[1])
+        return _Family(tuple(given), find_joint(self._windows, self.query, given)[1])
 
     def _cohort(
         self, family: _Family, key: tuple[object, ...], given: Mapping[str, Term]
-    ) -> Alone | Together:
+    ) -> SingleCohort | JoinedCohort:
         fixed = tuple(family.fixed)
         joint = None
         if len(fixed) < len(family.names):
-            joint, reasons = joint_of(self._windows, self.query, given, fixed)
+            joint, reasons = find_joint(self._windows, self.query, given, fixed)
             if len(reasons) > len(fixed):
                 joint = None
             if joint is None:
-                # With these terms more has to be fixed than with those that came first.
+                # With these terms more parameters are fixed than with the family's first ones.
                 key = (family.names, *given.items())
-                found = self._cohorts.get(key)
-                if found is not None:
-                    return found
-        place = Place(key, self._next)
+                existing = self._cohorts.get(key)
+                if existing is not None:
+                    return existing
+        place = CohortId(key, self._next)
         self._next += 1
-        made: Alone | Together
+        cohort: SingleCohort | JoinedCohort
         if joint is not None:
             agreed = {name: given[name] for name in fixed}
 
@@ -193,21 +195,21 @@ class TemplateEvaluator(SharedWindows):
                 arguments = {**agreed, **terms}
                 return bind(self.query, {Variable(n): term for n, term in arguments.items()})
 
-            made = Together(own, self._windows, self._static, place, joint)
+            cohort = JoinedCohort(own, self._windows, self._static, place, joint)
         else:
             arguments = {Variable(name): given[name] for name in family.names}
-            made = Alone(bind(self.query, arguments), self._windows, self._static, place)
-        self._cohorts[key] = self._serials[place.serial] = made
-        return made
+            cohort = SingleCohort(bind(self.query, arguments), self._windows, self._static, place)
+        self._cohorts[key] = self._serials[place.serial] = cohort
+        return cohort
 
-    def _closed(self, end: int, reports: bool) -> bool:
-        """The window that ends at ``end`` has closed: the result of every cohort."""
-        parts: list[Common | Apart | Joined] = []
+    def _evaluate(self, end: int, reports: bool) -> bool:
+        """Evaluate every cohort for the window that ends at ``end``."""
+        parts: list[CommonResult | SeparateResults | JoinedResults] = []
         if reports or self._windows.differs:
             for cohort in self._cohorts.values():
                 cohort.fold(end)
                 parts += cohort.results(end, reports=reports)
         if parts:
             self._results.append(InstanceResults(*self._windows.span(end), tuple(parts)))
-        # A cohort that comes later folds the whole window.
+        # A cohort that is added later folds a whole window first.
         return True

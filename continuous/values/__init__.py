@@ -1,1 +1,1 @@
-"""What terms are worth: numbers, booleans, exact decimals; the functions of the standard."""
+"""The values of terms: numbers, booleans, exact decimals; the standard functions."""

@@ -1,7 +1,8 @@
-"""Numbers that are aggregated one by one, as no sum of 64 bits takes them (SPARQL 1.1 §18.5.1).
+"""Numbers that are aggregated one by one, because no 64-bit sum can represent them (SPARQL 1.1
+§18.5.1).
 
-They are integers beyond int64, decimals of too many digits, and doubles so great that a sum of some
-may overflow before others bring it back. `partial_aggregates` puts them apart.
+They are integers beyond int64, decimals of too many digits, and doubles so great that a partial sum
+may overflow although the total does not. `partial_aggregates` separates them.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ _Counted: TypeAlias = Counter[tuple[Kind, Number]]
 
 @dataclass(slots=True)
 class Singles:
-    """How often each group has each number. Cost and memory: Python a number."""
+    """The count of each number in each group. Cost and memory: Python per number."""
 
     groups: dict[int, _Counted] = field(default_factory=dict)
 
     def add(self, at: NDArray[Any], kind: Kind, values: Iterable[Number], sign: int) -> None:
-        """Add (1) or take away (-1) a number a row."""
+        """Add (1) or subtract (-1) a number per row."""
         for group, value in zip(at.tolist(), values, strict=True):
             counted = self.groups.setdefault(group, Counter())
             counted[kind, value] += sign
@@ -45,37 +46,37 @@ class Singles:
                 del self.groups[group]
 
     def of(self, rows: NDArray[np.int64]) -> Singles:
-        """Those of the groups ``rows``, as groups 0, 1, 2 …"""
+        """Return the numbers of the groups ``rows``, as groups 0, 1, 2 …"""
         if not self.groups:
             return Singles()
-        known = np.flatnonzero(np.isin(rows, list(self.groups))).tolist()
-        return Singles({row: self.groups[int(rows[row])] for row in known})
+        present = np.flatnonzero(np.isin(rows, list(self.groups))).tolist()
+        return Singles({row: self.groups[int(rows[row])] for row in present})
 
     def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64]) -> Singles:
-        """Where group ``groups[i]`` takes in our ``rows[i]``."""
-        made = Singles()
+        """Return the numbers of groups where group ``groups[i]`` absorbs ``rows[i]``."""
+        singles = Singles()
         if self.groups:
             for at in np.flatnonzero(np.isin(rows, list(self.groups))).tolist():
-                made.groups.setdefault(int(groups[at]), Counter()).update(
+                singles.groups.setdefault(int(groups[at]), Counter()).update(
                     self.groups[int(rows[at])]
                 )
-        return made
+        return singles
 
     def keep(self, new: NDArray[np.int32]) -> None:
-        """Group g becomes ``new[g]``, -1 is forgotten."""
+        """Rename group g to ``new[g]``; drop it if that is -1."""
         self.groups = {int(new[g]): counted for g, counted in self.groups.items() if new[g] >= 0}
 
     def numbers(self, group: int) -> Iterator[tuple[Kind, Number, int]]:
-        """The numbers of a group, and how often it has each."""
+        """Yield the numbers of a group with their counts."""
         counted: Mapping[tuple[Kind, Number], int] = self.groups.get(group, Counter())
         for (kind, value), times in counted.items():
             yield kind, value, times
 
 
 def summed(numbers: Iterable[tuple[Kind, Number, int]], count: int | None) -> Literal | None:
-    """The sum of numbers, each so many times, rounded once; divided by ``count`` if it is given.
+    """Return the sum of numbers, each times its count, rounded once; divided by ``count`` if given.
 
-    None: an error, as the result is too long.
+    None: an error, since the result is too long.
     """
     parts = list(numbers)
     kind = max(kind for kind, _, _ in parts)
@@ -87,9 +88,12 @@ def summed(numbers: Iterable[tuple[Kind, Number, int]], count: int | None) -> Li
         except decimal.DecimalException:
             return None
         return exact_literal(kind, total)
-    odd = [float(value) for _, value, _ in parts if not math.isfinite(value)]
-    # Infinities of two signs, or a NaN, have no sum.
-    found = sum(odd) if odd else _nearest(sum(Fraction(value) * times for _, value, times in parts))
+    nonfinite = [float(value) for _, value, _ in parts if not math.isfinite(value)]
+    # The sum of infinities of both signs, or with a NaN, is NaN.
+    if nonfinite:
+        found = sum(nonfinite)
+    else:
+        found = _nearest(sum(Fraction(value) * times for _, value, times in parts))
     return make_literal(kind, found if count is None else found / count)
 
 
@@ -101,7 +105,7 @@ def _nearest(exact: Fraction | int) -> float:
 
 
 def extreme(numbers: Iterable[tuple[Kind, Number]], least: bool) -> Literal:
-    """MIN or MAX: NaN where a number is; of equal numbers the one of the first kind."""
+    """Return MIN or MAX: NaN if there is one; of equal numbers that of the first kind."""
     parts = sorted(numbers, key=lambda part: part[0])
     nans = [kind for kind, value in parts if value != value]
     if nans:
@@ -109,7 +113,7 @@ def extreme(numbers: Iterable[tuple[Kind, Number]], least: bool) -> Literal:
     choose = min if least else max
     exact = [part for part in parts if part[0] <= Kind.DECIMAL]
     floats = [part for part in parts if part[0] > Kind.DECIMAL]
-    # Two exact numbers are compared exactly, any others as floats (§17.3).
+    # Exact numbers are compared exactly, others as floats (§17.3).
     best = [choose(some, key=lambda part: part[1]) for some in (exact, floats) if some]
     kind, value = choose(best, key=lambda part: float(part[1]))
     if isinstance(value, Decimal):

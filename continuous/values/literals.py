@@ -1,7 +1,6 @@
-"""What a literal is worth: its sort, its number, its boolean value, its one spelling
-(SPARQL 1.1 §17.1-17.2).
+"""The value of a literal: sort, number, boolean value, canonical spelling (SPARQL 1.1 §17.1-17.2).
 
-`relation.TermValues` keeps this by the ids of a dictionary.
+`relation.TermValues` caches it by the ids of a dictionary.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from . import decimals
 
 
 class Sort(IntEnum):
-    """What a term of the dictionary is; up to ``BOOLEAN`` these are the numbers of `Kind`.
+    """The sort of a term; up to ``BOOLEAN`` the numbers are those of `Kind`.
 
-    ``LONG_INTEGER``, ``LONG_DECIMAL``: numbers that no column holds. ``ILL_TYPED``: a literal of a
-    number's or a boolean's datatype that spells none (`join_kernel.LONGS`: these three).
+    ``LONG_INTEGER``, ``LONG_DECIMAL``: numbers that fit no column. ``ILL_TYPED``: a literal with
+    the datatype of a number or boolean but no such value (`join_kernel.LONGS`: these three).
     """
 
     OTHER = 0
@@ -51,8 +50,8 @@ LONG = (Sort.LONG_INTEGER, Sort.LONG_DECIMAL)
 
 
 @dataclass(frozen=True, slots=True)
-class Worth:
-    """What a term is worth: see `TermValues`; ``long``: the value of a `LONG` number."""
+class LiteralValue:
+    """The value of a term: see `TermValues`; ``long``: that of a `LONG` number."""
 
     sort: Sort
     number: float = 0.0
@@ -61,52 +60,54 @@ class Worth:
     long: Decimal | None = None
 
 
-def worth_of(term: Term) -> Worth:
+def value_of(term: Term) -> LiteralValue:
+    """Return the value of a term; an IRI or blank node only has a sort."""
     if not isinstance(term, Literal):
-        return Worth(Sort.NODE)
+        return LiteralValue(Sort.NODE)
     datatype, text = term.datatype.value, term.value
     if datatype == XSD + "string":
-        return Worth(Sort.STRING, true=bool(text))
+        return LiteralValue(Sort.STRING, true=bool(text))
     if datatype == RDF + "langString":
-        return Worth(Sort.TEXT, true=bool(text))
+        return LiteralValue(Sort.TEXT, true=bool(text))
     if datatype == XSD + "boolean":
         if text not in ("true", "false", "1", "0"):
-            return Worth(Sort.ILL_TYPED)
+            return LiteralValue(Sort.ILL_TYPED)
         true = text in ("true", "1")
-        return Worth(Sort.BOOLEAN, integer=int(true), true=true)
+        return LiteralValue(Sort.BOOLEAN, integer=int(true), true=true)
     if datatype in _FLOATS:
         if not _NUMBER.fullmatch(text):
-            return Worth(Sort.ILL_TYPED)
+            return LiteralValue(Sort.ILL_TYPED)
         number = float(text)
-        return Worth(_FLOATS[datatype], number, true=number == number and number != 0)
+        return LiteralValue(_FLOATS[datatype], number, true=number == number and number != 0)
     is_integer = datatype in INTEGERS
     if not is_integer and datatype != XSD + "decimal":
-        return Worth(Sort.OTHER)
-    exact = decimals.parsed(text) if (_WHOLE if is_integer else _DECIMAL).fullmatch(text) else None
+        return LiteralValue(Sort.OTHER)
+    exact = decimals.parse(text) if (_WHOLE if is_integer else _DECIMAL).fullmatch(text) else None
     if exact is None:
-        return Worth(Sort.ILL_TYPED)
+        return LiteralValue(Sort.ILL_TYPED)
     number, true = float(exact) + 0.0, bool(exact)
     if is_integer:
         if -(2**63) <= exact < 2**63:
-            return Worth(Sort.INTEGER, number, int(exact), true)
-        return Worth(Sort.LONG_INTEGER, number, 0, true, exact)
+            return LiteralValue(Sort.INTEGER, number, int(exact), true)
+        return LiteralValue(Sort.LONG_INTEGER, number, 0, true, exact)
     if np.isfinite(number) and decimals.of_code(number) == exact:
-        return Worth(Sort.DECIMAL, number, 0, true)
-    return Worth(Sort.LONG_DECIMAL, number, 0, true, exact)
+        return LiteralValue(Sort.DECIMAL, number, 0, true)
+    return LiteralValue(Sort.LONG_DECIMAL, number, 0, true, exact)
 
 
 def canonical(term: Term) -> Term:
-    """The one spelling of a literal's value, as Oxigraph's store has it: 1e2 and 100, 3.0 and 3.
+    """Return the canonical spelling of a literal's value, as in Oxigraph's store: 1e2 becomes 100,
+    3.0 becomes 3.
 
-    The integer types are xsd:integer there. A number is spelled as `make_term` does; a string, an
-    IRI and a literal without a value stay as they are.
+    All integer types become xsd:integer there. Strings, IRIs and literals without a value do not
+    change.
     """
     if not isinstance(term, Literal) or term.language is not None:
         return term
     datatype = term.datatype.value
     if datatype == XSD + "string":
         return term
-    found = worth_of(term)
+    found = value_of(term)
     match found.sort:
         case Sort.INTEGER:
             return Literal(str(found.integer), datatype=DATATYPES[Kind.INTEGER])
@@ -124,12 +125,12 @@ def canonical(term: Term) -> Term:
 
 
 def exact_literal(kind: Kind, number: Decimal) -> Literal:
-    """An INTEGER or DECIMAL of any size as a literal in canonical form."""
+    """Return an INTEGER or DECIMAL of any size as a literal in canonical form."""
     return Literal(decimals.text(number), datatype=DATATYPES[kind])
 
 
 def _stored(literal: Literal) -> Literal:
-    """What Oxigraph gives back for a literal."""
+    """Store a literal in Oxigraph and read it back."""
     store = Store()
     store.add(Quad(_ANY, _ANY, literal))
     [quad] = store

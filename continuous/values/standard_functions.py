@@ -1,8 +1,8 @@
-"""Functions of SPARQL 1.1 that Oxigraph has otherwise, for it to call (§17.2.2, §17.3).
+"""Functions of SPARQL 1.1 that Oxigraph implements otherwise, for it to call (§17.2.2, §17.3).
 
-It gives a text with a language no boolean value, booleans no order, and IRIs and texts with a
-language one; it has no integers beyond 64 bits. `standard_rewrite` puts calls of these functions
-into a query instead.
+In Oxigraph a text with a language has no boolean value, booleans have no order, but IRIs and texts
+with a language do; integers have 64 bits. `standard_rewrite` puts calls of these functions into a
+query instead.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pyoxigraph import Literal, NamedNode, QuerySolutions, Store
 from ...rdf.dictionary import Term
 from ...sparql.terms import term_text
 from .decimals import of_code
-from .literals import Sort, Worth, worth_of
+from .literals import LiteralValue, Sort, value_of
 
 TRUTH: Final = NamedNode("urn:dyknow:truth")
 ORDER: Final = {
@@ -33,15 +33,15 @@ _TESTS: Final[dict[str, Callable[[Any, Any], bool]]] = {
 
 
 def _truth(term: Term) -> Literal | None:
-    worth = worth_of(term)
-    return None if worth.sort in (Sort.NODE, Sort.OTHER) else Literal(worth.true)
+    value = value_of(term)
+    return None if value.sort in (Sort.NODE, Sort.OTHER) else Literal(value.true)
 
 
 def _ordering(sign: str) -> Callable[[Term, Term], Literal | None]:
     test = _TESTS[sign]
 
     def ordered(left: Term, right: Term) -> Literal | None:
-        a, b = worth_of(left), worth_of(right)
+        a, b = value_of(left), value_of(right)
         if a.sort is b.sort is Sort.BOOLEAN:
             return Literal(test(a.integer, b.integer))
         if a.sort is b.sort is Sort.STRING:
@@ -55,22 +55,22 @@ def _ordering(sign: str) -> Callable[[Term, Term], Literal | None]:
     return ordered
 
 
-def _number(worth: Worth) -> Decimal | float | None:
-    """The value of a number, an exact one as a decimal; None of what is none."""
-    match worth.sort:
+def _number(value: LiteralValue) -> Decimal | float | None:
+    """Return the value of a number, as a decimal if it is exact; None for other terms."""
+    match value.sort:
         case Sort.LONG_INTEGER | Sort.LONG_DECIMAL:
-            return worth.long
+            return value.long
         case Sort.INTEGER:
-            return Decimal(worth.integer)
+            return Decimal(value.integer)
         case Sort.DECIMAL:
-            return of_code(worth.number)
+            return of_code(value.number)
         case Sort.FLOAT | Sort.DOUBLE:
-            return worth.number
+            return value.number
     return None
 
 
 def _oxigraph(sign: str, left: Term, right: Term) -> Literal | None:
-    """The order of dates and durations, which it has as the standard."""
+    """Compare dates and durations, which Oxigraph does as the standard says."""
     text = f"SELECT ({term_text(left)} {sign} {term_text(right)} AS ?found) WHERE {{}}"
     found = Store().query(text)
     assert isinstance(found, QuerySolutions)
@@ -82,4 +82,4 @@ FUNCTIONS: Final[dict[NamedNode, Callable[..., Any]]] = {
     TRUTH: _truth,
     **{iri: _ordering(sign) for sign, iri in ORDER.items()},
 }
-"""Terms in, a boolean out; None where there is an error."""
+"""Functions of terms that return a boolean, or None for an error."""

@@ -1,1 +1,1 @@
-"""Windows: their grid, their panes, what they hold, and when each is due."""
+"""Windows: their grid, their panes, their contents, and when they close."""

@@ -1,4 +1,4 @@
-"""What is in the windows of a query: who keeps the rows, and when an evaluation is due."""
+"""The contents of a query's windows: the buffered rows, and when an evaluation is due."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ...streams.time import TIME_MAX
 from ..columns.fold_kernels import ascending
 from ..operators.entailment import StreamEntailment
 from ..pattern_join.solver import PatternSolver
-from .count_buffer import CountingIntake
+from .count_buffer import CountBuffer
 from .grid import Grid, InputWindow, Schedule
 from .panes import Panes
-from .row_buffer import Intake
+from .row_buffer import RowBuffer
 
 
 @dataclass(frozen=True, slots=True)
-class Due:
-    """An evaluation at ``end``; ``moved`` is the counting window that brings it about (None on a
-    grid), ``number`` the triple with which it moved on."""
+class DueEvaluation:
+    """An evaluation at ``end``. ``moved`` is the counting window that triggers it (None on a grid),
+    ``number`` the number of the triple that moved the window."""
 
     end: int
     moved: int | None = None
@@ -32,11 +32,10 @@ class Due:
 
 
 class Contents:
-    """The rows of each input that some window still needs.
+    """The rows of each input that an open window needs.
 
-    Windows of time over one input share an `Intake`; a window that counts has its own
-    `CountingIntake`. Where ``patterns`` alone read the rows (`read_by`), they alone keep them.
-    Law: as theirs.
+    Time windows over one input share a `RowBuffer`; a counting window has its own `CountBuffer`. If
+    only a `PatternSolver` reads the rows (`attach_patterns`), it alone stores them. Law: see there.
     """
 
     def __init__(
@@ -44,51 +43,52 @@ class Contents:
     ) -> None:
         self.schedule = schedule
         self._entailment = entailment
-        self.intakes = {one.input: Intake(dictionary) for one in schedule.windows}
-        self._counting: dict[int, CountingIntake] = {}
+        self.buffers = {one.input: RowBuffer(dictionary) for one in schedule.windows}
+        self._counting: dict[int, CountBuffer] = {}
         self._numbers: dict[int, int] = {}
         self._panes: dict[int, Panes] = {}
         for i, one in enumerate(schedule.windows):
             if isinstance(one.window, CountWindow):
-                self._counting[i] = CountingIntake(one.window, dictionary)
+                self._counting[i] = CountBuffer(one.window, dictionary)
                 self._numbers[i] = 0
             elif one.grid is not None:
                 self._panes[i] = Panes(Grid(schedule.pane, one.grid.origin), one.low)
         self._ranges: NDArray[np.int64] | None = None
-        """How long each window is, where all end at each evaluation and nothing lasts."""
+        """The length of each window, if all end at each evaluation and none is a landmark."""
         ranges = [one.range for one in schedule.windows if one.grid == schedule.ends]
         if len(ranges) == len(schedule.windows) and None not in ranges:
             self._ranges = np.array(ranges, np.int64)
         self._patterns: PatternSolver | None = None
         self.keeps = True
-        """Whether rows are kept here, or ``patterns`` alone have them."""
-        self._known_next: tuple[int | None, Due | None] | None = None
-        """The answer of `next`, until something comes or is counted."""
+        """Whether the buffers here store the rows; else only the `PatternSolver` does."""
+        self._cached_next: tuple[int | None, DueEvaluation | None] | None = None
+        """The argument and result of the last `next`, until rows or counts change."""
 
-    def read_by(self, patterns: PatternSolver, *, alone: bool) -> None:
-        """Have ``patterns`` read the rows too; ``alone``: nobody else does."""
+    def attach_patterns(self, patterns: PatternSolver, *, alone: bool) -> None:
+        """Pass the rows to ``patterns`` too; ``alone``: it is the only reader."""
         self._patterns = patterns
         self.keeps = not alone
 
     def push(
         self, input: str, rows: TripleRows, after: int | None, *, entailed: bool = False
     ) -> int:
-        """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many triples were
-        late. ``entailed``: they follow from others, so that windows do not count them.
+        """Store the rows of ``input`` with τ > ``after`` (None: all); return the number of late
+        rows with triples. ``entailed``: the schema implies the rows, so counting windows ignore
+        them.
 
-        Cost: one pass over τ where it ascends, as it mostly does; else a few.
+        Cost: one pass over τ if it ascends, which is the usual case; else a few.
         """
-        come, in_order = len(rows), ascending(rows.time)
+        size, in_order = len(rows), ascending(rows.time)
         if after is not None:
-            rows = _behind(rows, after, in_order)
-        late = come - len(rows) if rows.objects else 0
+            rows = _rows_after(rows, after, in_order)
+        late = size - len(rows) if rows.objects else 0
         if not len(rows):
             return late
         times = rows.time
         ends = (times[0], times[-1]) if in_order else (times.min(), times.max())
         least, greatest = map(int, ends)
-        self._known_next = None
-        wanted = False
+        self._cached_next = None
+        stores = False
         for i, one in enumerate(self.schedule.windows):
             if one.input != input:
                 continue
@@ -99,21 +99,22 @@ class Contents:
             self._panes[i].push(times, least, greatest)
             if self._patterns is not None:
                 self._patterns.rows.push(i, [rows])
-            wanted = self.keeps
-        if wanted:
-            self.intakes[input].push(rows, ascending=in_order)
+            stores = self.keeps
+        if stores:
+            self.buffers[input].push(rows, ascending=in_order)
         return late
 
-    def push_plain(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
-        """The same as `push` of each table, at once, where nothing is late, no triple is missing
-        and ``patterns`` alone keep the rows; False, and nothing done, where it is not so plain."""
+    def push_at_once(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
+        """Push all tables in one call, which is faster than a `push` of each. Return False, and do
+        nothing, unless no row is late, no object is null and the `PatternSolver` alone stores
+        rows."""
         if self.keeps or self._patterns is None:
             return False
         for table in tables:
             for column in table.objects.values():
                 if column.null is not None:
                     return False
-        tables = [table for table in tables if len(table) and _says_something(table)]
+        tables = [table for table in tables if len(table) and _has_triples(table)]
         if not tables:
             return True
         times = [table.time for table in tables]
@@ -121,7 +122,7 @@ class Contents:
         least, greatest = int(moments.min()), int(moments.max())
         if after is not None and least <= after:
             return False
-        self._known_next = None
+        self._cached_next = None
         for i, one in enumerate(self.schedule.windows):
             if one.input == input:
                 self._panes[i].push(moments, least, greatest)
@@ -129,57 +130,57 @@ class Contents:
         return True
 
     def settle(self, watermark: int) -> None:
-        """Nothing comes with τ < ``watermark`` any more."""
+        """Count the triples with τ < ``watermark``, which are complete."""
         if self._counting:
-            self._known_next = None
+            self._cached_next = None
         for counting in self._counting.values():
             counting.settle(watermark)
 
-    def limit(self, input: str, closed: int) -> int | None:
-        """Rows of ``input`` up to here belong to evaluations that are past."""
-        ends = [one.bounds(closed)[1] for one in self.schedule.windows if one.input == input]
+    def limit(self, input: str, last_end: int) -> int | None:
+        """Return the τ up to which rows of ``input`` belong to past evaluations only."""
+        ends = [one.bounds(last_end)[1] for one in self.schedule.windows if one.input == input]
         return max(ends, default=None)
 
     # -- when an evaluation is due ---------------------------------------------------------
 
-    def next(self, closed: int | None) -> Due | None:
-        """The next evaluation that has content to see: found without stepping through a gap.
+    def next(self, last_end: int | None) -> DueEvaluation | None:
+        """Return the next evaluation that has content. A gap without rows costs no steps.
 
-        Content that lasts (of landmark and counting windows) brings about an evaluation when it
-        changes; that of windows of time at each end while it is there.
+        Landmark and counting windows trigger an evaluation when their content changes; time windows
+        do at each of their ends while they have content.
         """
-        known = self._known_next
-        if known is None or known[0] != closed or closed is None:
-            known = self._known_next = closed, self._next(closed)
-        return known[1]
+        cached = self._cached_next
+        if cached is None or cached[0] != last_end or last_end is None:
+            cached = self._cached_next = last_end, self._next(last_end)
+        return cached[1]
 
-    def _next(self, closed: int | None) -> Due | None:
+    def _next(self, last_end: int | None) -> DueEvaluation | None:
         if self.schedule.ends is None:
             return self._next_move()
         found: int | None = None
         for i, one in enumerate(self.schedule.windows):
-            end = self._next_count(i, one) if one.counted else self._next_time(i, one, closed)
+            end = self._next_count(i, one) if one.counted else self._next_time(i, one, last_end)
             if end is not None:
-                end = end if closed is None else max(end, self.schedule.after(closed))
+                end = end if last_end is None else max(end, self.schedule.after(last_end))
                 found = end if found is None else min(found, end)
-        return None if found is None else Due(found)
+        return None if found is None else DueEvaluation(found)
 
-    def _next_time(self, i: int, one: InputWindow, closed: int | None) -> int | None:
+    def _next_time(self, i: int, one: InputWindow, last_end: int | None) -> int | None:
         panes = self._panes[i]
-        seen = -TIME_MAX
-        if closed is not None:
-            seen = one.bounds(closed)[1]
-            following = self.schedule.after(closed)
-            last = panes.last_until(seen)
+        previous_high = -TIME_MAX
+        if last_end is not None:
+            previous_high = one.bounds(last_end)[1]
+            following = self.schedule.after(last_end)
+            last = panes.last_until(previous_high)
             if not one.lasts and last is not None and last > one.bounds(following)[0]:
                 return following
-        pane = panes.first_after(seen)
+        pane = panes.first_after(previous_high)
         while pane is not None:
             end = self.schedule.first_end(one, pane)
             low = one.bounds(end)[0]
             if pane > low:
                 return end
-            # Between two windows, where RANGE is less than STEP: nobody sees it.
+            # RANGE is less than STEP, and the pane is between two windows: no window has it.
             pane = panes.first_after(low)
         return None
 
@@ -187,8 +188,8 @@ class Contents:
         move = self._counting[i].next_move(self._numbers[i])
         return None if move is None else self.schedule.first_end(one, move[0])
 
-    def _next_move(self) -> Due | None:
-        """Windows that count move on in order of τ, then of the windows."""
+    def _next_move(self) -> DueEvaluation | None:
+        """Return the next move of a counting window, by τ, then by window number."""
         moves = []
         for i, counting in self._counting.items():
             move = counting.next_move(self._numbers[i])
@@ -197,10 +198,11 @@ class Contents:
         if not moves:
             return None
         time, i, number = min(moves)
-        return Due(time, i, number)
+        return DueEvaluation(time, i, number)
 
-    def changed(self, due: Due, closed: int | None) -> tuple[bool, bool]:
-        """Whether there is content at ``due``, and whether it is other than at ``closed``."""
+    def compare(self, due: DueEvaluation, last_end: int | None) -> tuple[bool, bool]:
+        """Return whether there is content at ``due``, and whether it differs from the content at
+        ``last_end``."""
         content = changed = due.moved is not None
         for i, one in enumerate(self.schedule.windows):
             if one.counted:
@@ -211,38 +213,38 @@ class Contents:
                 continue
             panes, (low, high) = self._panes[i], one.bounds(due.end)
             last = panes.last_until(high)
-            seen = low if closed is None else max(low, one.bounds(closed)[1])
-            entered = last is not None and last > seen
+            previous_high = low if last_end is None else max(low, one.bounds(last_end)[1])
+            entered = last is not None and last > previous_high
             content |= entered or (not one.lasts and last is not None and last > low)
             changed |= entered
-            if closed is not None and not one.lasts:
-                before = one.bounds(closed)
+            if last_end is not None and not one.lasts:
+                before = one.bounds(last_end)
                 left = panes.last_until(min(low, before[1]))
                 changed |= left is not None and left > before[0]
         return content, changed
 
     # -- what is in the windows ------------------------------------------------------------
 
-    def turn(self, due: Due) -> None:
-        """The windows stand where they stand at ``due``."""
-        self._known_next = None
+    def select(self, due: DueEvaluation) -> None:
+        """Move the windows to their bounds at ``due``."""
+        self._cached_next = None
         if due.moved is not None:
             self._numbers[due.moved] = due.number
         else:
             for i, counting in self._counting.items():
                 self._numbers[i] = counting.number_at(due.end)
         if self._patterns is not None:
-            self._patterns.turn(*self._bounds(due.end))
+            self._patterns.select(*self._bounds(due.end))
 
     def _bounds(self, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Lows and highs, by window."""
+        """Return the lows and the highs of all windows."""
         if self._ranges is not None:
             return end - self._ranges, np.full(len(self._ranges), end, np.int64)
         lows, highs = zip(*(one.bounds(end) for one in self.schedule.windows), strict=True)
         return np.array(lows, np.int64), np.array(highs, np.int64)
 
     def tables(self, end: int) -> Mapping[str, list[TripleRows]]:
-        """The rows in the windows at ``end``, by graph, input by input."""
+        """Return the rows in the windows at ``end``, by graph, input by input."""
         if not self.keeps and self._patterns is not None:
             return self._patterns.rows.tables(*self._bounds(end))
         found: dict[str, list[TripleRows]] = {}
@@ -252,17 +254,17 @@ class Contents:
                 counted = self._counting[i].content(self._numbers[i])
                 tables.extend((*counted, *self._entailment.of(counted)))
             else:
-                tables.extend(self.intakes[one.input].between(*one.bounds(end)))
+                tables.extend(self.buffers[one.input].between(*one.bounds(end)))
         return found
 
     def _is_full(self) -> bool:
-        """Whether it is worth while to look for what can be forgotten."""
+        """Whether a search for droppable rows is worth its cost."""
         crowded = any(len(panes) > 64 for panes in self._panes.values())
         return crowded or (self._patterns is not None and self._patterns.rows.is_full)
 
     def drop(self, end: int, *, raw: bool) -> None:
-        """Forget what no evaluation after ``end`` needs; ``raw``: windows are read again, else what
-        was in one has been folded already."""
+        """Drop the rows that no evaluation after ``end`` needs. ``raw``: evaluations read the rows
+        of a window again; else rows up to ``end`` have been folded and go too."""
         if not self.keeps and not self._counting and not self._is_full():
             return
         following = self.schedule.after(end)
@@ -282,17 +284,17 @@ class Contents:
             for input, low in lows.items():
                 high = highs[input]
                 if low > -TIME_MAX:
-                    self.intakes[input].drop(min(low, high) if raw else high, high)
+                    self.buffers[input].drop(min(low, high) if raw else high, high)
                 else:
-                    self.intakes[input].settle(high)
+                    self.buffers[input].settle(high)
 
 
-def _says_something(table: TripleRows) -> bool:
+def _has_triples(table: TripleRows) -> bool:
     return bool(table.objects) or table.sort is not None
 
 
-def _behind(rows: TripleRows, after: int, in_order: bool) -> TripleRows:
-    """The rows with τ > ``after``."""
+def _rows_after(rows: TripleRows, after: int, in_order: bool) -> TripleRows:
+    """Return the rows with τ > ``after``."""
     if in_order:
         first = int(np.searchsorted(rows.time, after, "right"))
         return rows.take(slice(first, None)) if first else rows

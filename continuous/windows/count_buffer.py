@@ -1,4 +1,4 @@
-"""What has come in and is still in some window that counts triples: single triples, in order."""
+"""The buffer of a counting window: its triples one by one, in order."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from numpy.typing import NDArray
 from ...languages.csparql.ast import CountWindow
 from ...rdf.dictionary import TermDictionary
 from ...rdf.timed import Kind, TripleRows
-from ..columns.relation import bits, decoded
+from ..columns.relation import bits, decode
 
 _NO_SORT = -1
 
 
-class CountingIntake:
-    """The triples of one input for windows of the last ``size``, each ``step`` more.
+class CountBuffer:
+    """The triples of one input for windows of the last ``size`` triples, which move by ``step``.
 
-    Triples are counted in order of τ, then of arrival: table by table of a push, row by row, the
-    objects of a wide row in its order. Those of one τ are counted when the watermark has passed
-    it: `settle`. Law: what `content` gives does not depend on how the triples were cut into pushes.
+    Triples are counted in order of τ, then of arrival: table by table of a push, row by row, and
+    the objects of a wide row in its order. Triples of one τ are counted when the watermark has
+    passed it (`settle`). Law: `content` does not depend on how the triples are cut into pushes.
 
-    Cost: a sort of what is settled. Memory: the last ``size + step`` triples, and what waits.
+    Cost: a sort of the settled triples. Memory: the last ``size + step`` triples and those not yet
+    settled.
     """
 
     def __init__(self, window: CountWindow, dictionary: TermDictionary) -> None:
         self.window = window
         self._dictionary = dictionary
         self.counted = 0
-        """How many triples have been settled."""
+        """The number of settled triples."""
         self._waiting: list[_Triples] = []
         self._settled = _Triples.none()
         self._first = 0
-        """How many settled triples have been forgotten."""
+        """The number of settled triples that have been dropped."""
         dictionary.hold(self)
 
     def held_ids(self) -> Iterator[NDArray[np.int64]]:
@@ -46,42 +47,43 @@ class CountingIntake:
             yield part.sort
 
     def push(self, rows: TripleRows) -> None:
-        """Keep the triples of ``rows``."""
+        """Store the triples of ``rows``."""
         self._waiting.append(_Triples.of(rows))
 
     def settle(self, watermark: int) -> None:
-        """No more triples come with τ < ``watermark``: those that are there are counted."""
+        """Count the triples with τ < ``watermark``, which are complete."""
         if not any(len(part) and part.time.min() < watermark for part in self._waiting):
             return
         waiting = _Triples.joined(self._waiting)
         order = np.argsort(waiting.time, kind="stable")
         ready = order[waiting.time[order] < watermark]
-        late = np.sort(order[len(ready) :])
-        self._waiting = [waiting.take(late)] if len(late) else []
+        remaining = np.sort(order[len(ready) :])
+        self._waiting = [waiting.take(remaining)] if len(remaining) else []
         self._settled = _Triples.joined([self._settled, waiting.take(ready)])
         self.counted += len(ready)
 
     def next_move(self, after: int) -> tuple[int, int] | None:
-        """τ and number of the first triple behind number ``after`` with which the window moves on;
-        None while it has not come."""
+        """Return τ and number of the first triple after number ``after`` that moves the window, or
+        None if it has not come."""
         number = after - after % self.window.step + self.window.step
         if number > self.counted:
             return None
         return int(self._settled.time[number - 1 - self._first]), number
 
     def number_at(self, end: int) -> int:
-        """How many settled triples have τ ≤ ``end``, in whole steps."""
+        """Return the number of settled triples with τ ≤ ``end``, rounded down to whole steps."""
         count = self._first + int(np.searchsorted(self._settled.time, end, "right"))
         return count - count % self.window.step
 
     def content(self, number: int) -> list[TripleRows]:
-        """The last ``size`` triples up to ``number``, as narrow tables by predicate and kind."""
+        """Return the last ``size`` triples up to ``number``, as narrow tables by predicate and
+        kind."""
         stop = number - self._first
         start = max(0, number - self.window.size) - self._first
         return list(self._settled.take(slice(max(0, start), stop)).tables(self._dictionary))
 
     def forget(self, number: int) -> None:
-        """No window ends before triple ``number`` any more."""
+        """Drop the triples that no window ending at or after triple ``number`` contains."""
         first = max(0, number - self.window.size)
         if first - self._first > 2 * (self.window.size + self.window.step):
             self._settled = self._settled.take(slice(first - self._first, None))
@@ -89,7 +91,7 @@ class CountingIntake:
 
 
 class _Triples:
-    """Triples one by one in columns; an object is its kind and the bits of its value."""
+    """Triples in columns, one row per triple; an object is its kind and the bits of its value."""
 
     __slots__ = ("kind", "object", "predicate", "sort", "subject", "time", "valid")
 
@@ -118,7 +120,7 @@ class _Triples:
 
     @classmethod
     def of(cls, rows: TripleRows) -> _Triples:
-        """The triples of wide rows, row by row."""
+        """Split wide rows into triples, row by row."""
         width = len(rows.objects)
         present = np.stack([c.present for c in rows.objects.values()], axis=1).reshape(-1)
         at = np.repeat(np.arange(len(rows)), width)[present]
@@ -149,21 +151,21 @@ class _Triples:
         return _Triples(tuple(column[rows] for column in self._columns()))
 
     def tables(self, dictionary: TermDictionary) -> Iterator[TripleRows]:
-        """Narrow tables, one a sort, predicate and kind, each in order."""
+        """Yield narrow tables, one per sort, predicate and kind, each in order."""
         shapes = np.stack([self.sort, self.predicate, self.kind], axis=1)
 
-        def named(shape: list[int]) -> tuple[str, str, int]:
-            # By names, not by ids, as `Intake.between`.
+        def by_name(shape: list[int]) -> tuple[str, str, int]:
+            # Ids depend on the history of the dictionary, names do not (see `RowBuffer.between`).
             sort, predicate, kind = shape
             term = dictionary.term
             return "" if sort == _NO_SORT else str(term(sort)), str(term(predicate)), kind
 
-        for sort, predicate, kind in sorted(np.unique(shapes, axis=0).tolist(), key=named):
+        for sort, predicate, kind in sorted(np.unique(shapes, axis=0).tolist(), key=by_name):
             at = np.flatnonzero((shapes == (sort, predicate, kind)).all(axis=1))
             yield TripleRows(
                 self.time[at],
                 self.valid[at],
                 self.subject[at].astype(np.int32),
-                {predicate: decoded(Kind(kind), self.object[at])},
+                {predicate: decode(Kind(kind), self.object[at])},
                 None if sort == _NO_SORT else sort,
             )

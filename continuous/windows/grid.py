@@ -1,7 +1,8 @@
-"""The arithmetic of windows ([Events14 §III], SPEC §5): grids of ends, and no state.
+"""The arithmetic of windows ([Events14 §III], SPEC §5): grids of ends, without state.
 
-Inside this room content is always half-open on the left, ``(low, high]``: times are integers, so
-``[e - RANGE, e)`` is ``(e - RANGE - 1, e - 1]`` (`Schedule.shift` is -1 then).
+In this folder content is always half-open on the left, ``(low, high]``. Times are integers, so
+``[e - RANGE, e)`` is ``(e - RANGE - 1, e - 1]``; `Schedule.shift` is then -1. One convention saves
+a second form of every comparison.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class InputWindow:
-    """A window over one input: what it is, the grid of its ends (None where each evaluation is
-    one), and the graph that its triples are in (DEFAULT, or the IRI that RSP-QL gives it).
+    """A window over one input, the grid of its ends (None for a counting window: each evaluation is
+    an end), and the graph that has its triples (DEFAULT, or the window's IRI in RSP-QL).
 
-    ``low`` is the bound below which a landmark window holds nothing. ``range`` is None of a window
-    that lasts: its content stays until other content comes, however much later. ``counted``: a
-    number of triples makes the window, not time.
+    ``low``: a landmark window contains nothing up to here. ``range`` is None if the window
+    `lasts`: its content stays until other content comes, however much later. ``counted``: the
+    window has a number of triples, not a length of time.
     """
 
     input: str
@@ -59,13 +60,12 @@ class InputWindow:
 
     @property
     def lasts(self) -> bool:
+        """Whether its content has no fixed duration: a landmark or counting window."""
         return self.range is None
 
     def bounds(self, end: int) -> tuple[int, int]:
-        """``(low, high]`` of the latest window of this input at the evaluation ``end``.
-
-        Of a window that counts: of what may be in it.
-        """
+        """Return ``(low, high]`` of this input's latest window at the evaluation ``end``; for a
+        counting window, the bounds of all rows that it may contain."""
         grid = self.grid
         high = end if grid is None else grid.floor(end)
         return (self.low if self.range is None else high - self.range), high
@@ -73,12 +73,12 @@ class InputWindow:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """When a query is evaluated, over what of each input.
+    """When a query is evaluated, and over which windows.
 
-    ``ends``: the grid of evaluations (shifted by ``shift``); None: whenever a window that counts
-    has moved on. ``windows``: by input, in order. ``pane``: the greatest length that divides every
-    range, step and period, so that each bound of a window of time is the end of a pane (0 without
-    one).
+    ``ends``: the grid of evaluations (shifted by ``shift``); None: an evaluation at each move of a
+    counting window. ``windows``: by input, in order. ``pane``: the greatest length that divides
+    every range, step and period. Each bound of a time window is therefore the end of a pane (0:
+    there is no time window).
     """
 
     ends: Grid | None
@@ -88,8 +88,8 @@ class Schedule:
 
     @property
     def uniform(self) -> bool:
-        """Whether all inputs have one window of time that is evaluated at each of its ends, in one
-        graph."""
+        """Whether all inputs have the same time window in the same graph, evaluated at each of its
+        ends."""
         first = self.windows[0]
         return isinstance(first.window, TimeWindow) and all(
             (one.window, one.grid, one.graph) == (first.window, self.ends, first.graph)
@@ -102,23 +102,22 @@ class Schedule:
         return tuple(dict.fromkeys(one.graph for one in self.windows if one.graph != DEFAULT))
 
     def after(self, end: int) -> int:
-        """The evaluation after ``end``, on the grid."""
+        """Return the evaluation after ``end``, on the grid."""
         return end + (1 if self.ends is None else self.ends.step)
 
     def first_end(self, window: InputWindow, time: int) -> int:
-        """The first evaluation that could see an element of ``window`` at ``time``."""
+        """Return the first evaluation whose ``window`` could contain a row at ``time``."""
         own = time if window.grid is None else window.grid.ceil(time)
         return own if self.ends is None else self.ends.ceil(own)
 
 
 def schedule(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> Schedule:
-    """The schedule of ``query`` over ``inputs``.
+    """Return the schedule of ``query`` over ``inputs``.
 
     An input that FROM STREAM clauses name (by IRI or stream name) has their windows; any other has
-    the query's WINDOW (or, if there is none, the first clause's). The query is evaluated each
-    COMPUTE EVERY, but not more often than the least STEP of its windows of time; where it has
-    neither, whenever a window that counts has moved on. Raises ``ValueError`` when there is no
-    window at all.
+    the query's WINDOW (or else the first clause's). The query is evaluated each COMPUTE EVERY, but
+    not more often than the least STEP of its time windows; without either, at each move of a
+    counting window. Raises ``ValueError`` if there is no window at all.
     """
     default = query.window or next((clause.window for clause in query.streams), None)
     chosen: list[tuple[str, str, Window]] = []

@@ -1,4 +1,4 @@
-"""Which stretches of time hold something: all that deciding on evaluations needs to know."""
+"""The panes that contain rows: enough to decide which evaluations have content."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from .grid import Grid
 
 
 class Panes:
-    """The panes of a window that have got a row, by their ends.
+    """The panes of a window that have received a row, by their ends.
 
-    A pane ``(end - step, end]`` is so long that each bound of the window is the end of one: so
-    whether a window has content is a question about panes. ``low``: rows up to here do not count.
-    Memory and cost: an integer a pane in the window; numpy a push.
+    Each bound of the window is the end of a pane ``(end - step, end]``. So the panes alone tell
+    whether a window has content. ``low``: rows up to here do not count. Memory: an integer per pane
+    in the window. Cost: a few numpy calls per push.
     """
 
     def __init__(self, grid: Grid, low: int) -> None:
@@ -23,13 +23,13 @@ class Panes:
         self.low = low
         self._ends: list[int] = []
         self._last: int | None = None
-        """The greatest end that has been forgotten."""
+        """The greatest end that has been dropped."""
 
     def __len__(self) -> int:
         return len(self._ends)
 
     def push(self, times: NDArray[np.int64], least: int, greatest: int) -> None:
-        """Rows have come with these times, from ``least`` to ``greatest``."""
+        """Mark the panes of rows with these times, from ``least`` to ``greatest``."""
         if least <= self.low:
             times = times[times > self.low]
             if not len(times):
@@ -51,17 +51,18 @@ class Panes:
             insort(ends, end)
 
     def first_after(self, bound: int) -> int | None:
-        """The end of the first pane behind ``bound`` that has a row."""
+        """Return the end of the first pane after ``bound`` that has a row."""
         at = bisect_right(self._ends, bound)
         return self._ends[at] if at < len(self._ends) else None
 
     def last_until(self, bound: int) -> int | None:
-        """The end of the last pane up to ``bound`` that has had a row, forgotten ones included."""
+        """Return the end of the last pane up to ``bound`` that has had a row, dropped panes
+        included."""
         at = bisect_right(self._ends, bound)
         return self._ends[at - 1] if at else self._last
 
     def drop(self, until: int) -> None:
-        """Forget the panes that end at or before ``until``."""
+        """Drop the panes that end at or before ``until``."""
         at = bisect_right(self._ends, until)
         if at:
             self._last = self._ends[at - 1]

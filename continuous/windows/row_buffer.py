@@ -1,4 +1,4 @@
-"""What has come in and is still in some window: chunks of rows, kept as views."""
+"""The row buffer of an input: chunks of rows that an open window needs, stored as views."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ...streams.sample import Times
 from ..columns.relation import concatenate_rows
 
 _SMALL = 4096
-"""Chunks below this many rows are put together before they are worked on."""
+"""Chunks below this number of rows are merged, because each chunk costs some numpy calls."""
 
 Shape = tuple[int, tuple[tuple[int, int], ...]]
-"""Sort (-1: none) and (predicate, kind) of each column: what rows of one chunk have in common."""
+"""Sort (-1: none) and (predicate, kind) of each column: common to the rows of a chunk."""
 
 
 @dataclass(slots=True)
@@ -30,15 +30,14 @@ class _Chunk:
     small: bool
 
 
-class Intake(TermTable):
-    """The rows of one input, by shape, each chunk ordered by τ.
+class RowBuffer(TermTable):
+    """The rows of one input, by shape, in chunks ordered by τ.
 
-    Law: `between` depends on the rows and their order of arrival, not on how they were cut into
-    batches. (Two tables of one shape in one batch are merged by τ.)
+    Law: `between` depends on the rows and their order of arrival, not on how they are cut into
+    batches. (It merges two tables of one shape in one batch by τ.)
 
-    Cost: a sort of what is pushed out of order; `between` O(chunks + rows copied), where only
-    chunks under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by
-    chunk.
+    Cost: a sort of rows pushed out of order; `between` O(chunks + copied rows). It copies only
+    out-of-order chunks and those under 4,096 rows. Memory: rows not yet dropped, by chunk.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:
@@ -49,7 +48,7 @@ class Intake(TermTable):
         dictionary.follow(self)
 
     def push(self, rows: TripleRows, *, ascending: bool) -> None:
-        """Keep these rows, of which there are some; ``ascending``: they are in order of τ."""
+        """Store these rows, at least one; ``ascending``: they are in order of τ."""
         if not ascending:
             rows = rows.take(np.argsort(rows.time, kind="stable"))
         shape = (
@@ -67,11 +66,11 @@ class Intake(TermTable):
                 yield from chunk.rows.held_ids()
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
-        """Names of predicates that no row has are found anew."""
+        """Drop the cached names of shapes without rows: their ids may mean other terms soon."""
         self._names = {shape: name for shape, name in self._names.items() if shape in self._chunks}
 
     def earliest(self, after: int) -> int | None:
-        """The least τ > ``after``, or None."""
+        """Return the least τ > ``after``, or None."""
         found: int | None = None
         for chunks in self._chunks.values():
             for chunk in chunks:
@@ -84,8 +83,8 @@ class Intake(TermTable):
         return found
 
     def between(self, low: int, high: int) -> Iterator[TripleRows]:
-        """The rows with ``low < τ <= high``: shape by shape, in each by τ, then by arrival."""
-        for shape in sorted(self._chunks, key=self._named):
+        """Yield the rows with ``low < τ <= high``, shape by shape, each by τ, then by arrival."""
+        for shape in sorted(self._chunks, key=self._name_of):
             parts = [
                 _cut(chunk, low, high)
                 for chunk in self._chunks[shape]
@@ -94,22 +93,19 @@ class Intake(TermTable):
             parts = [part for part in parts if len(part)]
             yield from _in_order(parts)
 
-    def _named(self, shape: Shape) -> tuple[object, ...]:
-        """The shape by names: which of two terms has the lesser id depends on how the input was
-        cut, since windows that closed in between have given ids too."""
-        found = self._names.get(shape)
-        if found is None:
+    def _name_of(self, shape: Shape) -> tuple[object, ...]:
+        """Return the shape by names, as a sort key. Ids would not do: windows that close in between
+        allocate ids too, so their order depends on how the input is cut."""
+        name = self._names.get(shape)
+        if name is None:
             term, (sort, columns) = self._dictionary.term, shape
-            named = sorted((str(term(predicate)), kind) for predicate, kind in columns)
-            found = self._names[shape] = "" if sort < 0 else str(term(sort)), tuple(named)
-        return found
+            columns_by_name = sorted((str(term(predicate)), kind) for predicate, kind in columns)
+            sort_name = "" if sort < 0 else str(term(sort))
+            name = self._names[shape] = sort_name, tuple(columns_by_name)
+        return name
 
     def drop(self, until: int, settled: int) -> None:
-        """Forget the rows with τ ≤ ``until``, whole chunks at a time.
-
-        No more rows come with τ ≤ ``settled``: small chunks up to there are put together, so that
-        a stream of single rows does not cost a chunk a row in every window.
-        """
+        """Drop the rows with τ ≤ ``until``, whole chunks at a time, then `settle`."""
         for shape, chunks in list(self._chunks.items()):
             kept = [chunk for chunk in chunks if chunk.last > until]
             if kept:
@@ -119,27 +115,28 @@ class Intake(TermTable):
         self.settle(settled)
 
     def settle(self, settled: int) -> None:
-        """Put small chunks up to τ = ``settled`` together, where no more rows come."""
+        """Merge small chunks up to τ = ``settled``, where no more rows come. Otherwise a stream of
+        single rows would cost a chunk per row in every window."""
         for shape, chunks in self._chunks.items():
             self._chunks[shape] = _settle(chunks, settled)
 
 
 def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:
-    """Runs of small chunks in order, up to ``settled``, as one chunk each."""
+    """Merge each run of small chunks in order, up to ``settled``, into one chunk."""
     if sum(chunk.small for chunk in chunks) < 2:
         return chunks
-    made: list[_Chunk] = []
+    merged: list[_Chunk] = []
     run: list[_Chunk] = []
     for chunk in [*chunks, None]:
         fits = chunk is not None and chunk.last <= settled and chunk.small
         if run and not (fits and chunk is not None and run[-1].last <= chunk.first):
             rows = concatenate_rows([one.rows for one in run])
             small = len(rows) < _SMALL
-            made.append(_Chunk(rows, run[0].first, run[-1].last, small))
+            merged.append(_Chunk(rows, run[0].first, run[-1].last, small))
             run = []
         if chunk is not None:
-            (run if fits else made).append(chunk)
-    return made
+            (run if fits else merged).append(chunk)
+    return merged
 
 
 def _after(times: Times, time: int) -> int:

@@ -1,6 +1,6 @@
-"""Rows and watermarks in, windows that close out: when, and over what, a query is evaluated.
+"""The open windows of a query: which windows close when, and over which rows.
 
-What is computed when a window closes is the business of who is told so: `evaluator` for one query,
+The callback of the caller evaluates a window that closes: `evaluator` for one query,
 `template_instances` for all instances of a template.
 """
 
@@ -18,20 +18,21 @@ from ...streams.time import TIME_MAX
 from ..algebra.options import Options
 from ..columns.relation import TermValues
 from ..operators.entailment import StreamEntailment
-from .contents import Contents, Due
+from .contents import Contents, DueEvaluation
 from .grid import schedule
 
-Closed = Callable[[int, bool], bool]
-"""Told the end of a window that has closed and whether its result is reported; answers whether the
-rows that were in it are read again."""
+EvaluateWindow = Callable[[int, bool], bool]
+"""A callback for a window that closes. Arguments: its end, and whether its result is reported.
+Returns whether the window's rows are needed again."""
 _BLOCK = 2**15
 
 
-class Windowing:
-    """The windows of a query over named inputs. Whoever lets them close says who is told of each,
-    in order: nobody is held by them, so that an evaluator nobody needs is gone at once.
+class OpenWindows:
+    """The windows of a query over named inputs, and the watermarks that close them. The callback is
+    an argument, not an attribute. It is a method of the evaluator: an attribute would be a cycle of
+    references, and only the garbage collector would free an evaluator.
 
-    Arguments, errors and law as of `evaluator.ContinuousEvaluator`.
+    Arguments, errors and law: see `evaluator.ContinuousEvaluator`.
     """
 
     def __init__(
@@ -47,35 +48,36 @@ class Windowing:
         self.inputs = tuple(inputs)
         self.terms = terms
         self.late = 0
-        """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
+        """The number of dropped rows: behind a watermark, or for a closed window."""
         self.schedule = schedule(query, self.inputs, options)
         self.contents = Contents(self.schedule, terms.dictionary, entailment)
         self.differs = query.operator is not StreamOperator.RSTREAM
-        """Whether results are compared with those before, so that each one has to be known."""
+        """Whether results are compared with previous ones: then every result is computed."""
         self._plain = options.report == "non-empty" and not self.differs
-        """Whether windows with content alone are evaluated, and each of them is reported."""
+        """Whether only windows with content are evaluated, and all of them reported."""
         self.clock: Callable[[], int] | None = None
-        """Tells ns, where it is measured what selecting the rows of a window costs."""
-        self.turned = 0
-        """What that was for the last one."""
+        """Returns ns; set if costs are measured."""
+        self.select_ns = 0
+        """The cost of selecting the rows of the last window, if `clock` is set."""
         self.defers = False
-        """Whether windows close by `close_next` only, not as soon as they can."""
+        """Whether only `close_next` closes windows; else they close as soon as they can."""
         self.closed = 0
-        """How many evaluations have come to their end."""
-        self._settled: int | None = None
+        """The number of completed evaluations."""
+        self._settled_watermark: int | None = None
         self._watermarks: dict[str, int] = {}
         self._ended: set[str] = set()
-        self._closed: int | None = None
+        self._last_end: int | None = None
         self._had_content = False
 
     def push(self, input: str, triples: TimedTriples) -> None:
-        """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
+        """Append rows to ``input``, none before its watermark. Their terms must be in the
+        evaluator's dictionary."""
         if triples.dictionary is not self.terms.dictionary:
-            raise ValueError("the triples are of another dictionary")
+            raise ValueError("the triples have another dictionary than the evaluator")
         self._ended.discard(input)
         limit = self.limit(input)
         entailed = self.entailment.of(triples.tables)
-        if self.contents.push_plain(input, (*triples.tables, *entailed), limit):
+        if self.contents.push_at_once(input, (*triples.tables, *entailed), limit):
             return
         for table in triples.tables:
             rows = self._relevant(table)
@@ -86,36 +88,36 @@ class Windowing:
             if rows is not None:
                 self.contents.push(input, rows, limit, entailed=True)
 
-    def advance(self, input: str, watermark: int, closed: Closed) -> None:
-        """Every later row of ``input`` has τ ≥ ``watermark``: some windows may close."""
-        known = self._watermarks.get(input)
-        if known is None or watermark > known:
+    def advance(self, input: str, watermark: int, evaluate: EvaluateWindow) -> None:
+        """Promise that every later row of ``input`` has τ ≥ ``watermark``; close windows."""
+        previous = self._watermarks.get(input)
+        if previous is None or watermark > previous:
             self._watermarks[input] = watermark
-        self._close(closed)
+        self._close(evaluate)
 
-    def end(self, input: str, closed: Closed) -> None:
-        """``input`` has come to its end. After the last one every window with content closes."""
+    def end(self, input: str, evaluate: EvaluateWindow) -> None:
+        """End ``input``. After the last input has ended, every window with content closes."""
         self._ended.add(input)
-        self._close(closed)
+        self._close(evaluate)
 
     @property
     def is_due(self) -> bool:
         """Whether a window can close."""
         return self._closable() is not None
 
-    def close_next(self, closed: Closed) -> bool:
-        """Close the next window that can; whether there was one."""
+    def close_next(self, evaluate: EvaluateWindow) -> bool:
+        """Close the next window that can close; return whether there was one."""
         due = self._closable()
         if due is not None:
-            self._evaluate(due, closed)
+            self._evaluate(due, evaluate)
         return due is not None
 
     def resume(self, input: str) -> None:
-        """``input`` had come to its end and goes on: windows wait for it again."""
+        """Continue ``input``, which had ended: windows wait for it again."""
         self._ended.discard(input)
 
     def next_end(self) -> int | None:
-        """No later window ends before this; None while that is unknown."""
+        """Return a lower bound of the ends of later windows, or None if there is none yet."""
         candidates = []
         pending = self._due()
         if pending is not None:
@@ -127,21 +129,23 @@ class Windowing:
         if not candidates:
             return None
         least = -TIME_MAX
-        if self._closed is not None:
+        if self._last_end is not None:
             least = (
-                self._closed if self.schedule.ends is None else self.schedule.after(self._closed)
+                self._last_end
+                if self.schedule.ends is None
+                else self.schedule.after(self._last_end)
             )
         return max(min(candidates), least) - self.schedule.shift
 
     def span(self, end: int) -> tuple[int, int]:
-        """The start and end that the result at ``end`` is told with."""
+        """Return the start and end that the result at ``end`` shows."""
         shift = self.schedule.shift
         lows = [one.bounds(end)[0] for one in self.schedule.windows if not one.lasts]
         return min(lows, default=end) - shift, end - shift
 
     def _relevant(self, table: TripleRows) -> TripleRows | None:
-        """The rows that stand for a triple or say the sort of their subjects, each object in its
-        canonical spelling (`patterns` see to that themselves)."""
+        """Return the rows that have a triple or the sort of their subjects, each object in its
+        canonical spelling. The `PatternSolver` makes objects canonical itself."""
         if self.contents.keeps:
             objects = {p: self.terms.canonical(column) for p, column in table.objects.items()}
             if any(objects[p] is not column for p, column in table.objects.items()):
@@ -149,22 +153,23 @@ class Windowing:
         nulls = [column.null for column in table.objects.values() if column.null is not None]
         if not table.objects:
             return None if table.sort is None else table
-        if len(nulls) < len(table.objects) or not _meet(nulls):
+        if len(nulls) < len(table.objects) or not _have_common_row(nulls):
             return table
         return table.take(~np.logical_and.reduce(nulls))
 
     def limit(self, input: str) -> int | None:
-        """Rows of ``input`` with τ up to here come too late; None: none does."""
+        """Return the τ up to which rows of ``input`` are late, or None if none is."""
         limits = []
         if input in self._watermarks:
             limits.append(self._watermarks[input] - 1)
-        if self._closed is not None:
-            closed = self.contents.limit(input, self._closed)
+        if self._last_end is not None:
+            closed = self.contents.limit(input, self._last_end)
             limits += [] if closed is None else [closed]
         return max(limits, default=None)
 
     def _watermark(self) -> int | None:
-        """The least watermark over all inputs; None while one has neither begun nor ended."""
+        """Return the least watermark over all inputs; None while one has neither begun nor
+        ended."""
         least = TIME_MAX
         for name in self.inputs:
             if name in self._ended:
@@ -174,65 +179,66 @@ class Windowing:
             least = min(least, self._watermarks[name])
         return least
 
-    def _close(self, closed: Closed) -> None:
-        self._settled = None
-        while not self.defers and self.close_next(closed):
+    def _close(self, evaluate: EvaluateWindow) -> None:
+        self._settled_watermark = None
+        while not self.defers and self.close_next(evaluate):
             pass
 
-    def _closable(self) -> Due | None:
+    def _closable(self) -> DueEvaluation | None:
         watermark = self._watermark()
         if watermark is None:
             return None
-        if watermark != self._settled:
+        if watermark != self._settled_watermark:
             self.contents.settle(watermark)
-            self._settled = watermark
-        if self._closed is not None and self.schedule.ends is not None:
-            following = self.schedule.after(self._closed)
+            self._settled_watermark = watermark
+        # The usual case first: the watermark has not reached the next end on the grid.
+        if self._last_end is not None and self.schedule.ends is not None:
+            following = self.schedule.after(self._last_end)
             if watermark <= following - self.schedule.shift:
                 return None
         due = self._due()
         return None if due is None or watermark <= due.end - self.schedule.shift else due
 
-    def _due(self) -> Due | None:
-        """The next evaluation: one with content, or one that is asked for without."""
-        due = self.contents.next(self._closed)
-        if self._plain or self._closed is None or self.schedule.ends is None:
+    def _due(self) -> DueEvaluation | None:
+        """Return the next evaluation: with content, or without if the query's report needs it."""
+        due = self.contents.next(self._last_end)
+        if self._plain or self._last_end is None or self.schedule.ends is None:
             return due
-        following = Due(self.schedule.after(self._closed))
+        following = DueEvaluation(self.schedule.after(self._last_end))
         if due is not None and due.end == following.end:
             return due
         if self.options.report == "close" and not self._is_over:
             return following
-        # What has left the result is to be told, though nothing is there any more.
+        # The content has left the windows: that change is reported too.
         leaves = self.differs or self.options.report == "change"
         return following if leaves and self._had_content else due
 
     @property
     def _is_over(self) -> bool:
-        """Whether all inputs have ended, and no window has content any more."""
-        return len(self._ended) == len(self.inputs) and self.contents.next(self._closed) is None
+        """Whether all inputs have ended, and no window has content."""
+        return len(self._ended) == len(self.inputs) and self.contents.next(self._last_end) is None
 
-    def _evaluate(self, due: Due, closed: Closed) -> None:
+    def _evaluate(self, due: DueEvaluation, evaluate: EvaluateWindow) -> None:
         end, reports = due.end, True
         if not self._plain:
-            content, changed = self.contents.changed(due, self._closed)
+            content, changed = self.contents.compare(due, self._last_end)
             wanted = {"non-empty": content, "change": changed, "close": not self._is_over}
             reports = wanted[self.options.report]
             self._had_content = content
-        self._closed = end
+        self._last_end = end
         begin = 0 if self.clock is None else self.clock()
-        self.contents.turn(due)
-        self.turned = 0 if self.clock is None else self.clock() - begin
+        self.contents.select(due)
+        self.select_ns = 0 if self.clock is None else self.clock() - begin
         try:
-            again = closed(end, reports)
-            self.contents.drop(end, raw=again)
+            retains = evaluate(end, reports)
+            self.contents.drop(end, raw=retains)
         finally:
             self.closed += 1
 
 
-def _meet(masks: Sequence[Mask]) -> bool:
-    """Whether all masks are set in some row. Block by block: what is made on the way stays in a
-    cache, and needs no pages of memory from the system."""
+def _have_common_row(masks: Sequence[Mask]) -> bool:
+    """Whether all masks are set in some row. It works in blocks, so that temporary arrays stay in
+    the processor's cache and need no fresh memory pages."""
     for first in range(0, len(masks[0]), _BLOCK):
         part = masks[0][first : first + _BLOCK]
         for mask in masks[1:]:

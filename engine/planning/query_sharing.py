@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from ...continuous.algebra.constant_lifting import Pattern, fitted, generalized
+from ...continuous.algebra.constant_lifting import Pattern, generalize, match_constants
 from ...continuous.sharing.similar_queries import Form, Unshared
 from ...rdf.dictionary import Term
 from ..units.base import ComputationalUnit
@@ -58,23 +58,23 @@ class Alikes:
         self._running = running
         self._kinds: dict[Hashable, _Kind] = {}
 
-    def pattern(self, kin: Kin, worth_from: Callable[[Pattern], int]) -> Pattern:
+    def pattern(self, kin: Kin, break_even_count: Callable[[Pattern], int]) -> Pattern:
         """What the query has in common with those that it shares with; raises `Unshared` where it
-        is evaluated alone. ``worth_from`` tells how many queries cost what sharing a pattern does.
-        Cost: O(queries that are alone), and that of planning what is to be shared first."""
+        is evaluated alone. ``break_even_count`` returns how many queries cost what a shared plan
+        does. Cost: O(queries that are alone), and that of planning what is to be shared first."""
         kind = self._kinds.get(kin.key, _Kind())
         kind.shared = [one for one in kind.shared if self._runs(kin, one)]
         for pattern in kind.shared:
-            if fitted(pattern, kin.constants) is not None:
+            if match_constants(pattern, kin.constants) is not None:
                 unit = self._running(shared_key(kin, pattern))
                 if isinstance(unit, TemplateUnit) and not unit.accepts_timely_samples:
                     raise Unshared("others have closed windows for which its streams are in time")
                 return pattern
         if len(kind.alone) + 1 < ALIKE:
             raise Unshared(f"it came before there were {ALIKE} that differ in constants")
-        pattern = generalized([*kind.alone.values(), kin.constants])
+        pattern = generalize([*kind.alone.values(), kin.constants])
         if pattern not in kind.worth:
-            kind.worth = {pattern: worth_from(pattern)}
+            kind.worth = {pattern: break_even_count(pattern)}
         least = kind.worth[pattern]
         if len(kind.alone) + 1 < least:
             raise Unshared(f"together they are likely to cost what {least} cost by themselves")

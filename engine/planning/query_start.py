@@ -153,8 +153,8 @@ class Starter:
         known = ((one.name, flow_of(one.generator, [one.annotation])) for one in reads)
         flows = {name: flow for name, flow in known if flow is not None}
         try:
-            worth_from = partial(self._plans.queries.worth_from, kin, flows)
-            return kin, self._alikes.pattern(kin, worth_from), ""
+            break_even_count = partial(self._plans.queries.break_even_count, kin, flows)
+            return kin, self._alikes.pattern(kin, break_even_count), ""
         except Unshared as unshared:
             return kin, None, str(unshared)
 

@@ -19,7 +19,7 @@ from ...continuous.evaluation.evaluator import ContinuousEvaluator
 from ...continuous.operators.results import WindowResult
 from ...continuous.operators.sources import StaticSide
 from ...continuous.sharing.shared_windows import SharedWindows
-from ...continuous.sharing.similar_queries import AlikeEvaluator, worth_from
+from ...continuous.sharing.similar_queries import SimilarQueriesEvaluator, break_even_count
 from ...continuous.sharing.template_instances import TemplateEvaluator
 from ...converters.to_triples import SampleConverter
 from ...languages.csparql import format_query, with_streams
@@ -149,12 +149,12 @@ class Queries:
         unit = self._configuration.start_query(form.schema, make)
         return _built(unit, query, form, supplies)
 
-    def worth_from(self, kin: Kin, flows: Mapping[str, Flow], pattern: Pattern) -> int:
+    def break_even_count(self, kin: Kin, flows: Mapping[str, Flow], pattern: Pattern) -> int:
         """From how many queries on that fit ``pattern`` it is likely to be cheaper to compute them
         together; ``flows`` is what is known of their streams."""
         background = explanations.closed_ontology(self._ontology, kin.form.static_named)
         static = StaticSide(background, TermValues(self._dictionary))
-        return worth_from(kin.form, pattern, kin.constants, static, flows)
+        return break_even_count(kin.form, pattern, kin.constants, static, flows)
 
     def start_alike(
         self, query: ContinuousQuery, kin: Kin, pattern: Pattern, read: Read | Sequence[Supply]
@@ -164,7 +164,7 @@ class Queries:
         inputs, converters = self._of(read)
         query = with_streams(query, list(inputs)) if not query.streams else query
         background = explanations.closed_ontology(self._ontology, query.static_named)
-        evaluator = AlikeEvaluator(
+        evaluator = SimilarQueriesEvaluator(
             query, kin.form, pattern, self._dictionary, background, list(inputs), self._budget
         )
         return self._start_shared(query, inputs, converters, evaluator, _OTHERS)
@@ -174,7 +174,7 @@ class Queries:
     ) -> InstanceUnit:
         """Start the part of ``query`` in what it has in common with others."""
         evaluator = shared.evaluator
-        assert isinstance(evaluator, AlikeEvaluator)
+        assert isinstance(evaluator, SimilarQueriesEvaluator)
         form = self.form(query)
         text = query.source.strip() if query.streams else None
         if text is None:

@@ -33,7 +33,7 @@ result."""
 
 class TemplateUnit(WindowUnit):
     """Evaluates the instances of one template (`TemplateEvaluator`), or queries that differ in
-    constants (`AlikeEvaluator`), over the same streams as one query.
+    constants (`SimilarQueriesEvaluator`), over the same streams as one query.
 
     Law (tests/laws/engine/test_shared_requests.py, test_shared_queries.py): from the first window
     that begins after its start, an instance's stream equals that of a unit of its own. In windows

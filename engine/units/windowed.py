@@ -293,7 +293,7 @@ class WindowUnit(ComputationalUnit):
             self._spent += 0.0 if task is None else task.spent - before
             closed = self._newly_closed()
             done += closed
-            took = turns.time(lambda: self.emit(self.evaluator.taken()))
+            took = turns.time(lambda: self.emit(self.evaluator.take_results()))
             if count := sum(each.windows for each in closed):
                 self._emitting = took / count
         self.report_overruns()
@@ -331,7 +331,7 @@ class WindowUnit(ComputationalUnit):
             if self._error is not None:
                 raise self._error
         finally:
-            self.emit(self.evaluator.taken())
+            self.emit(self.evaluator.take_results())
         self.report_overruns()
         if turn[-1].stopped and not turn[-1].windows:
             raise Overwhelmed(turn[-1].stopped)

@@ -13,7 +13,7 @@ from typing import Final
 from pyoxigraph import Quad
 
 from ...continuous.columns.budget import BudgetExceeded, Stopped
-from ...continuous.columns.oxigraph_port import Found, Kept, Table
+from ...continuous.columns.oxigraph_port import SparqlResult, StoredQuads, Table
 from ...ontology.replicas import as_nquads
 from .messages import (
     Answer,
@@ -46,8 +46,8 @@ class IsolatedAsking:
         self._rows = rows
         self._size = size
 
-    def ask(self, sparql: str, kept: Kept, content: Sequence[Quad]) -> Found:
-        """See `Asking`."""
+    def ask(self, sparql: str, kept: StoredQuads, content: Sequence[Quad]) -> SparqlResult:
+        """See `OxigraphPort`."""
         try:
             with self._places:
                 answer = self._pool.call(lambda worker: self._asked(worker, sparql, kept, content))
@@ -55,7 +55,9 @@ class IsolatedAsking:
         except (WorkerError, BadAnswer) as error:
             raise Stopped(f"Oxigraph was stopped: {error}") from error
 
-    def _asked(self, worker: Worker, sparql: str, kept: Kept, content: Sequence[Quad]) -> Answer:
+    def _asked(
+        self, worker: Worker, sparql: str, kept: StoredQuads, content: Sequence[Quad]
+    ) -> Answer:
         key = str(kept.number)
         is_new = bool(kept.quads) and not worker.kept.get(key)
         forget = []
@@ -83,7 +85,7 @@ class IsolatedAsking:
         return answer
 
 
-def _found(answer: Answer) -> Found:
+def _found(answer: Answer) -> SparqlResult:
     match answer:
         case Truth(yes):
             return yes

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from dyknow.continuous.columns.oxigraph_port import NOTHING
+from dyknow.continuous.columns.oxigraph_port import NO_QUADS
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
@@ -210,10 +210,10 @@ def test_a_worker_cannot_open_anything() -> None:
     listening = Listener()
     windows = Windows(Settings())
     try:
-        asking = windows.budget.asking
+        asking = windows.budget.oxigraph
         with pytest.raises(ValueError, match=r"(?i)service|open files|connect"):
-            asking.ask(f"SELECT * {{ SERVICE <{listening.url}> {{ ?s ?p ?o }} }}", NOTHING, ())
-        assert asking.ask("ASK { }", NOTHING, ()) is True
+            asking.ask(f"SELECT * {{ SERVICE <{listening.url}> {{ ?s ?p ?o }} }}", NO_QUADS, ())
+        assert asking.ask("ASK { }", NO_QUADS, ()) is True
         assert listening.came == []
     finally:
         windows.close()

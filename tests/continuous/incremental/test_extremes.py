@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dyknow.continuous.incremental import pair_index
-from dyknow.continuous.incremental.pair_index import SeenPairs
+from dyknow.continuous.incremental.pair_index import PairIndex
 from dyknow.continuous.incremental.sliding_extremes import SlidingExtremes
 
 pane = st.tuples(
@@ -48,8 +48,8 @@ def test_no_step_turns_the_whole_window_around() -> None:
     sliding = SlidingExtremes(np.dtype(np.float64), panes)
     sliding.reserve(4)
     turned, at = [], np.array([1], np.int32)
-    turn = sliding._turn
-    sliding._turn = lambda n: (turned.append(min(n, len(sliding._middle))), turn(n))[1]
+    turn = sliding._prepare_front
+    sliding._prepare_front = lambda n: (turned.append(min(n, len(sliding._middle))), turn(n))[1]
     for end in range(1, 400):
         sliding.push(end, at, np.array([[float(end), -end]]))
         sliding.evict(end - panes)
@@ -68,7 +68,7 @@ def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
     # The numbers of panes begin anew after a few.
     pair_index.JIT, pair_index._PANES = jit, 10
     try:
-        found, end, last = SeenPairs(), 0, {}
+        found, end, last = PairIndex(), 0, {}
         for gap, rows in panes:
             end += gap
             gone = found.leave(end - length)
@@ -83,7 +83,7 @@ def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
                 i for i, pair in enumerate(rows) if not skip[i] and pair not in {*last, *rows[:i]}
             ]
             mask = np.array(skip, np.bool_) if any(skip) else None
-            assert found.see(end, arrays, mask).tolist() == new
+            assert found.enter(end, arrays, mask).tolist() == new
             last.update(dict.fromkeys(came, end))
             assert found.holds(arrays).tolist() == [pair in last for pair in rows]
             assert not found.holds((arrays[0], arrays[1] + 100)).any()
@@ -93,13 +93,13 @@ def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
 
 def history(panes: int, most: int) -> list[object]:
     """What comes new and what leaves, pane by pane: few pairs, then many, then few."""
-    found, out = SeenPairs(), []
+    found, out = PairIndex(), []
     random = np.random.default_rng(5)
     for end in range(panes):
         count = int(random.integers(0, most)) if panes // 6 < end < panes // 2 else most // 60
         subjects = random.integers(0, 40, count).astype(np.int32)
         bits = np.floor(random.uniform(0, 60, count)).view(np.int64)
-        out.append(found.see(end, (subjects, bits)).tolist())
+        out.append(found.enter(end, (subjects, bits)).tolist())
         gone = found.leave(end - 7)
         listed = () if gone is None else zip(gone[0].tolist(), gone[1].tolist(), strict=True)
         out.append(sorted(listed))

@@ -7,7 +7,7 @@ from pyoxigraph import Literal, NamedNode
 
 from dyknow.continuous.algebra.from_sparql import Unsupported
 from dyknow.continuous.evaluate import evaluate
-from dyknow.continuous.oxigraph.bag_rewrite import counting
+from dyknow.continuous.oxigraph.bag_rewrite import count_copies
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, XSD
 from dyknow.sparql import parse_sparql
 
@@ -96,7 +96,7 @@ def test_select_all_shows_no_copies() -> None:
 )
 def test_what_is_not_covered_is_named(where: str, reason: str) -> None:
     with pytest.raises(Unsupported, match=reason):
-        counting(parse_sparql(f"{PREFIXES} SELECT ?v WHERE {where}", {}))
+        count_copies(parse_sparql(f"{PREFIXES} SELECT ?v WHERE {where}", {}))
 
 
 def test_a_merged_window_says_so() -> None:
@@ -115,7 +115,7 @@ def test_a_path_counts_its_elements() -> None:
 
 def test_distinct_over_all_variables_is_refused() -> None:
     with pytest.raises(Unsupported, match="DISTINCT"):
-        counting(
+        count_copies(
             parse_sparql(
                 f"{PREFIXES} SELECT (COUNT(DISTINCT *) AS ?n) WHERE {{ ?o d:speed ?v }}", {}
             )
@@ -127,4 +127,4 @@ def test_a_type_is_found_whatever_its_prefix() -> None:
         "PREFIX r: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> SELECT ?o WHERE { ?o r:type ?c }"
     )
     query = parse_sparql(text, {})
-    assert counting(query) == query
+    assert count_copies(query) == query

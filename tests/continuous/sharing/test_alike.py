@@ -4,7 +4,7 @@ import pytest
 from pyoxigraph import Literal, NamedNode, Store
 
 from dyknow.continuous.algebra import plan
-from dyknow.continuous.algebra.constant_lifting import fitted, generalized
+from dyknow.continuous.algebra.constant_lifting import generalize, match_constants
 from dyknow.continuous.algebra.expressions import Var
 from dyknow.continuous.algebra.options import Options
 from dyknow.continuous.columns.relation import TermValues
@@ -13,10 +13,10 @@ from dyknow.continuous.operators.background import Background
 from dyknow.continuous.operators.sources import StaticSide
 from dyknow.continuous.sharing import similar_queries
 from dyknow.continuous.sharing.similar_queries import (
-    AlikeEvaluator,
+    SimilarQueriesEvaluator,
     Unshared,
+    break_even_count,
     form_of,
-    worth_from,
 )
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
@@ -93,24 +93,28 @@ def test_what_is_a_querys_own_has_no_form(parts, more, why):
 
 def test_what_queries_have_in_common_is_no_parameter():
     a, b, one, two = node("a"), node("b"), Literal(1), Literal(2)
-    pattern = generalized([(a, one, one, b), (b, one, one, a), (a, one, two, b)])
+    pattern = generalize([(a, one, one, b), (b, one, one, a), (a, one, two, b)])
     first, second, third, fourth = pattern
     assert second == one
     assert isinstance(first, Var)
     assert len({first, third, fourth}) == 3
     # Constants that differ alike are one.
-    assert len(set(generalized([(a, a, one), (b, b, two)]))) == 2
-    assert fitted(pattern, (a, one, two, a)) == {first.name: a, third.name: two, fourth.name: a}
-    assert fitted(pattern, (a, two, two, a)) is None
-    assert fitted(generalized([(a, a), (b, b)]), (a, b)) is None
+    assert len(set(generalize([(a, a, one), (b, b, two)]))) == 2
+    assert match_constants(pattern, (a, one, two, a)) == {
+        first.name: a,
+        third.name: two,
+        fourth.name: a,
+    }
+    assert match_constants(pattern, (a, two, two, a)) is None
+    assert match_constants(generalize([(a, a), (b, b)]), (a, b)) is None
 
 
 def likely(*parts, others, rate=1_000.0):
     """From how many on it is worth while; ``others`` are words and what stands for them."""
     members = [form(*(part.replace(*other) for part in parts)) for other in (("", ""), others)]
-    pattern = generalized([constants for _, constants in members])
+    pattern = generalize([constants for _, constants in members])
     static = StaticSide(Background(Store()), TermValues(TermDictionary()))
-    return worth_from(members[0][0], pattern, members[0][1], static, {"s": Flow(rate)})
+    return break_even_count(members[0][0], pattern, members[0][1], static, {"s": Flow(rate)})
 
 
 def test_a_plan_without_its_constants_may_be_larger():
@@ -125,7 +129,7 @@ def test_a_plan_without_its_constants_may_be_larger():
 def test_who_does_not_fit_is_refused():
     query = read("?o", "?o dyknow:speed ?v FILTER (?v > 1)")
     found, constants = form_of(query, ["s"], Options())
-    evaluator = AlikeEvaluator(
+    evaluator = SimilarQueriesEvaluator(
         query, found, constants, TermDictionary(), Background(Store()), ["s"]
     )
     number = evaluator.add(query, constants)
@@ -140,13 +144,13 @@ def test_who_does_not_fit_is_refused():
 def test_all_constants_that_have_to_be_kept_are_found_in_one_look(monkeypatch):
     """Finding one at a time took a minute for a query of 75 branches."""
     looks = []
-    joint = similar_queries.joint
+    joint = similar_queries.build_joint
 
     def counted(*given):
         looks.append(given)
         return joint(*given)
 
-    monkeypatch.setattr(similar_queries, "joint", counted)
+    monkeypatch.setattr(similar_queries, "build_joint", counted)
     branches = (f"{{ ?o dyknow:speed ?v FILTER (?v > {number}) }}" for number in range(40))
     assert form("?o", " UNION ".join(branches))[1] == ()
     assert len(looks) <= 3

@@ -10,7 +10,7 @@ from dyknow.continuous.columns.relation import NeedsOxigraph
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.continuous.sharing import cohorts
-from dyknow.continuous.sharing.instance_results import Apart, Joined
+from dyknow.continuous.sharing.instance_results import JoinedResults, SeparateResults
 from dyknow.continuous.sharing.template_instances import TemplateEvaluator
 from dyknow.languages.csparql import bind, parse_query, parse_template
 from dyknow.rdf.dictionary import TermDictionary
@@ -164,12 +164,12 @@ def test_a_window_that_columns_cannot_judge_is_evaluated_for_each(monkeypatch) -
         patched.setattr(cohorts, "holds", refuse)
         (result,) = run.advance(S + 1)
     assert (result.of(yes).size, result.of(strange).size) == (1, 0)
-    assert [type(part) for part in result.parts] == [Apart]
+    assert [type(part) for part in result.parts] == [SeparateResults]
     assert result.answered.tolist() == [yes]
     run.template.remove(strange)
     del run.own[strange]
     (result,) = run.advance(2 * S + 1)
-    assert [type(part) for part in result.parts] == [Joined]
+    assert [type(part) for part in result.parts] == [JoinedResults]
 
 
 def test_what_is_wrong_is_refused() -> None:

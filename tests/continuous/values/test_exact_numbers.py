@@ -309,7 +309,7 @@ def test_filters_of_joined_patterns_are_exact(pairs, sign, left, right, test) ->
 
 
 def computed_pair(sign: str, a: str, b: str) -> Decimal:
-    found = decimals.computed(sign, Decimal(a), Decimal(b))
+    found = decimals.compute(sign, Decimal(a), Decimal(b))
     assert found is not None
     return found
 
@@ -333,8 +333,8 @@ def test_columns_compute_what_fractions_do(pairs: list[tuple[Decimal, Decimal]],
     sides = [decimals.mantissas(np.array([float(pair[i]) for pair in pairs])) for i in (0, 1)]
     assert sides[0] is not None
     assert sides[1] is not None
-    found = decimals.combined(sign, sides[0], sides[1])
-    exact = [decimals.computed(sign, *pair) for pair in pairs]
+    found = decimals.combine(sign, sides[0], sides[1])
+    exact = [decimals.compute(sign, *pair) for pair in pairs]
     if found is not None:
         for code, known, wanted in zip(*found, exact, strict=True):
             assert not known or decimals.of_code(float(code)) == wanted

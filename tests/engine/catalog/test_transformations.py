@@ -145,7 +145,7 @@ def test_parameters_make_another_transformation(robot):
         ({"implementation": "gps"}, Conflict, "gps takes no input"),
         ({"implementation": "humanDetector"}, Conflict, "takes 2 inputs"),
         ({"parameters": {"size": "1"}}, BadArguments, "no parameter 'size'"),
-        ({"parameters": {"scale": "big"}}, BadArguments, "'scale' is a number, not 'big'"),
+        ({"parameters": {"scale": "big"}}, BadArguments, "'scale' must be a number, not 'big'"),
         ({"quality": 2.0}, BadArguments, "from 0 to 1"),
         ({"quality": float("nan")}, BadArguments, "from 0 to 1"),
         ({"cost": -1.0}, BadArguments, "0 or more"),
@@ -304,7 +304,7 @@ def test_a_report_that_is_none_is_an_error_of_the_unit(robot, processes):
     run(robot, 2)
     assert not samples(robot, view.stream)
     told = [v for _, v in samples(robot, "status") if v["change"] == "unit failed"]
-    assert "a number from 0 to 1, got 7" in told[0]["specification"]
+    assert "a number from 0 to 1, not 7" in told[0]["specification"]
 
 
 def test_rates_are_mirrored_for_who_asks(robot):

@@ -15,7 +15,7 @@ from simulated_disk import SimulatedDisk
 
 import dyknow.engine.durability.checkpoint as checkpoint_module
 import dyknow.engine.durability.durable_engine as recorded_module
-from dyknow.continuous.columns.oxigraph_port import Kept
+from dyknow.continuous.columns.oxigraph_port import StoredQuads
 from dyknow.engine.catalog.iri_annotations import (
     DescribedArgument,
     DescribedPort,
@@ -242,11 +242,11 @@ def test_after_an_error_within_a_command_there_is_no_checkpoint(tmp_path, monkey
 def test_quads_out_of_a_checkpoint_are_taken_for_no_others():
     """Workers know them by their number, which counts from 0 in each process."""
     quads = [Quad(NamedNode("urn:a"), NamedNode("urn:p"), NamedNode("urn:b"))]
-    kept = Kept(quads)
+    kept = StoredQuads(quads)
     one, other = pickle.loads(pickle.dumps([kept, kept]))
     assert one is other
     assert list(one.quads) == quads
-    assert len({kept.number, one.number, Kept().number}) == 3
+    assert len({kept.number, one.number, StoredQuads().number}) == 3
 
 
 def speakers(size):

@@ -136,7 +136,7 @@ def test_constants_on_which_all_agree_stay_in_the_plan(flying):
 
 
 def test_constants_of_every_place_differ(flying, monkeypatch):
-    monkeypatch.setattr("dyknow.engine.planning.query_units.worth_from", lambda *_: 1)
+    monkeypatch.setattr("dyknow.engine.planning.query_units.break_even_count", lambda *_: 1)
     texts = [
         f"REGISTER STREAM q{i} AS CONSTRUCT {{ dyknow:base{i} dyknow:speed ?v }} "
         f"FROM STREAM {S5} {WINDOW} WHERE {{ dyknow:uav{i} dyknow:speed ?v ; dyknow:heading ?h "
@@ -263,7 +263,7 @@ def test_what_fails_in_one_fails_in_no_other(flying):
     def fail(result, available):
         raise RuntimeError("no more")
 
-    unit._answer.results.convert = fail
+    unit._emitter.results.convert = fail
     fly(flying, 4, uav1=150)
     view = flying.queries.view("q2")
     assert (view.state, view.failure) == ("failed", f"{unit.name}: RuntimeError: no more")

@@ -203,7 +203,7 @@ def test_what_fails_in_one_fails_in_no_other(shared):
     def fail(result, available):
         raise RuntimeError("no more")
 
-    unit._answer.results.convert = fail
+    unit._emitter.results.convert = fail
     fly(shared, 7, uav1=130)
     assert unit.failure == "RuntimeError: no more"
     assert samples(shared, third.stream)

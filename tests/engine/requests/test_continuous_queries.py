@@ -775,7 +775,7 @@ def test_what_is_nested_too_deeply_after_all_is_refused(flying, monkeypatch):
     def deep(*_):
         raise RecursionError
 
-    monkeypatch.setattr("dyknow.continuous.evaluation.solver.Reading.translated", deep)
+    monkeypatch.setattr("dyknow.continuous.evaluation.solver.QueryBody.translate", deep)
     with pytest.raises(LanguageError, match="nested too deeply to be evaluated"):
         flying.queries.register(SELECT)
     assert flying.queries.views() == ()

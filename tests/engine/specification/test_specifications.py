@@ -539,7 +539,7 @@ def test_the_nodes_are_those_of_matching(listing):
         (
             '<cu type="gps"><parameter name="scale" value="wide"/></cu>',
             '<parameter name="scale" value="wide"/>',
-            "no unit can be made of `gps`: parameter 'scale' is a number, not 'wide'",
+            "no unit can be made of `gps`: parameter 'scale' must be a number, not 'wide'",
             "",
         ),
         (

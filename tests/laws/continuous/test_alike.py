@@ -14,18 +14,18 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal
 
 from dyknow.continuous.algebra.constant_lifting import (
-    fitted,
-    generalized,
-    lifted,
-    lowered,
+    generalize,
+    lift_constants,
+    match_constants,
+    put_constants,
 )
 from dyknow.continuous.algebra.expressions import Var
 from dyknow.continuous.algebra.options import Options
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
-from dyknow.continuous.evaluation.solver import Reading
+from dyknow.continuous.evaluation.solver import QueryBody
 from dyknow.continuous.sharing import cohorts
 from dyknow.continuous.sharing.similar_queries import (
-    AlikeEvaluator,
+    SimilarQueriesEvaluator,
     Unshared,
     form_of,
 )
@@ -122,10 +122,10 @@ def check(body, size, elements, cuts, some, opts):
         forms = [form_of(query, [INPUT], opts) for query in queries]
         form, _ = forms[0]
         members = [constants for other, constants in forms if other == form]
-        pattern = generalized(members)
-        assert all(fitted(pattern, constants) is not None for constants in members)
+        pattern = generalize(members)
+        assert all(match_constants(pattern, constants) is not None for constants in members)
         dictionary = TermDictionary()
-        evaluator = AlikeEvaluator(
+        evaluator = SimilarQueriesEvaluator(
             queries[0], form, pattern, dictionary, laws.background(), [INPUT]
         )
     except Unshared:
@@ -134,10 +134,10 @@ def check(body, size, elements, cuts, some, opts):
 
     def come(key):
         number = evaluator.add(queries[key], forms[key][1])
-        there[key] = [number, evaluator._windows._closed, None]
+        there[key] = [number, evaluator._windows._last_end, None]
 
     def go(key):
-        last = evaluator._windows._closed
+        last = evaluator._windows._last_end
         there[key][2] = -(10**9) if last is None else last
         evaluator.remove(there[key][0])
 
@@ -197,7 +197,7 @@ def test_also_where_terms_are_mixed(body, size, elements, cuts, some, opts):
 @given(st.sampled_from(BODIES), sizes, laws.elements_of(values), several)
 def test_many_are_looked_at_a_piece_at_a_time(body, size, elements, some):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cohorts, "LARGEST", 1)
+        patch.setattr(cohorts, "PAIRS_AT_ONCE", 1)
         check(body, size, elements, [], some, Options())
 
 
@@ -222,14 +222,14 @@ def test_a_form_with_the_constants_put_back_is_the_query(body, one, other):
     forms = []
     for chosen in (one, other):
         query = query_of(body, (3, 1), chosen)
-        found = Reading.of(query, schedule(query, [INPUT], Options())).translated({})
-        form = lifted(found)
-        assert lowered(form.query, form.constants) == found
+        found = QueryBody.of(query, schedule(query, [INPUT], Options())).translate({})
+        form = lift_constants(found)
+        assert put_constants(form.query, form.constants) == found
         forms.append(form)
     assume(forms[0].query == forms[1].query)
-    pattern = generalized([form.constants for form in forms])
+    pattern = generalize([form.constants for form in forms])
     for form in forms:
-        fit = fitted(pattern, form.constants)
+        fit = match_constants(pattern, form.constants)
         put = tuple(fit[one.name] if isinstance(one, Var) else one for one in pattern)
         assert put == form.constants
     # The most special one: a constant that both have is no parameter.

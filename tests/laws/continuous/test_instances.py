@@ -130,11 +130,11 @@ def check(body, size, elements, cuts, instances, opts) -> None:
     closed: list = []
 
     def come(key, given):
-        lives[key] = [evaluator.add(given), evaluator._windows._closed, None]
+        lives[key] = [evaluator.add(given), evaluator._windows._last_end, None]
 
     def go(key):
         evaluator.remove(lives[key][0])
-        last = evaluator._windows._closed
+        last = evaluator._windows._last_end
         lives[key][2] = -(10**9) if last is None else last
 
     given_to = {}
@@ -227,8 +227,8 @@ def test_the_kernel_equals_its_twins(groups, rows, strict) -> None:
         group, value, starts, ordered, least, strict, room[0], room[1]
     )
     found = [
-        instance_kernel.fired(group, value, starts, ordered, least, strict),
-        instance_kernel.fired_plain(group, value, starts, ordered, strict),
+        instance_kernel.find_pairs(group, value, starts, ordered, least, strict),
+        instance_kernel.find_pairs_plain(group, value, starts, ordered, strict),
         room[:, :count],
     ]
     found = [list(zip(at.tolist(), places.tolist(), strict=True)) for at, places in found]

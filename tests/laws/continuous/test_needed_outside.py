@@ -14,9 +14,9 @@ from dyknow.continuous.algebra.plan import (
     Distinct,
     Plan,
     Project,
-    asked,
     inputs,
     outputs,
+    used_variables,
     walk,
 )
 from dyknow.continuous.pattern_join.plan_cut import needed_outside
@@ -30,7 +30,7 @@ def defined(plan: Plan, part: Plan) -> frozenset[str]:
             continue
         if not inputs(node):
             names |= outputs(node)
-        names |= asked(node)
+        names |= used_variables(node)
         match node:
             case Project(shown):
                 names |= set(shown)

@@ -167,8 +167,8 @@ def solutions(
 
 
 _LOOPS = (
-    (window_rows, "wait"),
-    (window_rows, "turn"),
+    (window_rows, "append_pending"),
+    (window_rows, "select_rows"),
     (window_rows, "pack"),
     (window_rows, "link"),
     (static_rows, "link"),

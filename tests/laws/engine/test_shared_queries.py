@@ -190,7 +190,7 @@ def run(given, least):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(query_sharing, "ALIKE", least)
         # However large what is computed together is.
-        patch.setattr("dyknow.engine.planning.query_units.worth_from", lambda *_: 1)
+        patch.setattr("dyknow.engine.planning.query_units.break_even_count", lambda *_: 1)
         run = Run(least)
         for number, step in enumerate(given):
             run.step(number, step)

@@ -20,7 +20,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 from waiting import until
 
 from dyknow.continuous.columns.budget import BudgetExceeded
-from dyknow.continuous.columns.oxigraph_port import DIRECT, NOTHING, Kept
+from dyknow.continuous.columns.oxigraph_port import DIRECT, NO_QUADS, StoredQuads
 from dyknow.continuous.columns.oxigraph_port import Table as Solutions
 from dyknow.engine.engine import Engine
 from dyknow.ontology.ontology import Ontology
@@ -513,8 +513,12 @@ def quads(number: int) -> list[Quad]:
     ],
 )
 def test_a_worker_answers_what_oxigraph_answers(windows: Windows, text: str) -> None:
-    asking = windows.budget.asking
-    for kept, content in ((NOTHING, quads(3)), (Kept(quads(5)), []), (Kept(quads(2)), quads(4))):
+    asking = windows.budget.oxigraph
+    for kept, content in (
+        (NO_QUADS, quads(3)),
+        (StoredQuads(quads(5)), []),
+        (StoredQuads(quads(2)), quads(4)),
+    ):
         for _ in range(2):
             mine, theirs = DIRECT.ask(text, kept, content), asking.ask(text, kept, content)
             if isinstance(mine, list):
@@ -527,7 +531,7 @@ def test_a_worker_answers_what_oxigraph_answers(windows: Windows, text: str) -> 
 def test_quads_that_a_worker_could_not_keep_are_sent_again(
     windows: Windows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asking, kept = windows.budget.asking, Kept(quads(5))
+    asking, kept = windows.budget.oxigraph, StoredQuads(quads(5))
     text = "SELECT * { GRAPH ?g { ?s ?p ?o } }"
     with monkeypatch.context() as patched:
         patched.setattr(Worker, "call", lambda *_: Failed("it needs more memory than it may have"))
@@ -542,7 +546,7 @@ def test_quads_of_which_it_may_have_some_are_forgotten(
     windows: Windows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When nobody has asked about them for long, as others are."""
-    asking, told = windows.budget.asking, list[str]()
+    asking, told = windows.budget.oxigraph, list[str]()
     call = Worker.call
 
     def noted(worker: Worker, job: Job, most: int) -> Any:
@@ -551,31 +555,31 @@ def test_quads_of_which_it_may_have_some_are_forgotten(
         return call(worker, job, most)
 
     monkeypatch.setattr(Worker, "call", noted)
-    failed = [Kept(quads(3)) for _ in range(5)]
+    failed = [StoredQuads(quads(3)) for _ in range(5)]
     for kept in failed:
         with pytest.raises(ValueError, match="expected"):
             asking.ask("ASK { 1 }", kept, [])
-    for kept in [Kept(quads(1)) for _ in range(MOST_KEPT)]:
+    for kept in [StoredQuads(quads(1)) for _ in range(MOST_KEPT)]:
         asking.ask("ASK {}", kept, [])
     assert told == [str(kept.number) for kept in failed]
 
 
 def test_more_sets_of_quads_than_a_worker_keeps(windows: Windows) -> None:
-    sets = [Kept(quads(i + 1)) for i in range(40)]
+    sets = [StoredQuads(quads(i + 1)) for i in range(40)]
     for _ in range(2):
         for number, kept in enumerate(sets):
-            found = windows.budget.asking.ask("SELECT * { GRAPH ?g { ?s ?p ?o } }", kept, ())
+            found = windows.budget.oxigraph.ask("SELECT * { GRAPH ?g { ?s ?p ?o } }", kept, ())
             assert len(found.rows) == number + 1  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("text", [ENDLESS, HUNGRY])
 def test_what_oxigraph_cannot_answer_in_time_or_space(windows: Windows, text: str) -> None:
-    asking = windows.budget.asking
+    asking = windows.budget.oxigraph
     with pytest.raises(BudgetExceeded, match="stopped"):
-        asking.ask(text, NOTHING, ())
+        asking.ask(text, NO_QUADS, ())
     with pytest.raises(BudgetExceeded, match="100 rows"):
-        asking.ask("SELECT * { GRAPH ?g { ?s ?p ?o } }", NOTHING, quads(101))
-    assert asking.ask("ASK {}", NOTHING, ()) is True
+        asking.ask("SELECT * { GRAPH ?g { ?s ?p ?o } }", NO_QUADS, quads(101))
+    assert asking.ask("ASK {}", NO_QUADS, ()) is True
 
 
 def test_the_kinds_of_answers() -> None:
