@@ -14,7 +14,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from ..languages.attached import attached
+from ..languages.object_cache import ObjectCache
 from ..streams.sample import (
     TIME_FIELDS,
     Column,
@@ -204,7 +204,7 @@ def _check_keys(part: bytes, lines: list[bytes], keys: int) -> None:
         raise _Bad
 
 
-@attached
+@ObjectCache
 def _decoder(schema: Schema) -> Any:
     """A decoder compiled for the schema; field ``f<i>`` holds the i-th field.
 

@@ -149,7 +149,7 @@ def test_specifications_are_read_by_another_process(
     wrong = http.post("/specifications", content=f"{HEAD}\n  <cux/></specification>", headers=XML)
     assert wrong.status_code == 400
     assert (wrong.json()["line"], wrong.json()["column"]) == (2, 4)
-    assert "`cux` is no element of a specification" in wrong.json()["detail"]
+    assert "`cux` is not an element of a specification" in wrong.json()["detail"]
 
 
 @pytest.mark.parametrize(
