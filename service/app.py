@@ -21,7 +21,7 @@ from .config.file_limits import places
 from .config.logs import log
 from .config.settings import Settings
 from .config.version import __version__
-from .durability.command_queue import Keeper
+from .durability.command_queue import CommandQueue
 from .http import problems
 from .http.access_log import AccessLog
 from .http.body_limit import BodyLimit, UnderWay
@@ -109,7 +109,7 @@ def create_app(
         recorded.refused_outside = (problems.Problem,)
     troubles: dict[str, str] = {}
     memory = Memory.of(settings)
-    keeper = Keeper(engine, recorded, troubles, memory)
+    commands = CommandQueue(engine, recorded, troubles, memory)
     clients = EventClients(
         places(settings.sse_clients),
         settings.sse_clients_each,
@@ -117,9 +117,9 @@ def create_app(
         settings.sse_send_timeout,
         tokens,
     )
-    if keeper.is_recording:
-        feeds = Feeds(engine, settings.sse_cache, clients, lambda: keeper.is_kept)
-        keeper.show_to(feeds)
+    if commands.is_recording:
+        feeds = Feeds(engine, settings.sse_cache, clients, lambda: commands.is_durable)
+        commands.gate(feeds)
     else:
         feeds = Feeds(engine, settings.sse_cache, clients)
     bodies = UnderWay()
@@ -138,7 +138,7 @@ def create_app(
             bodies,
             answers,
             clock,
-            keeper,
+            commands,
             isolation,
             memory,
             settings.metrics_streams,
@@ -146,7 +146,7 @@ def create_app(
         isolation,
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings), memory),
-        keeper,
+        commands,
         memory,
         troubles,
         client_key=client_key,
@@ -167,7 +167,7 @@ def create_app(
             service.isolation.close()
             service.decoder.close()
             tasks.cancel_scope.cancel()
-        keeper.close()
+        commands.close()
 
     app = FastAPI(
         title="DyKnow",
@@ -214,7 +214,7 @@ async def _tick(service: Service) -> None:
             service.tick()
             service.troubles.pop(TICK, None)
         except JournalError as error:
-            # The keeper has told it, once. Time stands still until there is room.
+            # The commands has told it, once. Time stands still until there is room.
             service.metrics.tick_failures.inc()
             log().debug("no tick", reason=str(error))
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
@@ -222,7 +222,7 @@ async def _tick(service: Service) -> None:
             metrics.tick_failures.inc()
             log().exception("tick failed")
         try:
-            await service.keeper.tend(service.settings)
+            await service.commands.maintain(service.settings)
         except JournalError as error:
             log().debug("not kept yet", reason=str(error))
         except Exception as error:  # noqa: BLE001 - told by log and /readyz

@@ -1,8 +1,8 @@
 """Splits a specification into parts within bounds, to be applied one after the other
 ([Introspection15 §3.2]).
 
-A configuration may be larger than a text may be (docs/explanation/isolation.md). The parts have the same effect
-together: each comes after those whose streams it reads. The client calls this.
+A configuration may be larger than a text may be (docs/explanation/isolation.md). The parts have the
+same effect together: each comes after those whose streams it reads. The client calls this.
 """
 
 from __future__ import annotations

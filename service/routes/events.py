@@ -84,7 +84,9 @@ async def request_event(
 async def list_events(service: Context) -> Response:
     """The requests that run, then those of an earlier run that wait (``state``)."""
     engine = service.engine
-    waiting = [EventModel.waiting(each) for each in service.keeper.waits(REQUEST).values()]
+    waiting = [
+        EventModel.waiting(each) for each in service.commands.deferred_by_name(REQUEST).values()
+    ]
     return await listed(
         engine.event_ids(), lambda id: EventModel.of(engine.event(id), engine.epoch), waiting
     )
@@ -93,7 +95,7 @@ async def list_events(service: Context) -> Response:
 @router.get("/events/{id}", responses=responses(404))
 async def read_event(id: str, service: Context) -> EventModel:
     """One request, with its plan if it runs."""
-    if (waiting := service.keeper.waits(REQUEST).get(id)) is not None:
+    if (waiting := service.commands.deferred_by_name(REQUEST).get(id)) is not None:
         return EventModel.waiting(waiting)
     return EventModel.of(service.engine.event(id), service.engine.epoch)
 

@@ -66,7 +66,7 @@ async def follow(
     key = service.client_key(request)
     answer = event_stream(service.feeds, request, key, name, since, switches)
     # It says where it begins, and that is to be so after a restart, too.
-    await service.keeper.settled()
+    await service.commands.try_commit()
     return answer
 
 
@@ -88,5 +88,5 @@ async def follow_streams(
     """
     key = service.client_key(request)
     answer = follow_many(service.feeds, request, key, stream, since)
-    await service.keeper.settled()
+    await service.commands.try_commit()
     return answer

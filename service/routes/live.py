@@ -60,16 +60,16 @@ async def publish_live(
         if isinstance(error, AheadOfClock):
             service.engine.intake.refuse_ahead(name)
         # What the answer says of it holds.
-        await service.keeper.settled()
+        await service.commands.try_commit()
         raise _refusal(error, live) from error
-    await service.keeper.kept()
+    await service.commands.wait_durable()
     return AcceptedModel.of(live.accepted, live.rounded)
 
 
 def _samples(name: str, kind: str, service: Service) -> LiveSamples:
     make = LiveLines if kind == NDJSON else LiveTables
     limits = service.settings.live_batch_limits
-    return make(service.engine, service.keeper, name, service.clock, limits)
+    return make(service.engine, service.commands, name, service.clock, limits)
 
 
 def _refusal(error: Exception, live: LiveSamples) -> Exception:

@@ -77,7 +77,7 @@ async def load_ontology(
     body = await request.body()
     text = utf8(body)
     # What it entails is computed for a second: not of what cannot be kept.
-    service.keeper.check_room(len(body))
+    service.commands.check_room(len(body))
     documents, ontology = service.isolation.documents, service.engine.ontology
 
     def prepare() -> tuple[str, PreparedOntology]:

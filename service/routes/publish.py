@@ -76,7 +76,7 @@ async def publish_samples(
     another body.
     """
     service.engine.accepting(name)  # an unknown stream is told before the body is read
-    if service.keeper.is_overloaded(name):
+    if service.commands.is_overloaded(name):
         raise Problem(
             429,
             "queries are behind",
@@ -91,7 +91,7 @@ async def publish_samples(
         name, "ndjson" if kind == NDJSON else "arrow", body, service.clock(), idempotency_key
     )
     # What is decoded stays with the stream's texts: not of what cannot be kept.
-    service.keeper.check_room(len(body))
+    service.commands.check_room(len(body))
     incoming = await service.decoder.decode(batch)
     # It may have taken its time, and commands are done in the order of theirs.
     batch = replace(batch, now=service.clock())

@@ -103,7 +103,7 @@ async def list_queries(service: Context) -> Response:
     """The registered queries, oldest first, then those of an earlier run that wait (``state``)."""
     engine = service.engine
     there = engine.queries
-    waits = service.keeper.waits(QUERY).values()
+    waits = service.commands.deferred_by_name(QUERY).values()
     waiting = [QueryModel.waiting(each, engine.epoch) for each in waits]
     return await listed(
         there.names(), lambda name: QueryModel.of(there.view(name), engine.epoch), waiting
@@ -120,7 +120,7 @@ async def read_query(
     """One query; for ``Accept: text/plain`` its text, or with ``explain`` each stage of it."""
     kind = accepted(request, (JSON, TEXT))
     engine = service.engine
-    waiting = service.keeper.waits(QUERY).get(name)
+    waiting = service.commands.deferred_by_name(QUERY).get(name)
     view = engine.queries.view(name) if waiting is None else query_view(waiting)
     stages = engine.queries.explain_running(name) if explain else None
     if kind == TEXT:

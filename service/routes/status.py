@@ -36,7 +36,7 @@ async def read_status(service: Context) -> StatusModel:
         accepted=sum(stream.counters.accepted for stream in streams),
         waiting=[
             WaitingModel(kind=each.key.kind, name=each.key.name, reason=each.reason)
-            for each in service.keeper.not_started()
+            for each in service.commands.deferred()
             if each.key.kind not in LISTED
         ],
     )

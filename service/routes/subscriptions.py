@@ -60,7 +60,7 @@ async def subscribe(
 async def list_subscriptions(service: Context) -> Response:
     """The subscriptions that run, then those of an earlier run that wait (``state``)."""
     engine = service.engine
-    waits = service.keeper.waits(SUBSCRIPTION).values()
+    waits = service.commands.deferred_by_name(SUBSCRIPTION).values()
     waiting = [SubscriptionModel.waiting(each) for each in waits]
     return await listed(
         engine.subscription_ids(), lambda id: SubscriptionModel.of(engine.subscription(id)), waiting
@@ -70,7 +70,7 @@ async def list_subscriptions(service: Context) -> Response:
 @router.get("/subscriptions/{id}", responses=responses(404))
 async def read_subscription(id: str, service: Context) -> SubscriptionModel:
     """One subscription, with what became of the samples under its policy."""
-    if (waiting := service.keeper.waits(SUBSCRIPTION).get(id)) is not None:
+    if (waiting := service.commands.deferred_by_name(SUBSCRIPTION).get(id)) is not None:
         return SubscriptionModel.waiting(waiting)
     return SubscriptionModel.of(service.engine.subscription(id))
 
