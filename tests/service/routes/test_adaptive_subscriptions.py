@@ -163,8 +163,8 @@ def test_what_cannot_be_met_waits(http: httpx.Client) -> None:
 @pytest.mark.parametrize(
     ("wanted", "status", "said"),
     [
-        ({}, 400, "not neither"),
-        (WANT | {"stream": "s1"}, 400, "not both"),
+        ({}, 400, "has neither"),
+        (WANT | {"stream": "s1"}, 400, "has both"),
         ({"stream": "s1", "sort": "UAV"}, 400, "sort: only with a feature"),
         ({"stream": "s1", "staleness": "5s", "hold_off": "1s"}, 400, "hold_off, staleness"),
         ({"feature": "sped", "sort": "UAV"}, 404, "did you mean speed"),
