@@ -247,7 +247,7 @@ class CommandQueue:
         try:
             await self.wait_durable()
         except JournalError as error:
-            log().debug("not kept yet", reason=str(error))
+            log().debug("not durable yet", reason=str(error))
 
     async def _join_commit(self) -> None:
         """Await the commit under way, or a new one."""

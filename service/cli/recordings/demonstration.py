@@ -1,4 +1,4 @@
-"""What ``dyknow demo`` shows: [Events14 §V.C] on recorded flights, from nothing to events.
+"""The work of ``dyknow demo``: [Events14 §V.C] on recorded flights, from nothing to events.
 
 It starts a service of its own in memory and talks to it over HTTP as any client would. The same
 recording, played again and again in the present, is what ``dyknow serve --flights`` offers.
@@ -38,10 +38,10 @@ from .recording_replay import PAUSE, play, span
 
 STREAM = "adsb"
 SPEED = 25.0
-"""How many times faster than flown the demonstration runs."""
+"""The speed of the demonstration, as a multiple of the recorded one."""
 THRESHOLD = 800
 SHOWN = 12
-"""How many of the latest events are on the screen."""
+"""The number of latest events on the screen."""
 
 WHO_FEEDS = """\
 SELECT ?stream ?transformation ?input WHERE {
@@ -65,7 +65,7 @@ class _Seen:
 
 @contextmanager
 def demo_files() -> Iterator[tuple[Path, str, str]]:
-    """The recording that ships with the package, its annotation, and the template."""
+    """Yield the shipped recording, its annotation, and the template."""
     package = files("dyknow")
     template = package.joinpath("templates", "library", "high_speed.rq").read_text()
     annotation = package.joinpath("examples", "adsb.ssl").read_text()
@@ -74,10 +74,10 @@ def demo_files() -> Iterator[tuple[Path, str, str]]:
 
 
 def show() -> None:
-    """Replay five minutes of recorded flights and find events in them."""
+    """Replay five minutes of recorded flights, and find events in them."""
     console = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 100)
     began = time.perf_counter()
-    # Of this machine, for this process: whatever the environment says of the service.
+    # Only for this machine and process: ignore the environment's settings of a service.
     settings = Settings(host="127.0.0.1", port=0)
     with (
         demo_files() as (path, annotation, template),
@@ -117,7 +117,7 @@ def flights(url: str, stopping: Callable[[], bool], token: str = "") -> None:
         assert extent is not None
         begin, now = time.monotonic_ns(), time.time_ns()
         last = client.stream(STREAM)["last_available"]
-        # After a restart the aircraft jump as well, from where they were.
+        # After a restart the recording begins again: the pause keeps speeds from spanning the jump.
         start = now if last is None else max(now, read_time(last) + PAUSE)
         shift, begin = start - extent.first, begin + start - now
         while not stopping():
@@ -158,7 +158,7 @@ def _request(console: Console, client: Client, text: str) -> dict[str, Any]:
 
 
 def _why(client: Client, request: str) -> str:
-    """The matching part of the explanation: what was chosen and what was not possible."""
+    """Return the matching part of the explanation: the choices and the failed alternatives."""
     text = client.explain(event=request)
     start = text.index("semantic matching")
     end = text.index("\n\nquery", start)
@@ -172,7 +172,7 @@ def _replay_and_follow(
     recording: Recording,
     requests: list[dict[str, Any]],
 ) -> tuple[_Seen, float]:
-    """Publish the recording at its pace; each request is followed on a connection of its own."""
+    """Publish the recording at its pace, and follow each request on its own connection."""
     extent = span(recording)
     assert extent is not None
     seen = _Seen()
@@ -215,7 +215,7 @@ def _replay_and_follow(
 
 
 def _follow(console: Console, url: str, stream: str, label: str, seen: _Seen, begin: float) -> None:
-    """Take in the events of one request until its stream ends."""
+    """Show the events of one request until its stream ends."""
     with Client(url) as client:
         for event in client.events(stream, since="start"):
             if event.kind != "sample":
@@ -282,7 +282,7 @@ def _summary(
         client.cancel_event(answer["id"])
     left = [s["name"] for s in client.streams() if s["name"].startswith("dyknow_reserved")]
     console.print(
-        "Requests cancelled; units and streams that nobody uses any more are gone"
+        "Requests cancelled; units and streams without users were removed"
         + (f" but for {', '.join(left)}" if left else "")
         + f". {_since(began)} in all."
     )

@@ -59,7 +59,7 @@ def test_joining_a_request_does_not_show_its_past(dyknow: Any, speeds: Client) -
 
 def test_a_request_is_given_up_by_its_id(dyknow: Any, speeds: Client) -> None:
     dyknow("events", REQUEST, "--no-follow")
-    assert dyknow("events", "--cancel", "event1").stdout.strip() == "gave up event1"
+    assert dyknow("events", "--cancel", "event1").stdout.strip() == "cancelled event1"
     assert speeds.requests() == []
     dyknow("events", "--cancel", "event1", status=1)
     dyknow("events", REQUEST, "--cancel", "event1", status=2)
