@@ -29,7 +29,7 @@ def follow(
     object: Annotated[
         list[str] | None,
         typer.Option(
-            help="The feature of this object. Repeat it for the arguments of an n-ary feature."
+            help="The feature of this object. May be repeated: the arguments of an n-ary feature."
         ),
     ] = None,
     strategy: Annotated[str | None, STRATEGY] = None,

@@ -65,7 +65,7 @@ def match(
     sort: Annotated[str | None, typer.Option(help="For all objects of this sort.")] = None,
     object: Annotated[
         list[str] | None,
-        typer.Option(help="For this object. Repeat it for the arguments of an n-ary feature."),
+        typer.Option(help="For this object. May be repeated: the arguments of an n-ary feature."),
     ] = None,
     strategy: Annotated[str, STRATEGY] = "fast",
     url: Url = DEFAULT_URL,

@@ -100,7 +100,7 @@ def add(
         show_json(found)
         return
     if found["users"] > 1:
-        show_text(f"{found['name']} exists already; it has {found['users']} registrations now")
+        show_text(f"{found['name']} exists already; it is shared by {found['users']} registrations")
     else:
         show_text(f"registered {found['name']}")
     show_text(found["plan"]["text"].rstrip())

@@ -48,8 +48,10 @@ BODY: dict[str, Any] = {
 _ONTOLOGY = NamedNode(OWL + "Ontology")
 # The base of relative IRIs: an ontology that a text calls <> has no IRI of its own.
 _NO_BASE = NamedNode("urn:dyknow:no-base:")
-_ANOTHER = "the system describes the stream space in it; load your ontology under another name"
-_NAME_IT = "name it: ?name=<IRI>, or --name IRI"
+_OTHER_NAME_HINT = (
+    "the system describes the stream space in it; load your ontology under another name"
+)
+_NAME_HINT = "name it: ?name=<IRI>, or --name IRI"
 
 
 @router.post(
@@ -84,7 +86,7 @@ async def load_ontology(
         iri = _own_name(text, format, documents) if name is None else name
         if iri == STREAM_SPACE_ONTOLOGY.value:
             # Checked here, not in the engine: logs of earlier versions may contain it.
-            raise OntologyError(f"the name {iri} is the system's own", hint=_ANOTHER)
+            raise OntologyError(f"the name {iri} is the system's own", hint=_OTHER_NAME_HINT)
         service.gate.quotas.check_ontology(iri)
         return iri, ontology.prepare(text, name=iri, format=format, reasoning=documents)
 
@@ -135,13 +137,13 @@ def _own_name(text: str, format: TextFormat, reasoning: Reasoning) -> str:
     }
     if len(names) != 1:
         found = "no owl:Ontology with an IRI" if not names else f"{len(names)} ontologies"
-        raise Problem(400, "ontology without a name", f"the text declares {found}", hint=_NAME_IT)
+        raise Problem(400, "ontology without a name", f"the text declares {found}", hint=_NAME_HINT)
     name = names.pop()
     if name.startswith(_NO_BASE.value):
         raise Problem(
             400,
             "ontology without a name",
             "the text's owl:Ontology is a relative IRI",
-            hint=_NAME_IT,
+            hint=_NAME_HINT,
         )
     return name

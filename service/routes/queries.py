@@ -37,7 +37,7 @@ BODY = {
         "content": {kind: text_schema("a REGISTER STREAM|QUERY text", EXAMPLE) for kind in TEXTS},
     }
 }
-TEXT_TOO: dict[int | str, dict[str, Any]] = {
+TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
     200: {"content": {TEXT: {"schema": {"type": "string"}}}}
 }
 CONTENT: dict[int | str, dict[str, Any]] = {
@@ -110,7 +110,9 @@ async def list_queries(service: Context) -> Response:
     )
 
 
-@router.get("/queries/{name}", response_model=QueryModel, responses=TEXT_TOO | responses(404, 406))
+@router.get(
+    "/queries/{name}", response_model=QueryModel, responses=TEXT_RESPONSE | responses(404, 406)
+)
 async def read_query(
     name: Name,
     request: Request,

@@ -27,7 +27,7 @@ router = APIRouter(tags=["subscriptions"], route_class=JsonRoute)
 
 FORM = 'send "stream" with a policy, or "feature" with "sort" or "objects"'
 OF_A_FEATURE = {"sort", "objects", "strategy", "staleness", "min_quality", "hold_off"}
-REMATCHED: dict[int | str, dict[str, Any]] = {
+SUBSCRIPTION_EVENTS: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "server-sent events: sample, rematched, gap, end",
         "content": {EVENT_STREAM: {"schema": {"type": "string"}}},
@@ -93,7 +93,8 @@ async def list_rematches(id: str, service: Context) -> list[RematchModel]:
 
 
 @router.get(
-    "/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406, 410, 429, 503)}
+    "/subscriptions/{id}/events",
+    responses={**SUBSCRIPTION_EVENTS, **responses(404, 406, 410, 429, 503)},
 )
 async def follow_subscription(
     id: str,

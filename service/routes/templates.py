@@ -36,7 +36,9 @@ BODY = {
         "content": {kind: text_schema("a REGISTER TEMPLATE text", EXAMPLE) for kind in TEXTS},
     }
 }
-BOTH: dict[int | str, dict[str, Any]] = {200: {"content": {TEXT: {"schema": {"type": "string"}}}}}
+TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
+    200: {"content": {TEXT: {"schema": {"type": "string"}}}}
+}
 Name = Annotated[str, Path(description="the event's local name or IRI")]
 IfMatch = Annotated[str | None, Header(description="act only on this version (412 otherwise)")]
 IfNoneMatch = Annotated[str | None, Header()]
@@ -57,7 +59,9 @@ async def register_template(request: Request, service: Context) -> Response:
     return _answer(view, 201)
 
 
-@router.get("/templates", response_model=list[TemplateModel], responses=BOTH | responses(406))
+@router.get(
+    "/templates", response_model=list[TemplateModel], responses=TEXT_RESPONSE | responses(406)
+)
 async def list_templates(request: Request, service: Context) -> Response:
     """List all templates; for ``Accept: text/plain`` their source texts."""
     kind = accepted(request, (JSON, TEXT))
@@ -68,7 +72,9 @@ async def list_templates(request: Request, service: Context) -> Response:
 
 
 @router.get(
-    "/templates/{name:path}", response_model=TemplateModel, responses=BOTH | responses(404, 406)
+    "/templates/{name:path}",
+    response_model=TemplateModel,
+    responses=TEXT_RESPONSE | responses(404, 406),
 )
 async def read_template(
     name: Name, request: Request, service: Context, if_none_match: IfNoneMatch = None

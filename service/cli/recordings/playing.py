@@ -89,7 +89,7 @@ def _bound(text: str | None) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ReplayOptions:
     """The options of the command, unparsed."""
 
     file: Path
@@ -109,27 +109,27 @@ class Asked:
     as_json: bool
 
 
-def play(asked: Asked) -> None:
+def play(options: ReplayOptions) -> None:
     """Declare the streams of a recording, publish it, and report the end."""
-    factor, begin, bound = _speed(asked.speed), _begin(asked.rebase), _bound(asked.ahead)
-    check_once(asked.file, sort=asked.sort, loop=asked.loop)
+    factor, begin, bound = _speed(options.speed), _begin(options.rebase), _bound(options.ahead)
+    check_once(options.file, sort=options.sort, loop=options.loop)
     with ExitStack() as open_files:
-        client = open_files.enter_context(connect(asked.url))
-        pipe = open_files.enter_context(reading(asked.file)) if is_pipe(asked.file) else None
+        client = open_files.enter_context(connect(options.url))
+        pipe = open_files.enter_context(reading(options.file)) if is_pipe(options.file) else None
         # Find errors in tables and texts before any declaration.
-        meaning = None if asked.ssl is None else text_or_file(asked.ssl)
+        meaning = None if options.ssl is None else text_or_file(options.ssl)
         declared = () if meaning is None else _declared(meaning)
-        wanted = asked.stream or []
+        wanted = options.stream or []
         opened = (
-            _open(client, asked.file, wanted, asked.time_column, asked.time_unit, asked.utc)
+            _open(client, options.file, wanted, options.time_column, options.time_unit, options.utc)
             if pipe is None
-            else _open_pipe(client, pipe, wanted, asked.time_column, asked.time_unit)
+            else _open_pipe(client, pipe, wanted, options.time_column, options.time_unit)
         )
         piped = opened.piped
         _warn_of_others(declared, opened.tracks)
         tracks = opened.tracks
         if piped is None:
-            tracks = {name: track.in_time_order(asked.sort) for name, track in tracks.items()}
+            tracks = {name: track.in_time_order(options.sort) for name, track in tracks.items()}
             for name, track in tracks.items():
                 show_order(name, track.order)
         latest = min(time.time_ns() + _ahead(bound, tracks.values()), TIME_MAX)
@@ -150,7 +150,7 @@ def play(asked: Asked) -> None:
         shift = 0 if begin is None else begin - extent.first
         if begin is not None and factor != 1:
             # By itself it gets as far ahead as it is long, each round anew.
-            is_endless = asked.loop or piped is not None
+            is_endless = options.loop or piped is not None
             length = FOREVER if is_endless else extent.last - extent.first
             bound = min(_ahead(bound, tracks.values()) + length, FOREVER)
         recordings = {name: track.recording for name, track in tracks.items()}
@@ -160,12 +160,12 @@ def play(asked: Asked) -> None:
         before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
             for name, track in tracks.items():
-                _declare(client, name, track, asked.lateness, asked.idle, bound)
+                _declare(client, name, track, options.lateness, options.idle, bound)
             if meaning is not None:
                 client.annotate(meaning)
             before = {name: client.stream(name)["counters"] for name in tracks}
             readers.begin(tracks)
-            player.run(loop=asked.loop, quiet=asked.as_json)
+            player.run(loop=options.loop, quiet=options.as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         except Exception:
@@ -194,16 +194,16 @@ def play(asked: Asked) -> None:
                 counts,
                 its,
                 seconds,
-                asked.rebase is not None,
-                asked.as_json,
+                options.rebase is not None,
+                options.as_json,
                 opened.dropouts,
                 order,
             )
         failed = readers.failed()
-    if not asked.as_json:
+    if not options.as_json:
         _show_losses(opened)
     for each in failed:
-        whom = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
+        whom = ", ".join(each["options"]) or f"what makes stream {each['stream']}"
         err().print(f"failed: {whom}: {each['failure']}", markup=False, highlight=False)
     if failed:
         raise typer.Exit(1)

@@ -59,7 +59,7 @@ def replay(
         str | None,
         typer.Option(
             help="How far ahead of the clock a sample may be stamped, such as 1h; oo: any. "
-            "Default: the stream's, or 1h. A faster replay with --rebase adds the lead that it gains."
+            "Default: the stream's, or 1h. A faster replay with --rebase adds its own lead."
         ),
     ] = None,
     time_column: Annotated[
@@ -76,10 +76,10 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Play a recording into its streams: declare them, publish, report the end."""
-    from .playing import Asked, play
+    from .playing import ReplayOptions, play
 
     play(
-        Asked(
+        ReplayOptions(
             file=file,
             stream=stream,
             speed=speed,

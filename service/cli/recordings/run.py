@@ -63,10 +63,10 @@ def run(
     A FILE has timed triples (.ndjson or .csv of time,s,p,o; .nq or .trig whose graphs have a
     prov:generatedAtTime), or with --ssl a table of samples.
     """
-    from .query_run import Asked, run_query
+    from .query_run import RunOptions, run_query
 
     run_query(
-        Asked(
+        RunOptions(
             query=query,
             stream=stream,
             static=static,

@@ -131,7 +131,7 @@ def test_help_says_what_it_does() -> None:
         result = CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "300"})
         return " ".join(result.stdout.split())
 
-    assert "left running" in help_of("events")
+    assert "leave the request running" in help_of("events")
     assert "weighted:cost=1,quality=10" in help_of("events")
     assert "weighted:cost=1,quality=10" in help_of("match")
     assert help_of("run").count("May be repeated") == 2

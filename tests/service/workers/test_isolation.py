@@ -245,7 +245,7 @@ def test_what_no_worker_can_take_is_not_the_fault_of_a_query() -> None:
     async def scenario(queries: Any) -> None:
         assert isinstance(await queries.answer("ASK {}", "application/json"), Written)
         ontology.mirror(many, [])
-        with pytest.raises(NotUpToDate, match="cannot take all"):
+        with pytest.raises(NotUpToDate, match="the ontology exceeds the memory or the time"):
             await queries.answer("ASK {}", "application/json")
         ontology.mirror([], many)
         assert isinstance(await queries.answer("ASK {}", "application/json"), Written)
@@ -299,7 +299,7 @@ def test_when_no_worker_has_memory_left_a_new_one_is_told(monkeypatch: pytest.Mo
     with queries_of(ontology, 2) as (pool, queries):
         workers = [pool.acquire(), pool.acquire()]
         for worker in workers:
-            queries._bring_up_to_date(worker)
+            queries._update(worker)
             pool.release(worker)
         ontology.mirror([Triple(NamedNode("urn:a"), NamedNode("urn:p"), Literal(1))], [])
         found = anyio.run(queries.answer, "ASK { <urn:a> <urn:p> 1 }", "application/json")
