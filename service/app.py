@@ -1,4 +1,4 @@
-"""The application: routes, errors, limits and the clock's tick, put together."""
+"""The application, made from its parts: routes, errors, limits and the clock's tick."""
 
 import time
 from collections.abc import AsyncIterator
@@ -21,7 +21,7 @@ from .config.file_limits import places
 from .config.logs import log
 from .config.settings import Settings
 from .config.version import __version__
-from .durability.command_queue import Keeper
+from .durability.command_queue import CommandQueue
 from .http import problems
 from .http.access_log import AccessLog
 from .http.body_limit import BodyLimit, UnderWay
@@ -58,7 +58,7 @@ from .sse.feeds import Feeds
 from .turns.batch_decoding import BatchDecoder
 from .workers.services import Isolation, Windows
 
-# Looked through in this order for each request: the most frequent ones first.
+# The router tries them in this order for each request, so the most frequent ones come first.
 RESOURCES = (
     publish,
     follow,
@@ -83,8 +83,8 @@ RESOURCES = (
     docs,
 )
 TICK = "tick"
-DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
-builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
+DESCRIPTION = """Semantic stream reasoning: describe the events or features that you want, and the
+service finds or builds their streams. Errors are `application/problem+json` (RFC 9457)."""
 
 
 def create_app(
@@ -94,13 +94,12 @@ def create_app(
     tokens: Tokens | None = None,
     windows: Windows | None = None,
 ) -> FastAPI:
-    """The service over ``engine`` as an ASGI application.
+    """Return the service over ``engine`` as an ASGI application.
 
-    ``clock`` tells the time in ns; the lifespan ticks the engine with it. The engine must not be
-    used by anybody else but in the thread that runs the application. One that is recorded is closed
-    when the application ends. ``tokens`` are those of the settings, unless they have been read
-    before; raises `TokensError` where they cannot be used. ``windows`` are the workers of the
-    engine's budget, if it has some, to be told of.
+    ``clock`` returns the time in ns; the lifespan ticks the engine with it. Only the application's
+    thread may use the engine. The end of the application closes a `RecordedEngine`. Without
+    ``tokens`` it reads those of the settings; raises `TokensError` if they are invalid.
+    ``windows`` are the workers of the engine's budget, for the metrics.
     """
     tokens = Tokens.of(settings) if tokens is None else tokens
     recorded: RecordedEngine | None = None
@@ -109,7 +108,7 @@ def create_app(
         recorded.refused_outside = (problems.Problem,)
     troubles: dict[str, str] = {}
     memory = Memory.of(settings)
-    keeper = Keeper(engine, recorded, troubles, memory)
+    commands = CommandQueue(engine, recorded, troubles, memory)
     clients = EventClients(
         places(settings.sse_clients),
         settings.sse_clients_each,
@@ -117,9 +116,9 @@ def create_app(
         settings.sse_send_timeout,
         tokens,
     )
-    if keeper.is_recording:
-        feeds = Feeds(engine, settings.sse_cache, clients, lambda: keeper.is_kept)
-        keeper.show_to(feeds)
+    if commands.is_recording:
+        feeds = Feeds(engine, settings.sse_cache, clients, lambda: commands.is_durable)
+        commands.gate(feeds)
     else:
         feeds = Feeds(engine, settings.sse_cache, clients)
     bodies = UnderWay()
@@ -138,7 +137,7 @@ def create_app(
             bodies,
             answers,
             clock,
-            keeper,
+            commands,
             isolation,
             memory,
             settings.metrics_streams,
@@ -146,7 +145,7 @@ def create_app(
         isolation,
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings), memory),
-        keeper,
+        commands,
         memory,
         troubles,
         client_key=client_key,
@@ -159,7 +158,7 @@ def create_app(
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_tick, service)
             service.isolation.open()
-            tasks.start_soon(service.isolation.tend)
+            tasks.start_soon(service.isolation.restart_workers)
             if service.token_file is not None:
                 tasks.start_soon(service.token_file.watch)
             yield
@@ -167,7 +166,7 @@ def create_app(
             service.isolation.close()
             service.decoder.close()
             tasks.cancel_scope.cancel()
-        keeper.close()
+        commands.close()
 
     app = FastAPI(
         title="DyKnow",
@@ -178,7 +177,7 @@ def create_app(
         redoc_url=None,
         redirect_slashes=False,
         strict_content_type=False,
-        # The engine's errors have a model of their own, so FastAPI's default 422 is not told.
+        # All errors are problem documents, so the schema omits FastAPI's default 422.
         responses=problems.responses(400, 401, 403, 421, 429, 503),
     )
     app.state.service = service
@@ -202,10 +201,10 @@ def create_app(
 
 
 async def _tick(service: Service) -> None:
-    """Tell the engine the time for as long as the service runs.
+    """Tick the engine as long as the service runs.
 
-    A tick that fails is logged and makes the service not ready; the next one is tried, since an
-    engine that is told no time would let every stamped stream stand still.
+    A failed tick is logged, and the service is not ready. The loop goes on, since without ticks
+    every stream that is stamped on arrival would stand still.
     """
     metrics, pause = service.metrics, service.settings.tick
     while True:
@@ -214,20 +213,20 @@ async def _tick(service: Service) -> None:
             service.tick()
             service.troubles.pop(TICK, None)
         except JournalError as error:
-            # The keeper has told it, once. Time stands still until there is room.
+            # `CommandQueue` has logged it once. Time stands still until the log has room.
             service.metrics.tick_failures.inc()
             log().debug("no tick", reason=str(error))
-        except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
+        except Exception as error:  # noqa: BLE001 - the log, a metric and /readyz report it
             service.troubles[TICK] = f"{type(error).__name__}: {error}"
             metrics.tick_failures.inc()
             log().exception("tick failed")
         try:
-            await service.keeper.tend(service.settings)
+            await service.commands.maintain(service.settings)
         except JournalError as error:
-            log().debug("not kept yet", reason=str(error))
-        except Exception as error:  # noqa: BLE001 - told by log and /readyz
+            log().debug("not durable yet", reason=str(error))
+        except Exception as error:  # noqa: BLE001 - the log and /readyz report it
             service.troubles[TICK] = f"{type(error).__name__}: {error}"
-            log().exception("tending failed")
+            log().exception("maintenance failed")
         service.ticked = ended = time.monotonic()
         metrics.tick_seconds.observe(ended - begun)
         await anyio.sleep(pause)

@@ -1,4 +1,4 @@
-"""Running the application with uvicorn: in this process for `serve`, in a thread for tests."""
+"""Runs the application with uvicorn: in this process for `serve`, in a thread for tests."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from .http.connection_limits import ConnectionLimits, LimitedProtocol
 from .runtime.context import Service
 
 GRACE = 5
-"""Seconds that open requests have to end when the service stops."""
+"""Seconds that open requests have to end when the service stops (uvicorn's limit)."""
 REVIEW = 5
-"""Connections are looked at once in so many of the server's ticks, which are 0.1 s apart."""
+"""Ticks of the server, 0.1 s apart, between two reviews of its connections."""
 HEADERS = [
     ("X-Content-Type-Options", "nosniff"),
     ("Cross-Origin-Resource-Policy", "same-origin"),
 ]
-"""Of every answer, also those that never come to the application: no page elsewhere may show or run
-what is answered here."""
+"""Headers of every response, also of uvicorn's own: pages of other origins must not show or run its
+content."""
 FINISH = 1.5
-"""Of these seconds so many are for requests that end by themselves; then nothing more comes that
-clients of event streams would have to hear of."""
+"""Seconds of `GRACE` for requests that end by themselves; event streams end only then, so that
+their clients get the last samples."""
 ABORT = 4.5
-"""After so many of them the connections are closed of those who still send or do not take."""
-_LOOK = 0.02
+"""Seconds of `GRACE` after which all remaining connections are aborted."""
+_POLL = 0.02
 
 
 class Server(uvicorn.Server):
-    """Stops in bounded time, and without losing what it has acknowledged.
+    """Stops in bounded time, and keeps all that it has acknowledged.
 
-    Told to stop, the service is not ready any more, and goes on for ``drain`` seconds. Then nobody
-    can connect, idle connections close, and requests under way end; senders of live samples are
-    told what was taken. When all that is done, clients of event streams get what there is, and the
-    end of their answers. A second signal ends all this at once.
+    After the first signal the service is not ready, but works for ``drain`` seconds: a load
+    balancer sends new requests elsewhere. Then it accepts no connections, closes idle ones, and
+    lets requests end; live bodies get the number of accepted samples. At last event streams get
+    their remaining messages and end. A second signal ends all this at once.
     """
 
     def __init__(
@@ -61,23 +61,23 @@ class Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._service.stop()
         await self._until(lambda: False, self._drain)
-        going = asyncio.create_task(self._let_go())
+        ending = asyncio.create_task(self._end_requests())
         try:
             await super().shutdown(sockets)
             if self.force_exit:
-                # uvicorn leaves it out then, and the application would be torn off.
+                # uvicorn skips the lifespan then, but it must close the data directory.
                 await self.lifespan.shutdown()
         finally:
-            going.cancel()
+            ending.cancel()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """A signal. Not raised again at the end, as uvicorn would: who stops as told has not
-        failed."""
+        """Note a signal. Unlike uvicorn, do not raise it again at the end: an orderly stop is no
+        failure."""
         self.force_exit = self.should_exit
         self.should_exit = True
 
-    async def _let_go(self) -> None:
-        """While the server waits for its connections to close: see to it that they can."""
+    async def _end_requests(self) -> None:
+        """End requests without an end of their own, while uvicorn waits for its connections."""
         self._service.bodies.close()
         clients = self._service.feeds.all
         await self._until(lambda: len(self.server_state.tasks) <= len(clients), FINISH)
@@ -88,14 +88,14 @@ class Server(uvicorn.Server):
                 connection.transport.abort()
 
     async def _until(self, done: Callable[[], bool], seconds: float) -> None:
-        """Wait at most so long."""
+        """Wait until ``done``, or a second signal, for at most ``seconds``."""
         limit = time.monotonic() + seconds
         while not (done() or self.force_exit) and time.monotonic() < limit:
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL)
 
 
 def make_server(app: FastAPI) -> Server:
-    """A server for an application of `create_app`, not yet running."""
+    """Return a server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
     limits = ConnectionLimits(service.settings, service.metrics.refused)
     config = uvicorn.Config(
@@ -113,14 +113,14 @@ def make_server(app: FastAPI) -> Server:
 
 
 def bind(settings: Settings) -> socket.socket:
-    """A listening socket at the settings' host and port (0: any free one).
+    """Return a listening socket at the settings' host and port (0: any free one).
 
-    Raises ``OSError`` when the address is taken. Clients may connect from now on; they are
-    answered once the server runs.
+    Raises ``OSError`` if the address is taken. Clients may connect at once, and get their responses
+    when the server runs.
     """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    # The protocol is named, not 0: only then does asyncio switch Nagle's algorithm off, which
-    # costs 40 ms an answer.
+    # Not protocol 0: asyncio disables Nagle's algorithm, which costs 40 ms for each response, only
+    # for sockets with a named protocol.
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -133,7 +133,7 @@ def bind(settings: Settings) -> socket.socket:
 
 
 def url_of(listener: socket.socket) -> str:
-    """The address of the service behind ``listener``, for clients on this machine."""
+    """Return the URL of the service for clients on this machine."""
     host, port = listener.getsockname()[:2]
     if host in ("0.0.0.0", "::"):
         host = "127.0.0.1"
@@ -141,7 +141,7 @@ def url_of(listener: socket.socket) -> str:
 
 
 def run(app: FastAPI, listener: socket.socket) -> bool:
-    """Serve until a signal stops it. Whether a second one came and cut that short."""
+    """Serve until a signal; returns whether a second one cut the stop short."""
     server = make_server(app)
     try:
         server.run(sockets=[listener])
@@ -152,7 +152,7 @@ def run(app: FastAPI, listener: socket.socket) -> bool:
 
 @contextmanager
 def running(app: FastAPI, settings: Settings) -> Iterator[str]:
-    """Serve in a thread; gives the URL. The engine belongs to that thread meanwhile."""
+    """Serve in a thread, and yield the URL. Meanwhile only that thread may use the engine."""
     listener = bind(settings)
     server = make_server(app)
     thread = threading.Thread(

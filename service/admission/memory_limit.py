@@ -2,7 +2,7 @@
 
 Quotas, retention and windows limit each kind of thing, but know nothing of the machine. While the
 process is larger than its limit, the gate refuses the routes that create something (`GROWS`);
-`Keeper.check_room` refuses samples and ontologies when their body has arrived, since a client
+`CommandQueue.check_room` refuses samples and ontologies when their body has arrived, since a client
 reads an answer only after sending it. Reading, event streams and removal go on, so that a user can
 free memory.
 """
@@ -31,7 +31,7 @@ GROWS: Final = frozenset(route for route in ADMIN if not route.startswith("DELET
     "PUT /streams/{name}",
     # It may only remove units; only its text shows that.
     "POST /specifications",
-    # Its bodies may be long: `Keeper.check_room` refuses them.
+    # Its bodies may be long: `CommandQueue.check_room` refuses them.
     "POST /ontologies",
 }
 """Routes with short bodies that create something."""

@@ -1,4 +1,5 @@
-"""The command line ``dyknow``: one module a group of commands (docs/reference/command-line.md)."""
+"""The command line ``dyknow``: a module for each group of commands
+(docs/reference/command-line.md)."""
 
 from .main import app, main
 

@@ -1,4 +1,4 @@
-"""``dyknow events``: request an event and follow what comes, or list the requests that run."""
+"""``dyknow events``: request an event and follow it, or list the requests."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .output import (
     clock_of,
     connect,
     err,
+    ignore_gone,
     show_json,
     show_lines,
     show_table,
     show_text,
     show_values,
-    unless_gone,
 )
 from .parameters import NOW, Beginning
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..client.client import Client, Event
 
 STRATEGY: Any = typer.Option(
-    help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "
+    help="The strategy that chooses a plan: fast, cost, quality, weighted; with parameters: "
     "weighted:cost=1,quality=10, cost:subscribers=0.1."
 )
 
@@ -43,29 +43,29 @@ def events(
     strategy: Annotated[str, STRATEGY] = "fast",
     since: Beginning = "now",
     count: Annotated[
-        int | None, typer.Option("--count", "-n", min=1, help="Stop after so many events.")
+        int | None, typer.Option("--count", "-n", min=1, help="Stop after this number of events.")
     ] = None,
     follow: Annotated[
         bool,
-        typer.Option(help="Follow the events as they come; else the request is left running."),
+        typer.Option(help="Follow the events; otherwise leave the request running."),
     ] = True,
     keep: Annotated[bool, typer.Option(help="Leave the request running afterwards.")] = False,
     cancel: Annotated[
-        str | None, typer.Option(help="Give up the request of this id.", metavar="ID")
+        str | None, typer.Option(help="Cancel the request of this id.", metavar="ID")
     ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
     """Request an event and follow it; without an argument, list the requests that run."""
     if cancel is not None and request is not None:
-        raise typer.BadParameter("--cancel takes the id of a request that runs, and nothing else")
+        raise typer.BadParameter("--cancel takes the id of a request, and no further argument")
     with connect(url) as client, stoppable():
         if cancel is not None:
             client.cancel_event(cancel)
             if as_json:
                 show_json({"cancelled": cancel})
             else:
-                show_text(f"gave up {cancel}")
+                show_text(f"cancelled {cancel}")
             return
         if request is None:
             _list(client, as_json)
@@ -75,17 +75,17 @@ def events(
             if as_json:
                 show_json(view)
             else:
-                _tell(view)
+                _show_request(view)
             return
         try:
             if not as_json:
-                _tell(view)
+                _show_request(view)
                 err().print("waiting for events; Ctrl-C ends", markup=False)
-            # Others may have asked before: what came until the request is their past.
+            # An earlier equal request may share the stream: skip the events before this one.
             begin = view["position"] if since == NOW else "start"
             seen = show_events(client.events(view["stream"], since=begin), count, as_json)
             if not seen and since == NOW and not as_json:
-                # It ends at once when what it reads has ended; nothing new will come.
+                # The streams that it reads have ended, so it ends at once.
                 hint = "the recording has ended; --since start begins with its past"
                 err().print(f"hint: {hint}", markup=False)
             elif not seen and not as_json:
@@ -93,11 +93,11 @@ def events(
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
             if not as_json:
-                with unless_gone():
+                with ignore_gone():
                     _say_why_empty(client, view["id"])
         finally:
             if not keep:
-                with unless_gone():
+                with ignore_gone():
                     client.cancel_event(view["id"])
 
 
@@ -113,19 +113,20 @@ def show_emptiness(why: str | None) -> None:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """SIGTERM, and SIGHUP when the terminal closes, stop as Ctrl-C does: a request is given up."""
+    """Let SIGTERM, and SIGHUP of a closing terminal, stop a command as Ctrl-C does, so that it
+    cancels its request."""
 
     def stop(number: int, frame: FrameType | None) -> None:
-        for known in before:
-            # The one is enough; giving up must not be interrupted.
-            signal.signal(known, signal.SIG_IGN)
+        for handled in before:
+            # A second signal must not interrupt the cancellation.
+            signal.signal(handled, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    wanted = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
-    # One that is ignored stays so: that is what nohup asks for.
+    numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
+    # An ignored signal stays ignored: that is the purpose of nohup.
     before = {
         number: signal.getsignal(number)
-        for number in wanted
+        for number in numbers
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN
     }
     for number in before:
@@ -137,7 +138,7 @@ def stoppable() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _tell(view: dict[str, Any]) -> None:
+def _show_request(view: dict[str, Any]) -> None:
     err().print(f"request {view['id']} on stream {view['stream']}", markup=False)
     err().print(view["plan"]["text"].rstrip(), markup=False)
 
@@ -160,7 +161,7 @@ def _list(client: Client, as_json: bool) -> None:
             )
             for e in found
         ],
-        whole=["id", "stream"],
+        unfolded=["id", "stream"],
         empty="no requests run",
     )
     for each in found:
@@ -169,8 +170,8 @@ def _list(client: Client, as_json: bool) -> None:
 
 
 def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> int:
-    """Show the events until the stream's end, at most ``count``; returns how many. Raises
-    ``typer.Exit(1)`` at the end of a stream that ends as what feeds it has failed."""
+    """Show the events until the stream's end, at most ``count``; returns their number. Raises
+    ``typer.Exit(1)`` if the stream ends because its source failed."""
     seen, has_failed = 0, False
     for message in messages:
         has_failed |= message.kind == "end" and message.data.get("reason") == "failed"

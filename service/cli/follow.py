@@ -1,5 +1,5 @@
-"""``dyknow follow``: the samples of a stream, or of a feature whatever streams hold it, as they
-come; under a policy if one is given."""
+"""``dyknow follow``: the samples of a stream, or of a feature of any streams, as they come, with an
+optional policy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .events import STRATEGY, show_emptiness, show_events, stoppable
-from .output import DEFAULT_URL, Json, Url, connect, err, unless_gone
+from .output import DEFAULT_URL, Json, Url, connect, err, ignore_gone
 from .parameters import NOW, Beginning
 
 if TYPE_CHECKING:
@@ -21,10 +21,10 @@ def follow(
         str | None, typer.Argument(help="The name of a stream, or a KPL label.")
     ] = None,
     feature: Annotated[
-        str | None, typer.Option(help="In place of a stream: whatever streams hold it.")
+        str | None, typer.Option(help="A feature of any streams, instead of one stream.")
     ] = None,
     sort: Annotated[
-        str | None, typer.Option(help="The feature of every object of this sort.")
+        str | None, typer.Option(help="The feature of all objects of this sort.")
     ] = None,
     object: Annotated[
         list[str] | None,
@@ -36,31 +36,31 @@ def follow(
     staleness: Annotated[
         str | None,
         typer.Option(
-            help="So long a source of the feature may be silent: 5s. Else as its usual gap says."
+            help="How long a source of the feature may be silent: 5s. Default: by its usual gap."
         ),
     ] = None,
     min_quality: Annotated[
         float | None,
-        typer.Option(help="The least quality of the feature that is good enough, 0 to 1."),
+        typer.Option(help="The least sufficient quality of the feature, 0 to 1."),
     ] = None,
     hold_off: Annotated[
-        str | None, typer.Option(help="So long a better source must have been there: 2s.")
+        str | None, typer.Option(help="How long a better source must exist before its use: 2s.")
     ] = None,
     policy: Annotated[
         str,
-        typer.Option(help="As after `with` in KPL: 'sample every 1s, max delay 200'."),
+        typer.Option(help="A policy as after `with` in KPL: 'sample every 1s, max delay 200'."),
     ] = "",
     since: Beginning = "now",
     count: Annotated[
-        int | None, typer.Option("--count", "-n", min=1, help="Stop after so many samples.")
+        int | None, typer.Option("--count", "-n", min=1, help="Stop after this number of samples.")
     ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Follow a stream, under a policy of one's own; or a feature, with a line for each switch."""
+    """Follow a stream, optionally under a policy; or a feature, with a line for each switch."""
     if (stream is None) == (feature is None):
-        raise typer.BadParameter("give the name of a stream, or --feature")
-    given: dict[str, Any] = {
+        raise typer.BadParameter("name a stream, or a feature with --feature")
+    options: dict[str, Any] = {
         "sort": sort,
         "objects": object,
         "strategy": strategy,
@@ -68,9 +68,9 @@ def follow(
         "min_quality": min_quality,
         "hold_off": hold_off,
     }
-    wanted = {key: value for key, value in given.items() if value is not None}
+    wanted = {key: value for key, value in options.items() if value is not None}
     if stream is not None and wanted:
-        raise typer.BadParameter("only --policy, --since and --count go with a stream")
+        raise typer.BadParameter("a stream takes only --policy, --since and --count")
     with connect(url) as client, stoppable():
         if feature is not None:
             view = client.subscribe_to(feature, policy=policy, since=since, **wanted)
@@ -82,9 +82,9 @@ def follow(
             err().print("stopped", markup=False)
         finally:
             if stream is not None and not as_json:
-                with unless_gone():
+                with ignore_gone():
                     show_emptiness(_why_empty(client, stream))
-            with unless_gone():
+            with ignore_gone():
                 client.unsubscribe(view["id"])
 
 
@@ -96,7 +96,7 @@ def _why_empty(client: Client, stream: str) -> str | None:
 
 def _events(client: Client, view: dict[str, Any]) -> Iterator[Event]:
     if view.get("adaptive") is not None:
-        # Its stream began with the request: nothing of it is somebody else's past.
+        # The stream is this subscription's own, so "start" brings no older samples.
         return client.subscription_events(view["id"], since="start")
-    since = view["since"]  # a duration as the time that it means
+    since = view["since"]  # the service has replaced a duration by a time
     return client.events(view["stream"], since=None if since == NOW else since)

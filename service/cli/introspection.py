@@ -1,4 +1,4 @@
-"""``dyknow sparql``, ``match`` and ``explain``: ask the service what it knows and why."""
+"""``dyknow sparql``, ``match`` and ``explain``: query the service, and show its reasons."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def sparql(
     text = text_or_file(query)
     with connect(url) as client:
         found = client.sparql(text)
-        if not _says_something(found):
+        if not _has_results(found):
             from .unknown_terms import unknown_terms
 
             for hint in unknown_terms(client, text):
@@ -42,7 +42,7 @@ def sparql(
         show_bindings(found)
 
 
-def _says_something(found: dict[str, Any] | str) -> bool:
+def _has_results(found: dict[str, Any] | str) -> bool:
     if isinstance(found, str):
         return bool(found.strip())
     rows = found.get("results", {}).get("bindings", [])
@@ -53,7 +53,7 @@ def _says_something(found: dict[str, Any] | str) -> bool:
 
 
 def show_bindings(found: dict[str, Any]) -> None:
-    """SPARQL JSON as people read it: a table, or yes or no."""
+    """Show SPARQL JSON as a table, or as yes or no."""
     if "boolean" in found:
         show_text("yes" if found["boolean"] else "no")
         return
@@ -66,16 +66,16 @@ def show_bindings(found: dict[str, Any]) -> None:
 
 def match(
     feature: Annotated[str, typer.Argument(help="A feature, such as dyknow:speed.")],
-    sort: Annotated[str | None, typer.Option(help="Of every object of this sort.")] = None,
+    sort: Annotated[str | None, typer.Option(help="For all objects of this sort.")] = None,
     object: Annotated[
         list[str] | None,
-        typer.Option(help="Of this object. May be repeated: the arguments of an n-ary feature."),
+        typer.Option(help="For this object. May be repeated: the arguments of an n-ary feature."),
     ] = None,
     strategy: Annotated[str, STRATEGY] = "fast",
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Show how a feature could be had, without starting anything. Status 1 if it cannot."""
+    """Find a plan for a feature, without starting anything. Status 1 if there is none."""
     with connect(url) as client:
         found = client.match(feature, sort=sort, objects=object or (), strategy=strategy)
     if as_json:
@@ -103,9 +103,9 @@ def explain(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Show each stage of a request, a template, a query or a match."""
+    """Explain a request, a template, a query or a match, stage by stage."""
     if sum(value is not None for value in (event, template, query, id, feature)) != 1:
-        raise typer.BadParameter("give one of: a request, --template, --query, --id, --feature")
+        raise typer.BadParameter("name one of: a request, --template, --query, --id, --feature")
     with connect(url) as client:
         text = client.explain(
             event=event,

@@ -1,5 +1,5 @@
-"""``dyknow kpl``: check KPL declarations, prove and run them on a recording, without a server; add,
-show and remove them with one."""
+"""``dyknow kpl``: check declarations, and prove and run them on a recording, without a server; add,
+show and remove them in a running service."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ File = Annotated[
 ]
 Unit = Annotated[
     Literal["ns", "us", "ms", "s"],
-    typer.Option(help="What integers are where the text does not say."),
+    typer.Option(help="The unit of integers, if the text has none."),
 ]
 
 
 @kpl.command()
 def check(file: File, unit: Unit = "ms", as_json: Json = False) -> None:
-    """Check declarations and print them in their one spelling."""
+    """Check declarations, and print them in canonical form."""
     from .recordings import rehearsal
 
     rehearsal.check(file, unit, as_json=as_json)
@@ -58,8 +58,8 @@ Modules = Annotated[
 TimeUnit = Annotated[
     str | None,
     typer.Option(
-        help="Unit of numeric times in tables: s, ms, us, ns; else by magnitude, and small ones "
-        "are what the text's integers are."
+        help="Unit of numeric times in tables: s, ms, us, ns. Default: by their magnitude; small "
+        "ones have the unit of the text's integers."
     ),
 ]
 
@@ -67,8 +67,8 @@ TimeUnit = Annotated[
 Ssl = Annotated[
     str | None,
     typer.Option(
-        help="What the sources are about, SSL text or its file: policies then hold for each object "
-        "by itself."
+        help="Annotation of the sources, SSL text or its file: policies then hold for each object "
+        "separately."
     ),
 ]
 
@@ -85,8 +85,8 @@ def prove(
 ) -> None:
     """Replay a recording and prove each policy, join and sync against its definition.
 
-    Status 1 if one does not hold, or if nothing was proved. "as recorded" tells whether the
-    recording itself keeps the policy, and the first sample that does not.
+    Status 1 if one does not hold, or if nothing was proved. "as recorded" reports whether the
+    recording itself satisfies the policy, and its first violation.
     """
     from .recordings import rehearsal
 
@@ -101,7 +101,7 @@ def run(
     stream: Annotated[
         list[str] | None,
         typer.Option(
-            help="A stream, label or source; else every declared stream. May be repeated."
+            help="A stream, label or source. Default: all declared streams. May be repeated."
         ),
     ] = None,
     ssl: Ssl = None,
@@ -112,7 +112,7 @@ def run(
 ) -> None:
     """Replay a recording and print the samples of the declared streams, by available time.
 
-    With --json one a line, as they can be published again.
+    With --json one per line, in the form for publishing.
     """
     from .recordings import rehearsal
 
@@ -137,16 +137,16 @@ def add(
     for declaration in found:
         show_text(declaration["text"])
     if not found:
-        show_text("nothing new: all of it was declared before")
+        show_text("nothing new: an equal declaration exists for each")
 
 
 @kpl.command()
 def show(
-    name: Annotated[str | None, typer.Argument(help="A name or label; else everything.")] = None,
+    name: Annotated[str | None, typer.Argument(help="A name or label. Default: all.")] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Print what is declared in a running service, or all about one declaration."""
+    """Print the declarations of a running service, or the details of one."""
     with connect(url) as client:
         if name is not None:
             one = client.kpl_declaration(name)
@@ -168,12 +168,12 @@ def show(
 def remove(
     name: Annotated[str, typer.Argument(help="A name or label.")],
     cascade: Annotated[
-        bool, typer.Option("--cascade", help="Also what cannot be without it.")
+        bool, typer.Option("--cascade", help="Remove the declarations that depend on it, too.")
     ] = False,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Stop and forget a declaration in a running service."""
+    """Stop and remove a declaration in a running service."""
     with connect(url) as client:
         removed = client.remove_kpl(name, cascade=cascade)
     if as_json:
@@ -200,7 +200,7 @@ def _show_one(one: dict[str, Any]) -> None:
 
 
 def _counted(counters: dict[str, Any]) -> list[tuple[str, str]]:
-    """Counters as rows; what was dropped by its reasons."""
+    """Return counters as rows; dropped samples by reason."""
     rows = []
     for key, value in counters.items():
         if isinstance(value, dict):

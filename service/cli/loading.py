@@ -1,4 +1,4 @@
-"""User-written processes that commands load."""
+"""Loads user-written processes for commands."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from ...engine.processes.loading import load_processes
 from .output import err, fail
 
 Say = Callable[[str], None]
-"""Tells people something."""
+"""Reports a note to the user."""
 
 
-def say_to_people(text: str) -> None:
-    """To people who look on, beside the log."""
+def print_note(text: str) -> None:
+    """Print a note on standard error."""
     err().print(text, markup=False)
 
 
-def load(processes: Sequence[str], say: Say = say_to_people) -> None:
-    """Load user-written processes, of installed packages too; a module that is named and cannot be
-    loaded is an error, of an installed one it is said and left."""
+def load(processes: Sequence[str], say: Say = print_note) -> None:
+    """Load user-written processes, also those of installed packages. A module that ``processes``
+    names must load; of an installed one a failure is only reported."""
     for report in load_processes(processes):
         if report.error and report.origin in processes:
             raise fail(f"{report.origin}: {report.error}")

@@ -1,7 +1,7 @@
-"""The command line, put together: ``dyknow COMMAND``. Status 0, 1 for an error, 2 for usage.
+"""The entry point of the command line: ``dyknow COMMAND``. Status 0; 1 for an error; 2 for usage.
 
-A command's module is imported when the command runs: help, and what only talks to a service, need
-not wait for the engine (tests/service/cli/test_starting.py).
+A command's module is imported when the command runs. So help, and commands that only talk to a
+service, do not load the engine (tests/service/cli/test_starting.py).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 RECURSION_LIMIT = 20_000
-"""Calls inside each other: enough for chains of some two thousand units."""
+"""The limit on nested calls: enough for chains of some two thousand units."""
 USAGE: Any = typer.BadParameter.__base__
-"""Every wrong use of an option, an argument or a command; typer has no public name for it."""
+"""The base class of usage errors, for which typer has no public name."""
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "serve": (
         "serve",
@@ -33,15 +33,15 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "token": (
         "token",
-        "Make a token. It is shown this once: the file keeps a hash of it.",
+        "Create a token and show it once; the file keeps a hash of it.",
     ),
     "demo": (
         "recordings.demo",
-        "Replay five minutes of recorded flights and find events in them; ends by itself.",
+        "Replay five minutes of recorded flights, and find events in them.",
     ),
     "replay": (
         "recordings.replay",
-        "Play a recording into its streams: declares them, publishes, says when it has ended.",
+        "Play a recording into its streams: declare them, publish, report the end.",
     ),
     "events": (
         "events",
@@ -49,15 +49,15 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "streams": (
         "streams",
-        "List the streams; with a name, tell all of one: fields, counters, lag, annotation.",
+        "List the streams; with a name, show all of one: fields, counters, lag, annotation.",
     ),
     "follow": (
         "follow",
-        "Follow a stream, under a policy of one's own; or a feature, with a line for each switch.",
+        "Follow a stream, optionally under a policy; or a feature, with a line for each switch.",
     ),
     "annotate": (
         "streams",
-        "Say in SSL what streams are about.",
+        "Annotate streams in SSL.",
     ),
     "sparql": (
         "introspection",
@@ -65,11 +65,11 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "match": (
         "introspection",
-        "Show how a feature could be had, without starting anything. Status 1 if it cannot.",
+        "Find a plan for a feature, without starting anything. Status 1 if there is none.",
     ),
     "explain": (
         "introspection",
-        "Show each stage of a request, a template, a query or a match.",
+        "Explain a request, a template, a query or a match, stage by stage.",
     ),
     "run": (
         "recordings.run",
@@ -77,11 +77,11 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "check": (
         "data.commands",
-        "Look at a data directory, also of a running service: status 1 if it is damaged.",
+        "Check a data directory, also of a running service; status 1 if it is damaged.",
     ),
     "repair": (
         "data.commands",
-        "Keep what is good of a damaged data directory, and set the rest aside as *.damaged.",
+        "Repair a damaged data directory, and set the damaged files aside as *.damaged.",
     ),
     "backup": (
         "data.commands",
@@ -89,11 +89,11 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "restore": (
         "data.commands",
-        "Make a data directory out of a backup; its next start begins new ids of events.",
+        "Make a data directory from a backup; its next start begins new ids of events.",
     ),
     "log": (
         "data.commands",
-        "Print the commands of a data directory's log, a line of JSON each, up to what is damaged.",
+        "Print the commands of a data directory's log as lines of JSON, up to any damage.",
     ),
     "template": (
         "templates",
@@ -120,33 +120,33 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
         "KPL, the knowledge processing language: check, prove, run, add, show, remove.",
     ),
 }
-"""Each command's module, and what is said of it in the list of all. The module has a function or a
-group of the command's name; its own help begins with the same sentence (a test holds that)."""
+"""Each command's module and summary. The module has a function or a group of the command's name,
+whose own help begins with the same sentence (a test checks that)."""
 
 
 @lru_cache
 def command(name: str) -> Any:
-    """The command of that name as typer runs it; imports its module."""
-    from .token_option import take_tokens
+    """Import the module of command ``name``, and return it as a click command."""
+    from .token_option import add_token_option
 
-    with _uncollected():
+    with _without_collections():
         found = getattr(import_module(f".{COMMANDS[name][0]}", __package__), name)
     if isinstance(found, typer.Typer):
-        take_tokens(found)
-        made: Any = typer.main.get_group(found)
+        add_token_option(found)
+        runnable: Any = typer.main.get_group(found)
     else:
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(name)(found)
-        take_tokens(alone)
-        made = typer.main.get_command(alone)
-    made.name = name
-    return made
+        add_token_option(alone)
+        runnable = typer.main.get_command(alone)
+    runnable.name = name
+    return runnable
 
 
 @contextmanager
-def _uncollected() -> Iterator[None]:
-    """Of what modules make when they are imported nothing is garbage, and looking for it again and
-    again takes a sixth of the time."""
+def _without_collections() -> Iterator[None]:
+    """Pause the garbage collector during imports: they make no garbage, and scanning their objects
+    again and again takes a sixth of the time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -157,44 +157,43 @@ def _uncollected() -> Iterator[None]:
 
 
 class Commands(TyperGroup):
-    """The commands of `COMMANDS`. Says errors on standard error, as people read them: what, where,
-    what next.
+    """The commands of `COMMANDS`. Prints errors on standard error: what, where, what next.
 
-    With ``--json`` each is one JSON object with the members of the service's problems.
+    With ``--json`` each error is one JSON object with the members of the service's problems.
     """
 
     def __init__(self, **attributes: Any) -> None:
-        # What the list of all shows, and what may be meant by a name that there is not.
-        told = {
+        # Placeholders: help lists them, and a wrong name is compared with them.
+        placeholders = {
             name: typer.core.TyperCommand(name, help=text) for name, (_, text) in COMMANDS.items()
         }
-        super().__init__(**{**attributes, "commands": told})
+        super().__init__(**{**attributes, "commands": placeholders})
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command itself, where it is to be run."""
+        """Return the real command instead of its placeholder."""
         name, found, rest = super().resolve_command(ctx, args)
         return name, found and command(name or ""), rest
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Note whether JSON is asked for: an error may come before the option is read."""
+        """Note ``--json`` first: an error may occur before the option is parsed."""
         JSON_WANTED.set("--json" in args)
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; every refusal becomes a message and status 1."""
+        """Run the command, and turn an error into a message and status 1."""
         try:
             return super().invoke(ctx)
         except USAGE as error:
             if not JSON_WANTED.get():
                 raise
-            told = {"title": "wrong usage", "detail": error.format_message()}
-            raise fail("", problem=told, status=2) from error
+            usage = {"title": "wrong usage", "detail": error.format_message()}
+            raise fail("", problem=usage, status=2) from error
         except (typer.Exit, typer.Abort):
             raise
         except Exception as error:
-            from .refusals import told_of
+            from .refusals import report_error
 
-            if (end := told_of(error)) is None:
+            if (end := report_error(error)) is None:
                 raise
             raise end from error
 
@@ -226,6 +225,6 @@ def _options(
 
 def main() -> None:
     """The entry point of the installed command."""
-    # A sample passes from unit to unit by calls: a chain is as long as the interpreter allows.
+    # A sample passes from unit to unit by nested calls, so this limits the length of a chain.
     sys.setrecursionlimit(RECURSION_LIMIT)
     app()

@@ -1,4 +1,4 @@
-"""``dyknow ontology``: add domain ontologies, list those that are loaded, check them."""
+"""``dyknow ontology``: add domain ontologies, list the loaded ones, check them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MEDIA_TYPES = {
     ".jsonld": JSON_LD,
     ".nt": NTRIPLES,
 }
-"""What an ontology file holds, by its suffix."""
+"""The media type of an ontology file, by its suffix."""
 
 ontology = typer.Typer(help="Domain ontologies: add, list, check.", no_args_is_help=True)
 
@@ -41,7 +41,7 @@ def add(
     ],
     name: Annotated[
         str | None,
-        typer.Option(help="Its IRI; else that of the owl:Ontology in it.", metavar="IRI"),
+        typer.Option(help="Its IRI. Default: that of the owl:Ontology in it.", metavar="IRI"),
     ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
@@ -63,7 +63,7 @@ def add(
 
 @ontology.command("list")
 def list_ontologies(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
-    """List the ontologies that are loaded."""
+    """List the loaded ontologies."""
     with connect(url) as client:
         found = client.ontologies()
     if as_json:
@@ -75,9 +75,9 @@ def list_ontologies(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
 
 @ontology.command()
 def check(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
-    """Hold the ontologies and the running streams against the shapes of a well-formed stream space.
+    """Validate the ontologies and the running streams against the shapes of a stream space.
 
-    Status 1 if something is not.
+    Status 1 if there are violations.
     """
     with connect(url) as client:
         found = client.ontology_report()

@@ -1,4 +1,4 @@
-"""What all commands share: where the service is, tables for people, JSON for programs, errors."""
+"""Shared by all commands: the service's address, tables for users, JSON for programs, errors."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from ..client.client import Client
 
 Url = Annotated[
-    str, typer.Option("--url", envvar="DYKNOW_URL", help="Where the service is.", metavar="URL")
+    str, typer.Option("--url", envvar="DYKNOW_URL", help="The service's address.", metavar="URL")
 ]
-Json = Annotated[bool, typer.Option("--json", help="JSON for programs, a value a line.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, one value per line.")]
 DEFAULT_URL = URL
 JSON_WANTED: ContextVar[bool] = ContextVar("JSON_WANTED", default=False)
-"""Whether the command that runs was given ``--json``: errors are then JSON, too."""
+"""Whether the running command has ``--json``: its errors are then JSON, too."""
 TOKEN_GIVEN: ContextVar[str | None] = ContextVar("TOKEN_GIVEN", default=None)
-"""What the command that runs was given as ``--token``."""
+"""The value of the running command's ``--token``."""
 _UNITS = (
     ("d", DAY),
     ("h", HOUR),
@@ -51,16 +51,16 @@ _UNITS = (
 
 
 def connect(url: str) -> Client:
-    """A client of the service at ``url``, with the token that the command was given."""
+    """Return a client of the service at ``url``, with the command's token."""
     from ..client.client import Client
 
     return Client(url, token=TOKEN_GIVEN.get())
 
 
 @contextmanager
-def unless_gone() -> Iterator[None]:
-    """For what is given up at the end: the service may be gone already, and what it was asked for
-    with it."""
+def ignore_gone() -> Iterator[None]:
+    """Ignore errors of a cancellation: the service may have ended already, and the request with
+    it."""
     import httpx
 
     from ..client.connection import ServiceError
@@ -70,28 +70,28 @@ def unless_gone() -> Iterator[None]:
 
 
 def out() -> Console:
-    """The console of results. Made anew each time: tests and pipes exchange standard output."""
+    """Return the console of results: a new one, since tests and pipes replace standard output."""
     return Console(file=sys.stdout, highlight=False, emoji=False, soft_wrap=True)
 
 
 def err() -> Console:
-    """The console of progress and errors."""
+    """Return the console of progress and errors."""
     return Console(file=sys.stderr, highlight=False, emoji=False, soft_wrap=True)
 
 
 def show_json(value: object) -> None:
-    """One value as one line of JSON."""
+    """Print a value as one line of JSON."""
     print(json.dumps(value, ensure_ascii=False), flush=True)
 
 
 def show_lines(values: Iterable[object]) -> None:
-    """A line of JSON a value."""
+    """Print each value as a line of JSON."""
     for value in values:
         show_json(value)
 
 
 def show_text(text: str) -> None:
-    """Text as it is: brackets in it are no markup."""
+    """Print text without interpreting brackets as markup."""
     out().print(text.rstrip("\n"), markup=False)
 
 
@@ -99,12 +99,12 @@ def show_table(
     columns: Sequence[str],
     rows: Iterable[Sequence[object]],
     *,
-    whole: Collection[str] = (),
+    unfolded: Collection[str] = (),
     empty: str = "",
 ) -> None:
-    """A table for people; numbers stand on the right. ``empty`` is said when there is no row.
+    """Print a table, with numbers aligned right, or the text ``empty`` if there are no rows.
 
-    Columns that ``whole`` names are not folded, however narrow the terminal is.
+    The columns ``unfolded`` are not folded, however narrow the terminal is: they can be copied.
     """
     rows = [list(row) for row in rows]
     if not rows:
@@ -115,42 +115,42 @@ def show_table(
     for i, column in enumerate(columns):
         numeric = all(isinstance(row[i], int | float) or row[i] is None for row in rows)
         longest = max(len(column), *(cell_len(_plain(row[i])) for row in rows))
-        if column in whole:
+        if column in unfolded:
             widths.append(longest)
         table.add_column(
             column,
             justify="right" if numeric else "left",
             overflow="fold",
-            min_width=longest if column in whole else None,
+            min_width=longest if column in unfolded else None,
         )
     for row in rows:
         table.add_row(*(_cell(value) for value in row))
-    # A pipe has no width of its own; the table then takes what it needs.
+    # A pipe has no width, so the table takes what it needs.
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 10_000
     console = Console(file=sys.stdout, highlight=False, emoji=False, width=width)
     least = sum(widths) + len(columns) * 2 + 6 * (len(columns) - len(widths))
     if widths and console.width < least:
-        # What is not folded needs more than there is: the terminal breaks the line, not the name.
+        # Let the terminal break the line rather than the table a name.
         console.width = least
     console.print(table)
 
 
 def show_values(values: Mapping[str, object]) -> str:
-    """``name=value`` for each value there is, as people read it."""
+    """Format values as ``name=value``."""
     return "  ".join(f"{name}={_plain(value)}" for name, value in values.items())
 
 
 def fail(
     message: str, hint: str = "", *, problem: Mapping[str, Any] | None = None, status: int = 1
 ) -> typer.Exit:
-    """Say on standard error what went wrong; raise what is returned.
+    """Print an error on standard error, and return the exit to raise.
 
-    Under ``--json`` it is one JSON object: ``problem`` if there is one, else made of the words.
+    With ``--json`` it is one JSON object: ``problem`` if there is one, else from the texts.
     """
     if JSON_WANTED.get():
-        told = {"title": "error", "detail": message, "hint": hint}
-        known = {key: value for key, value in (problem or told).items() if value}
-        print(json.dumps(known, ensure_ascii=False), file=sys.stderr, flush=True)
+        texts = {"title": "error", "detail": message, "hint": hint}
+        members = {key: value for key, value in (problem or texts).items() if value}
+        print(json.dumps(members, ensure_ascii=False), file=sys.stderr, flush=True)
         return typer.Exit(status)
     console = err()
     console.print("[bold red]error:[/]", end=" ")
@@ -161,7 +161,7 @@ def fail(
 
 
 def clock_of(time: str | None) -> str:
-    """A time as people read it in a table: without the day when it is today's."""
+    """Format a time for a table, without the date if it is today's."""
     if time is None:
         return ""
     today = datetime.now(UTC).strftime("%Y-%m-%d")
@@ -169,13 +169,13 @@ def clock_of(time: str | None) -> str:
 
 
 def clock_ms(time: str | None) -> str:
-    """The same, to the millisecond."""
+    """Format a time like `clock_of`, to the millisecond."""
     head, dot, digits = clock_of(time).removesuffix("Z").partition(".")
     return f"{head}{dot}{digits[:3]}Z" if head else ""
 
 
 def brief(duration: str | None) -> str | None:
-    """A duration of the service in three digits, for a table: ``1.87d``, ``40ms``."""
+    """Format a duration of the service with three digits: ``1.87d``, ``40ms``."""
     if duration is None:
         return None
     nanoseconds = parse_duration(duration.removeprefix("-"))

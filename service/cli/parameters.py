@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 
 class SemanticsWord(StrEnum):
-    """Whether a window holds each timed triple, or each triple once."""
+    """Whether a window has equal timed triples several times, or once."""
 
     BAG = "bag"
     SET = "set"
 
 
 class BoundsWord(StrEnum):
-    """Which end of a window belongs to it."""
+    """Whether a window includes its later or its earlier bound."""
 
     LATER = "(]"
     EARLIER = "[)"
 
 
 class ReportWord(StrEnum):
-    """Which windows give a result."""
+    """The windows that give a result."""
 
     NON_EMPTY = "non-empty"
     CHANGE = "change"
@@ -37,7 +37,7 @@ class ReportWord(StrEnum):
 
 
 Semantics = Annotated[
-    SemanticsWord | None, typer.Option(help="bag or set; else as the language has it.")
+    SemanticsWord | None, typer.Option(help="bag or set. Default: the language's.")
 ]
 Bounds = Annotated[
     BoundsWord, typer.Option(help="Windows (end - RANGE, end] or [end - RANGE, end).")
@@ -47,23 +47,23 @@ Origin = Annotated[
 ]
 Report = Annotated[
     ReportWord,
-    typer.Option(help="Windows that give a result: with content, with other than before, all."),
+    typer.Option(help="Windows that give a result: non-empty ones, changed ones, or all."),
 ]
 
 Sort = Annotated[
     bool | None,
     typer.Option(
         "--sort/--no-sort",
-        help="Sort tables of samples by time, whatever their size, or leave them; else those of up "
-        "to ten million rows are sorted.",
+        help="Sort tables of samples by time, whatever their size, or not. Default: sort those of "
+        "up to ten million rows.",
     ),
 ]
 
 
 NOW: Final = "now"
-"""What comes from now on."""
+"""From the next sample on."""
 START: Final = "start"
-"""All that is kept."""
+"""From the beginning of the history."""
 
 
 def _checked(text: str) -> str:
@@ -82,13 +82,13 @@ def _checked(text: str) -> str:
 Beginning = Annotated[
     str,
     typer.Option(
-        help="Begin with what comes (now), with all that the streams keep (start), at a time, or "
-        "so long before the newest sample of them: 30s.",
+        help="Begin with the next samples (now), with the whole histories (start), at a time, or "
+        "a duration before the newest sample: 30s.",
         metavar="now|start|TIME|DURATION",
         callback=_checked,
     ),
 ]
-"""Where an answer begins."""
+"""Where the results begin."""
 
 
 def show_order(name: str, order: TimeOrder | None) -> None:
@@ -98,7 +98,7 @@ def show_order(name: str, order: TimeOrder | None) -> None:
 
 
 def origin_of(text: str) -> int:
-    """The time (ns) of ``--origin``."""
+    """Parse the time (ns) of ``--origin``."""
     try:
         return read_time(text)
     except ValueError as error:

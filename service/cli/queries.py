@@ -50,7 +50,7 @@ Name = Annotated[str, typer.Argument(help="The query's name.")]
 
 
 class Format(StrEnum):
-    """What results may be written in."""
+    """The formats of results."""
 
     CSV = "csv"
     TSV = "tsv"
@@ -100,7 +100,7 @@ def add(
         show_json(found)
         return
     if found["users"] > 1:
-        show_text(f"{found['name']} was registered already; it is shared by {found['users']}")
+        show_text(f"{found['name']} exists already; it is shared by {found['users']} registrations")
     else:
         show_text(f"registered {found['name']}")
     show_text(found["plan"]["text"].rstrip())
@@ -128,7 +128,7 @@ def list_queries(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
             )
             for each in found
         ],
-        whole=["query"],
+        unfolded=["query"],
         empty="no queries yet: dyknow query add FILE",
     )
 
@@ -136,11 +136,11 @@ def list_queries(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
 @query.command()
 def show(
     name: Name,
-    explain: Annotated[bool, typer.Option(help="Each stage of what runs.")] = False,
+    explain: Annotated[bool, typer.Option(help="Print each stage of the running query.")] = False,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Print a query's text and how it is."""
+    """Print a query's text and state."""
     with connect(url) as client:
         found = client.query(name, explain=explain)
     if as_json:
@@ -150,21 +150,24 @@ def show(
     else:
         show_text(found["source"])
         show_text("")
-        show_text(_how(found))
+        show_text(_state(found))
 
 
 @query.command()
 def results(
     name: Name,
     start: Annotated[
-        str | None, typer.Option("--from", help="Windows that end from this time on.")
+        str | None, typer.Option("--from", help="Windows that end at this time or later.")
     ] = None,
-    end: Annotated[str | None, typer.Option("--to", help="Windows that end by then.")] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", help="Windows that end at this time or earlier.")
+    ] = None,
     limit: Annotated[
-        int | None, typer.Option(min=1, help="The newest so many; with --from the oldest.")
+        int | None,
+        typer.Option(min=1, help="This number of the newest windows; with --from the oldest."),
     ] = None,
     format: Annotated[
-        Format | None, typer.Option(help="As text in this format, for programs.")
+        Format | None, typer.Option(help="The format of the results, for programs.")
     ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
@@ -191,20 +194,20 @@ def results(
 
 @query.command()
 def remove(name: Name, url: Url = DEFAULT_URL, as_json: Json = False) -> None:
-    """Give a query up; it stops when all who registered it have."""
+    """Remove one registration of a query; it stops with the last."""
     with connect(url) as client:
         client.remove_query(name)
         left = next((each["users"] for each in client.queries() if each["name"] == name), 0)
     if as_json:
         show_json({"removed": name, "users": left})
     elif left:
-        show_text(f"gave up {name}; it runs on for {left} who registered it too")
+        show_text(f"removed a registration of {name}; it runs on for {left} more")
     else:
         show_text(f"removed {name}")
 
 
-def _how(found: dict[str, Any]) -> str:
-    """State and options in a line or two."""
+def _state(found: dict[str, Any]) -> str:
+    """Format state and options in a line or two."""
     options = found["options"]
     words = [found["state"] + (f": {found['failure']}" if found["failure"] else "")]
     says_so = found["empty"] is not None and set(found["waits_for"]) == set(found["reads"])
@@ -218,8 +221,8 @@ def _how(found: dict[str, Any]) -> str:
         words.append(f"nothing came: {found['empty']}")
     if found["late"]:
         words.append(f"{found['late']} samples came too late")
-    how = f"{options['semantics']} semantics, windows {options['bounds']}"
+    options_text = f"{options['semantics']} semantics, windows {options['bounds']}"
     if options["origin"] != format_time(0):
-        how += f" at {options['origin']} and so on"
-    how += f", report {options['report']}, since {options['since']}"
-    return "; ".join(words) + "\n" + how
+        options_text += f" at {options['origin']} and so on"
+    options_text += f", report {options['report']}, since {options['since']}"
+    return "; ".join(words) + "\n" + options_text

@@ -1,4 +1,4 @@
-"""Errors of commands as people read them: what, where, what next. Imported when there is one."""
+"""Prints errors of commands: what, where, what next. Imported only when an error occurs."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from ..client.connection import ServiceError
 from .output import fail
 
 
-def told_of(error: Exception) -> typer.Exit | None:
-    """Say what went wrong; gives what ends the command. None where ``error`` is no refusal."""
+def report_error(error: Exception) -> typer.Exit | None:
+    """Print ``error``, and return the exit to raise; None for an error in the program."""
     if isinstance(error, ServiceError):
         if error.status == 401:
-            hint = "give one with --token, or in DYKNOW_TOKEN"
+            hint = "pass a token with --token, or in DYKNOW_TOKEN"
             problem = {**error.problem, "hint": hint}
             return fail(f"{error.title}: {error.detail}", hint, problem=problem)
         return fail(str(error), problem=error.problem)
     if isinstance(error, httpx.ConnectError):
         return fail(
             "there is no service at this address",
-            "start one with dyknow serve, or say where it is with --url",
+            "start one with dyknow serve, or name its address with --url",
         )
     if isinstance(error, httpx.HTTPError):
         return fail(f"the service does not answer: {error}")
     if isinstance(error, httpx.InvalidURL | OSError):
         return fail(str(error))
-    return _told_of_ours(error)
+    return _report_own_error(error)
 
 
-def _told_of_ours(error: Exception) -> typer.Exit | None:
-    """The same for what a room below refuses: its module is there already."""
+def _report_own_error(error: Exception) -> typer.Exit | None:
+    """Do the same for errors of the rooms below, whose modules are loaded already."""
     from ...converters.errors import ConversionError, WireError
     from ...languages.errors import LanguageError
     from ...ontology.errors import OntologyError

@@ -1,4 +1,4 @@
-"""``dyknow serve``: the service, until it is stopped."""
+"""``dyknow serve``: run the service until it is stopped."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen at.")] = None,
     port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.", min=0)] = None,
     data: Annotated[
-        Path | None, typer.Option(help="Directory of what outlives a restart.", file_okay=False)
+        Path | None, typer.Option(help="The data directory, kept over restarts.", file_okay=False)
     ] = None,
     processes: Annotated[
         list[str] | None,
@@ -23,16 +23,17 @@ def serve(
     tokens: Annotated[
         Path | None,
         typer.Option(
-            help="File of who may do what; a line a token (dyknow token).", dir_okay=False
+            help="File of tokens and their permissions, one per line (dyknow token).",
+            dir_okay=False,
         ),
     ] = None,
     durability: Annotated[
         Durability | None,
-        typer.Option(help="With --data: survive loss of power, or only of the process."),
+        typer.Option(help="With --data: survive a power failure, or only the end of the process."),
     ] = None,
     log_level: Annotated[str | None, typer.Option(help="debug, info, warning, error.")] = None,
     flights: Annotated[
-        bool, typer.Option("--flights", help="Play the recorded flights, again and again.")
+        bool, typer.Option("--flights", help="Play the recorded flights in a loop.")
     ] = False,
 ) -> None:
     """Run the service. Every setting can also be given as DYKNOW_<NAME>."""

@@ -1,4 +1,4 @@
-"""What ``dyknow serve`` does: settings, engine and workers are made, then the service runs."""
+"""The work of ``dyknow serve``: make settings, engine and workers, then run the service."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from ..runtime.process_watchdog import Watchdog
 from ..runtime.warm_up import WarmUp
 from ..server import bind, run, url_of
 from ..workers.services import Windows
-from .loading import Say, load, say_to_people
+from .loading import Say, load, print_note
 from .output import JSON_WANTED, fail
 from .recordings.demonstration import STREAM
 from .recordings.demonstration import flights as play_flights
 
 
 def start(given: Mapping[str, Any], *, flights: bool) -> None:
-    """Run the service with these settings, and those of the environment, until it is stopped."""
+    """Run the service with these settings and the environment's, until it is stopped."""
     settings = Settings(**given)
-    # What is imported stays for good: a start makes much, and would have it looked through often.
+    # Imported objects stay for good. Without freezing, each collection of the start scans them.
     gc.freeze()
     configure(settings.log_level, settings.log_json)
-    say = _say_in_the_log if settings.log_json else say_to_people
+    say = _log_note if settings.log_json else print_note
     JSON_WANTED.set(settings.log_json)
     try:
-        known = Tokens.of(settings)
+        accepted_tokens = Tokens.of(settings)
     except TokensError as error:
         raise fail(error.message, error.hint) from error
     load(settings.processes, say)
     if settings.tokens_file is not None and hasattr(signal, "SIGHUP"):
-        # Until there is somebody to hear it: what changes meanwhile is noticed then.
+        # Before the handler exists a SIGHUP would end the process. It then reads changes anyway.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         listener = bind(settings)
@@ -59,23 +59,27 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
             "choose another --port",
         ) from error
     raise_limit()
-    # What works beside the event loop has the interpreter for so long before the loop may go on.
+    # How long a thread beside the event loop keeps the interpreter before the loop may go on.
     sys.setswitchinterval(0.001)
     watchdog = Watchdog()
-    token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
+    token = (
+        accepted_tokens.issue("flights", Scope.ADMIN)
+        if flights and accepted_tokens.required
+        else ""
+    )
     windows = Windows(settings)
     warming = WarmUp()
     warming.loops()
     warming.workers("windows", windows.pool)
     try:
         engine = _engine(settings, watchdog, windows, say)
-        windows.begin()
+        windows.end_replay()
     except BaseException:
         listener.close()
         windows.close()
         warming.end()
         raise
-    app = create_app(engine, settings, time.time_ns, known, windows)
+    app = create_app(engine, settings, time.time_ns, accepted_tokens, windows)
     url = url_of(listener)
     say(f"DyKnow serves at {url} (documentation: {url}/docs)")
     service: Service = app.state.service
@@ -90,8 +94,8 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
         playing = (url, stopping.is_set, token)
         player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
-        say(f"The recorded flights play into stream {STREAM}, as if they flew now.")
-    # By way of JSON, which has no infinity.
+        say(f"The recorded flights play into stream {STREAM}, at the present time.")
+    # Through JSON: the log's format has no infinity.
     values = json.loads(settings.model_dump_json(exclude_defaults=True))
     log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
@@ -109,21 +113,21 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
 
 
 def _reload_on_hangup(service: Service, settings: Settings) -> None:
-    """SIGHUP reads the file of tokens again; without one it ends the service, as it always does."""
+    """Let SIGHUP reload the file of tokens; without one it ends the service, as usual."""
     file = service.token_file
     if file is not None and settings.tokens_file is not None and hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, lambda *_: file.ask())
 
 
-def _say_in_the_log(text: str) -> None:
-    """Where programs read standard error, every line is one of the log."""
+def _log_note(text: str) -> None:
+    """Log a note: programs that read standard error expect lines of the log."""
     log().info(text)
 
 
 def _engine(
     settings: Settings, watchdog: Watchdog, windows: Windows, say: Say
 ) -> Engine | RecordedEngine:
-    """A new engine in memory, or that of the data directory as it was."""
+    """Make a new engine in memory, or recover that of the data directory."""
     if settings.data is None:
         return Engine(
             now=time.time_ns(),
@@ -134,7 +138,7 @@ def _engine(
         )
 
     def progress(done: int, count: int) -> None:
-        say(f"  {done:,} of {count:,} commands done again")
+        say(f"  {done:,} of {count:,} commands replayed")
 
     try:
         engine = RecordedEngine(
@@ -150,9 +154,9 @@ def _engine(
     except (JournalError, OntologyError) as error:
         raise fail(error.message, error.hint) from error
     except OSError as error:
-        hint = "--data says which directory is used; the service reads and writes in it"
+        hint = "--data names the directory, in which the service must be able to read and write"
         if is_full(error):
-            hint = "make room on the disk, and start again"
+            hint = "free some space on the disk, and start again"
         raise fail(f"{settings.data} cannot be used: {error.strerror or error}", hint) from error
     recovery = engine.recovery
     for note in recovery.notes:
@@ -162,6 +166,6 @@ def _engine(
             say(f"note: {note}")
     say(
         f"{settings.data}: state of command {recovery.position:,}, "
-        f"{recovery.replayed:,} done again since"
+        f"{recovery.replayed:,} replayed since"
     )
     return engine

@@ -1,4 +1,4 @@
-"""``dyknow specification``: apply a specification in XML, and show what runs as one."""
+"""``dyknow specification``: apply a specification in XML, and show the configuration as one."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ def apply(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Insert and remove units: all that the text says, or nothing."""
+    """Insert and remove units: the whole text, or nothing."""
     with connect(url) as client:
-        answer = client.apply_specification(text_or_file(source))
+        response = client.apply_specification(text_or_file(source))
     if as_json:
-        show_json(answer)
+        show_json(response)
         return
     rows = [
         [change, unit["name"], unit["transformation"], unit["output"]]
         for change in ("started", "stopped", "there")
-        for unit in answer[change]
+        for unit in response[change]
     ]
     show_table(["change", "unit", "transformation", "stream"], rows)
 

@@ -1,4 +1,4 @@
-"""``dyknow streams`` and ``dyknow annotate``: what streams there are and what they are about."""
+"""``dyknow streams`` and ``dyknow annotate``: list streams, and annotate them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def streams(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """List the streams; with a name, tell all of one: fields, counters, lag, annotation."""
+    """List the streams; with a name, show all of one: fields, counters, lag, annotation."""
     with connect(url) as client:
         found = client.streams() if name is None else [client.stream(name)]
     if as_json:
@@ -52,17 +52,17 @@ def streams(
             )
             for stream in found
         ],
-        whole=["stream", "made by"],
+        unfolded=["stream", "made by"],
         empty="no streams yet: dyknow replay FILE --stream NAME",
     )
 
 
 def annotate(
-    source: Annotated[str, typer.Argument(help="SSL text, a file that holds it, or - .")],
+    source: Annotated[str, typer.Argument(help="SSL text, its file, or - .")],
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Say in SSL what streams are about."""
+    """Annotate streams in SSL."""
     text = text_or_file(source)
     with connect(url) as client:
         found = client.annotate(text)
@@ -74,27 +74,28 @@ def annotate(
 
 
 def text_or_file(source: str) -> str:
-    """The text itself, the content of the file it names, or standard input for ``-``."""
+    """Return ``source``, the content of the file that it names, or standard input for ``-``."""
     if source == "-":
         return sys.stdin.read().removeprefix("\ufeff")
-    # A text has blanks or line ends and is no file; a long one is no legal file name either.
+    # A text with line ends is no file name, and a long one is no legal name either.
     if "\n" not in source and len(source) < 1024 and Path(source).is_file():
         return read_text(Path(source))
     if _is_file_name(source):
-        raise fail(f"there is no file {source}", "give a text, the name of its file, or -")
+        raise fail(f"there is no file {source}", "pass a text, the name of its file, or -")
     return source.removeprefix("\ufeff")
 
 
 def read_text(path: Path) -> str:
-    """A file's text, without a byte order mark."""
+    """Read a file without its byte order mark."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise fail(f"{path} is no UTF-8 at byte {error.start}") from error
+        raise fail(f"{path} is not UTF-8 at byte {error.start}") from error
 
 
 def _is_file_name(source: str) -> bool:
-    """Texts of all our languages have several words or braces, names of files seldom."""
+    """Guess whether ``source`` names a file: texts of all languages have several words or
+    braces, file names rarely."""
     if not source or any(mark in source for mark in "\n{}"):
         return False
     word = not any(map(str.isspace, source)) and any(mark in source for mark in "./")

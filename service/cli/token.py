@@ -1,4 +1,4 @@
-"""``dyknow token``: a new token, and the line by which the service knows it."""
+"""``dyknow token``: create a token, and its line for the service's file."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from .output import Json, err, fail, out, show_json
 
 
 def token(
-    name: Annotated[str, typer.Argument(help="Whose it is to be; logs and refusals name it.")],
+    name: Annotated[str, typer.Argument(help="The owner, for logs and error messages.")],
     scope: Annotated[
         list[Scope] | None,
-        typer.Option(help="What it allows; may be repeated. admin includes the others."),
+        typer.Option(help="A permission; may be repeated. admin includes the others."),
     ] = None,
     add: Annotated[
         Path | None,
         typer.Option(
-            help="Add the line to this file; it is made if it is not there.", dir_okay=False
+            help="Append the line to this file, which is created if needed.", dir_okay=False
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Make a token. It is shown this once: the file keeps a hash of it."""
+    """Create a token and show it once; the file keeps a hash of it."""
     if not is_name(name):
         raise fail("a name has letters, digits and . _ @ -, at most 64", FORM)
-    made = new_token()
+    secret = new_token()
     scopes = scope or [Scope.READ]
-    line = line_of(scopes, name, made)
+    line = line_of(scopes, name, secret)
     if add is not None:
         _add(add, line)
     if as_json:
         show_json(
-            {"name": name, "scopes": [str(each) for each in scopes], "token": made, "line": line}
+            {"name": name, "scopes": [str(each) for each in scopes], "token": secret, "line": line}
         )
         return
     err().print(f"The token of {name}; keep it, it is not shown again:", markup=False)
-    out().print(made, markup=False)
+    out().print(secret, markup=False)
     if add is None:
         err().print(f"The line for the file of tokens, or DYKNOW_TOKENS:\n{line}", markup=False)
     else:
@@ -48,7 +48,7 @@ def token(
 
 
 def _add(path: Path, line: str) -> None:
-    """Append a line; a file that is made is its owner's alone."""
+    """Append a line; a new file is readable by its owner only."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
         with os.fdopen(descriptor, "rb+") as file:

@@ -1,4 +1,4 @@
-"""``--token``: every command that takes ``--url`` takes it, too, without saying so itself."""
+"""``--token``, added to every command that has ``--url``."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ Token = Annotated[
         "--token",
         envvar=TOKEN,
         show_envvar=True,
-        help="Token of the service; others on this machine see it here, not in the environment.",
+        help="Token of the service. Other users of this machine can see it here, but not in the "
+        "environment.",
         metavar="TOKEN",
     ),
 ]
 
 
-def take_tokens(app: typer.Typer) -> None:
-    """Give ``--token`` to the commands of ``app``, and of the groups in it, that take ``--url``."""
+def add_token_option(app: typer.Typer) -> None:
+    """Add ``--token`` to the commands of ``app`` and its groups that have ``--url``."""
     for command in app.registered_commands:
         callback = command.callback
         if callback is not None and "url" in inspect.signature(callback).parameters:
             command.callback = _with_token(callback)
     for group in app.registered_groups:
         if group.typer_instance is not None:
-            take_tokens(group.typer_instance)
+            add_token_option(group.typer_instance)
 
 
 def _with_token(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -41,15 +42,18 @@ def _with_token(command: Callable[..., Any]) -> Callable[..., Any]:
         TOKEN_GIVEN.set(token)
         return command(*arguments, **options)
 
-    # What typer reads: the command's own parameters, and one more.
+    # typer reads the signature: the command's own parameters, and one more.
     hints = get_type_hints(command, include_extras=True)
-    given = inspect.signature(command)
+    signature = inspect.signature(command)
     parameters = [
-        parameter.replace(annotation=hints[name]) for name, parameter in given.parameters.items()
+        parameter.replace(annotation=hints[name])
+        for name, parameter in signature.parameters.items()
     ]
     added = inspect.Parameter(
         "token", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Token
     )
-    run.__signature__ = given.replace(parameters=[*parameters, added])  # type: ignore[attr-defined]
+    run.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[*parameters, added]
+    )
     run.__annotations__ = {**hints, "token": Token}
     return run

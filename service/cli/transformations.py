@@ -39,22 +39,24 @@ def add(
     ] = None,
     parameter: Annotated[
         list[str] | None,
-        typer.Option(help="With SSL: of the code. May be repeated.", metavar="NAME=VALUE"),
+        typer.Option(
+            help="With SSL: a parameter of the code. May be repeated.", metavar="NAME=VALUE"
+        ),
     ] = None,
     cost: Annotated[float | None, typer.Option(help="With SSL: the cost of a unit.")] = None,
-    quality: Annotated[float | None, typer.Option(help="With SSL: 0 to 1.")] = None,
+    quality: Annotated[float | None, typer.Option(help="With SSL: the quality, 0 to 1.")] = None,
     replace: Annotated[
         str | None, typer.Option(help="Replace the transformation of this name.", metavar="NAME")
     ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Register a transformation; of a Turtle text all of them, or none."""
+    """Register a transformation, or several in Turtle: all of them, or none."""
     if (source is None) == (annotation is None):
-        raise typer.BadParameter("give a file, or --annotation with SSL")
+        raise typer.BadParameter("pass a file, or SSL with --annotation")
     text = annotation if annotation is not None else text_or_file(source or "")
-    given = {"implementation": implementation, "cost": cost, "quality": quality}
-    more: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    options = {"implementation": implementation, "cost": cost, "quality": quality}
+    more: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if parameter:
         more["parameters"] = _parameters(parameter)
     with connect(url) as client:
@@ -62,8 +64,8 @@ def add(
     if as_json:
         show_lines(found)
         return
-    for known in found:
-        show_text(f"registered {known['text']}")
+    for each in found:
+        show_text(f"registered {each['text']}")
 
 
 @transformation.command("list")
@@ -78,16 +80,16 @@ def list_transformations(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         ["transformation", "takes and gives", "cost", "quality", "units", "lacks"],
         [
             (
-                known["name"],
-                str(known["text"]).removeprefix(f"{known['name']} : "),
-                known["cost"],
-                known["quality"],
-                len(known["units"]),
-                known["lacks"] or None,
+                each["name"],
+                str(each["text"]).removeprefix(f"{each['name']} : "),
+                each["cost"],
+                each["quality"],
+                len(each["units"]),
+                each["lacks"] or None,
             )
-            for known in found
+            for each in found
         ],
-        whole=["transformation"],
+        unfolded=["transformation"],
     )
 
 
@@ -97,7 +99,7 @@ def show(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Tell all of a transformation."""
+    """Print the details of a transformation."""
     with connect(url) as client:
         found = client.transformation(name)
     if as_json:
@@ -119,7 +121,7 @@ def remove(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Forget a transformation."""
+    """Remove a transformation."""
     with connect(url) as client:
         client.remove_transformation(name)
     if as_json:
@@ -129,20 +131,20 @@ def remove(
 
 
 def _description(text: str, more: dict[str, Any]) -> dict[str, Any] | str:
-    """What is sent: the JSON or Turtle as it is, SSL with the options."""
+    """Return the body: JSON or Turtle unchanged, SSL with the options."""
     words = text.split(maxsplit=1)
     if words and words[0] in ("compunit", "source"):
         return {"annotation": text, **more}
     if more:
         raise typer.BadParameter(
-            "JSON and Turtle name code, parameters, cost and quality themselves"
+            "JSON and Turtle contain code, parameters, cost and quality themselves"
         )
     if not text.lstrip().startswith("{"):
         return text
     try:
         found: dict[str, Any] = json.loads(text)
     except ValueError as error:
-        raise fail(f"the JSON cannot be read: {error}") from error
+        raise fail(f"malformed JSON: {error}") from error
     return found
 
 

@@ -1,4 +1,4 @@
-"""Terms of a query without an answer that the service does not know, with names that are near."""
+"""Unknown terms of a query without results, and similar names."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ...sparql.parser import parse_sparql
 from ..client.client import Client
 
 _OURS: Final = (DYKNOW, STREAM_SPACE)
-"""The namespaces of terms that the service knows where they exist."""
+"""The namespaces whose terms the service knows completely."""
 
 
 def unknown_terms(client: Client, text: str) -> Iterator[str]:
-    """Terms of our namespaces in a query that the service does not know, with names near them."""
-    asked = " ".join(f"<{iri}>" for iri in _our_terms(text))
-    if not asked:
+    """Yield a hint for each unknown term of our namespaces in a query, with similar names."""
+    terms = " ".join(f"<{iri}>" for iri in _our_terms(text))
+    if not terms:
         return
     nowhere = "FILTER NOT EXISTS { { ?t ?p ?o } UNION { ?s ?t ?o } UNION { ?s ?p ?t } }"
-    for iri in _column(client, f"SELECT ?t {{ VALUES ?t {{ {asked} }} {nowhere} }}"):
+    for iri in _column(client, f"SELECT ?t {{ VALUES ?t {{ {terms} }} {nowhere} }}"):
         namespace = next(each for each in _OURS if iri.startswith(each))
         named = f'?t a ?kind FILTER (STRSTARTS(STR(?t), "{namespace}"))'
         names: dict[str, list[str]] = {}
@@ -32,8 +32,8 @@ def unknown_terms(client: Client, text: str) -> Iterator[str]:
         for each in _column(client, f"SELECT DISTINCT ?t {{ {named} }}"):
             names.setdefault(each.removeprefix(namespace).lower(), []).append(each)
         near = get_close_matches(iri.removeprefix(namespace).lower(), names, n=3)
-        meant = f"; did you mean {', '.join(shorten(t) for key in near for t in names[key])}?"
-        yield f"nothing is called {shorten(iri)}{meant if near else ''}"
+        similar = f"; did you mean {', '.join(shorten(t) for key in near for t in names[key])}?"
+        yield f"nothing is called {shorten(iri)}{similar if near else ''}"
 
 
 def _our_terms(text: str) -> dict[str, None]:

@@ -1,11 +1,12 @@
-"""A Python client with the verbs of the HTTP routes (docs/reference/http.md).
+"""A Python client with a method for each HTTP route (docs/reference/http.md).
 
     client = dyknow.Client("http://127.0.0.1:8000")
     request = client.request_event("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")
     for event in client.events(request["stream"], since=request["position"]):
         print(event.values, event.rdf)
 
-Answers are the JSON of the routes as dicts. Refusals are `ServiceError`. Used by the command line.
+Methods return the JSON of the routes as dicts. A refusal raises `ServiceError`. The command line
+uses this client.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from .parts import (
     description_parts,
     joined,
     kpl_parts,
-    sent,
+    send_parts,
     specification_parts,
     ssl_parts,
 )
@@ -52,7 +53,7 @@ class RoundedNumbers(UserWarning):
 
 
 class Client(Connection):
-    """The service's verbs over one HTTP connection pool. Not for several threads at once."""
+    """The service's routes over one HTTP connection pool. Not thread-safe."""
 
     # -- streams and samples
 
@@ -67,9 +68,11 @@ class Client(Connection):
         retention: Mapping[str, Any] | None = None,
         namespace: str | None = None,
     ) -> dict[str, Any]:
-        """Declare a stream: field names and types, how late samples may be, after how long without
-        any nobody waits for it, how far ahead of the clock they may be (``"oo"``: any), what is
-        kept."""
+        """Declare a stream with the names and types of its fields.
+
+        ``lateness``: how late samples may be; ``idle``: the silence after which readers no longer
+        wait; ``ahead``: how far ahead of the clock samples may be (``"oo"``: any); ``retention``:
+        the size of the history."""
         body: dict[str, Any] = {"fields": fields, "lateness": lateness}
         if idle is not None:
             body["idle"] = idle
@@ -82,19 +85,19 @@ class Client(Connection):
         return self._object("PUT", f"/streams/{_part(name)}", json=body)
 
     def streams(self) -> list[dict[str, Any]]:
-        """All streams."""
+        """Return all streams."""
         return self._list("GET", "/streams")
 
     def stream(self, name: str) -> dict[str, Any]:
-        """One stream."""
+        """Return one stream."""
         return self._object("GET", f"/streams/{_part(name)}")
 
     def evaluation(self, stream: str) -> dict[str, Any]:
-        """How far all is that reads a stream, and what of it failed."""
+        """Return how far the readers of a stream have evaluated it, and which of them failed."""
         return self._object("GET", f"/streams/{_part(stream)}/evaluation")
 
     def remove_stream(self, name: str) -> None:
-        """Remove a declared stream, or one of late samples, unless it is read."""
+        """Remove a declared stream, or one of late samples. A stream with readers stays: 409."""
         self._send("DELETE", f"/streams/{_part(name)}")
 
     def publish(
@@ -105,23 +108,23 @@ class Client(Connection):
         idempotency_key: str | None = None,
         stamp: bool = False,
     ) -> int:
-        """Publish rows, a batch, or NDJSON bytes; returns how many samples were accepted.
+        """Publish rows, a batch, or NDJSON bytes; returns the number of accepted samples.
 
-        A batch brings its available times unless ``stamp`` leaves them to the service. A full
-        queue (429) and a lost connection are tried again under the same key, so that nothing is
-        taken twice. Warns of `RoundedNumbers`.
+        A batch has its own available times; with ``stamp`` the service stamps it instead. The
+        client repeats a request that is refused for a full queue (429) or loses its connection,
+        under the same key, so that the service accepts the samples once. Warns of `RoundedNumbers`.
         """
         headers = {
             "Content-Type": NDJSON,
             "Idempotency-Key": idempotency_key or uuid.uuid4().hex,
         }
-        answer = self._again(
+        response = self._send_until_room(
             "POST",
             f"/streams/{_part(stream)}/samples",
             content=_ndjson(samples, stamp),
             headers=headers,
         )
-        return _accepted(stream, answer.json())
+        return _accepted(stream, response.json())
 
     def publish_live(
         self,
@@ -130,25 +133,25 @@ class Client(Connection):
         *,
         stamp: bool = False,
     ) -> int:
-        """Publish what ``batches`` gives, as it gives it, in one request; returns how many samples
-        were accepted once there are no more.
+        """Publish the items of ``batches`` as they come, in one request; returns the number of
+        accepted samples after the last.
 
-        Nobody is asked in between, so that small batches cost little. A refusal ends it, at the
-        latest with the next batch: `ServiceError`, whose ``problem["accepted"]`` counts what was
-        taken before. So does a connection that breaks (``httpx.TransportError``): what was taken is
-        not known then, and nothing is sent again. Silence is ended by the service; an empty list
-        now and then keeps the request. Warns of `RoundedNumbers` when it ends.
+        There is no response in between, so small batches cost little. A refusal ends the request,
+        at the latest with the next batch: `ServiceError`, with the number of accepted samples in
+        ``problem["accepted"]``. A broken connection (``httpx.TransportError``) ends it too; then
+        that number is unknown, and the client repeats nothing. The service ends a silent request;
+        yield an empty list now and then to keep it. Warns of `RoundedNumbers` when it ends.
         """
-        answer = self._send(
+        response = self._send(
             "POST",
             f"/streams/{_part(stream)}/samples/live",
             content=(_ndjson(samples, stamp).rstrip(b"\n") + b"\n" for samples in batches),
             headers={"Content-Type": NDJSON},
         )
-        return _accepted(stream, answer.json())
+        return _accepted(stream, response.json())
 
     def end(self, stream: str) -> None:
-        """A recording has come to its end."""
+        """End a stream, such as that of a recording."""
         self._send("POST", f"/streams/{_part(stream)}/end")
 
     def history(
@@ -158,53 +161,53 @@ class Client(Connection):
         start: str | int | None = None,
         end: str | int | None = None,
         limit: int | None = None,
-        **question: str | int | None,
+        **query: str | int | None,
     ) -> list[dict[str, Any]]:
-        """The kept samples by available time; of these those valid from ``valid_from`` to
-        ``valid_to``. Or what one of ``at`` and ``before`` (with ``known``), ``prev`` and
-        ``last_avail`` asks for [DyKnow10 Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
+        """Return samples of the history by available time, with valid times from ``valid_from`` to
+        ``valid_to``. Or one of these queries: ``at`` or ``before`` (with ``known``), ``prev``,
+        ``last_avail`` [DyKnow10 Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
 
-        Raises `ServiceError` 410 where the answer depends on samples that are forgotten.
+        Raises `ServiceError` 410 if the result depends on evicted samples.
         """
-        given = {"start": start, "end": end, "limit": limit, **question}
-        found: list[dict[str, Any]] = self._history(stream, JSON, given).json()
-        return found
+        arguments = {"start": start, "end": end, "limit": limit, **query}
+        samples: list[dict[str, Any]] = self._history(stream, JSON, arguments).json()
+        return samples
 
     def history_text(self, stream: str, media_type: str = CSV, **arguments: Any) -> str:
-        """The same as text: ``text/csv``, ``application/x-ndjson``, ``application/n-triples``."""
+        """Return the same as text: ``text/csv``, ``application/x-ndjson``,
+        ``application/n-triples``."""
         return self._history(stream, media_type, arguments).text
 
     def events(
         self, stream: str, *, since: str | None = None, resume: bool = True
     ) -> Iterator[Event]:
-        """The stream's samples as they come, with `gap` and `end` messages among them.
+        """Yield the stream's samples as they come, and `gap` and `end` messages.
 
-        Ends after `end`. A connection that breaks is taken up again after the last sample seen,
-        unless ``resume`` is False; then its error is raised.
+        Returns after `end`. After a broken connection the client resumes behind the last sample; if
+        ``resume`` is False it raises the error instead.
         """
         return self._follow(f"/streams/{_part(stream)}/events", since, resume)
 
     def follow(self, streams: Sequence[str], *, since: str | None = None) -> Iterator[Event]:
-        """The samples of several streams as they come, on one connection; else as `events`.
+        """Yield the samples of several streams as they come, on one connection; cf. `events`.
 
-        Ends after the ``end`` of the last of them. An event's ``data["stream"]`` tells which it is
-        of.
+        Returns after the last stream's ``end``. An event's ``data["stream"]`` names its stream.
         """
         return self._follow("/follow", since, True, streams)
 
     def status_events(self, *, since: str | None = None) -> Iterator[Event]:
-        """Every change of the stream space."""
+        """Yield every change of the stream space."""
         return self._follow("/status/events", since, True)
 
     # -- meaning
 
     def annotate(self, ssl: str) -> list[dict[str, Any]]:
-        """Annotate streams and units by an SSL text; one that is longer than a request may be in
-        parts, each of which is taken whole or not at all
+        """Annotate streams and units by an SSL text. The client sends a long text in parts, each of
+        which takes effect as a whole or not at all
         (docs/reference/http-conventions.md, "Sizes")."""
         headers = {"Content-Type": TEXT}
         return joined(
-            sent(
+            send_parts(
                 ssl_parts(ssl),
                 lambda part: self._list("POST", "/annotations", content=part, headers=headers),
             )
@@ -213,59 +216,59 @@ class Client(Connection):
     def describe(
         self, streams: Mapping[str, Any] | Sequence[Mapping[str, Any]]
     ) -> list[dict[str, Any]]:
-        """Annotate a stream, or several: ``{"stream", "contents": [{"feature", "field", …}]}``;
-        many in parts, as `annotate`."""
+        """Annotate one or several streams: ``{"stream", "contents": [{"feature", "field", …}]}``;
+        many in parts, as in `annotate`."""
         parts = description_parts(streams)
-        return joined(sent(parts, lambda part: self._list("POST", "/annotations", json=part)))
+        return joined(send_parts(parts, lambda part: self._list("POST", "/annotations", json=part)))
 
     def annotations(self) -> list[dict[str, Any]]:
-        """All annotations."""
+        """Return all annotations."""
         return self._list("GET", "/annotations")
 
     def set_quality(self, stream: str, quality: float) -> None:
-        """How good a stream is from now on, 0 to 1."""
+        """Set the quality of a stream, 0 to 1."""
         self._send("PUT", f"/streams/{_part(stream)}/quality", json={"quality": quality})
 
     def register_transformation(
         self, description: Mapping[str, Any] | str, *, replace: str | None = None
     ) -> list[dict[str, Any]]:
         """Register a transformation by its JSON, or one or several by a Turtle text; ``replace``
-        names the one that it takes the place of."""
+        is the name of one to replace."""
         body: dict[str, Any] = {"json": description}
         if isinstance(description, str):
             body = {"content": description, "headers": {"Content-Type": TURTLE}}
         if replace is None:
-            found = self._send("POST", "/transformations", **body).json()
+            body_json = self._send("POST", "/transformations", **body).json()
         else:
-            found = self._send("PUT", f"/transformations/{_part(replace)}", **body).json()
-        registered: list[dict[str, Any]] = found if isinstance(found, list) else [found]
+            body_json = self._send("PUT", f"/transformations/{_part(replace)}", **body).json()
+        registered: list[dict[str, Any]] = body_json if isinstance(body_json, list) else [body_json]
         return registered
 
     def transformations(self) -> list[dict[str, Any]]:
-        """All transformations."""
+        """Return all transformations."""
         return self._list("GET", "/transformations")
 
     def transformation(self, name: str) -> dict[str, Any]:
-        """One transformation."""
+        """Return one transformation."""
         return self._object("GET", f"/transformations/{_part(name)}")
 
     def change_transformation(
         self, name: str, *, cost: float | None = None, quality: float | None = None
     ) -> dict[str, Any]:
-        """The cost or quality of a transformation has changed."""
+        """Change the cost or quality of a transformation."""
         body = {"cost": cost, "quality": quality}
         return self._object("PATCH", f"/transformations/{_part(name)}", json=body)
 
     def remove_transformation(self, name: str) -> None:
-        """Forget a transformation, unless a unit of it runs."""
+        """Remove a transformation. One with a running unit stays: 409."""
         self._send("DELETE", f"/transformations/{_part(name)}")
 
     def subscribe(
         self, stream: str, policy: str = "", *, unit: str = "ms", since: str = "now"
     ) -> dict[str, Any]:
-        """Subscribe to a stream under a policy as after `with` in KPL; its samples are `events` of
-        the answer's ``stream``. ``since`` "start" begins with what is kept, a time or a duration
-        such as "30s" before the newest sample there."""
+        """Subscribe to a stream under a policy as after `with` in KPL. `events` of the result's
+        ``stream`` yields its samples. ``since``: "start" begins with the whole history, a time or a
+        duration such as "30s" before the newest sample there."""
         body = {"stream": stream, "policy": policy, "unit": unit, "since": since}
         return self._object("POST", "/subscriptions", json=body)
 
@@ -283,8 +286,8 @@ class Client(Connection):
         min_quality: float = 0.0,
         hold_off: str | int = "2s",
     ) -> dict[str, Any]:
-        """Subscribe to a feature, whatever streams hold it; its samples and switches are
-        `subscription_events`. For ``since`` see `request_event`."""
+        """Subscribe to a feature, of any streams that have it; `subscription_events` yields its
+        samples and switches. For ``since`` see `request_event`."""
         body: dict[str, Any] = {
             "feature": feature,
             "sort": sort,
@@ -300,107 +303,107 @@ class Client(Connection):
         return self._object("POST", "/subscriptions", json=body)
 
     def subscription(self, id: str) -> dict[str, Any]:
-        """One subscription."""
+        """Return one subscription."""
         return self._object("GET", f"/subscriptions/{_part(id)}")
 
     def subscription_events(
         self, id: str, *, since: str | None = None, resume: bool = True
     ) -> Iterator[Event]:
-        """As `events`, of a subscription: of one to a feature with `rematched` between the
-        samples, each switch once."""
+        """Yield the events of a subscription, as `events` does; for a feature also `rematched`
+        between the samples, each switch once."""
         return self._follow(f"/subscriptions/{_part(id)}/events", since, resume)
 
     def rematches(self, id: str) -> list[dict[str, Any]]:
-        """The switches of a subscription to a feature, oldest first."""
+        """Return the latest switches of a subscription to a feature, oldest first."""
         return self._list("GET", f"/subscriptions/{_part(id)}/rematches")
 
     def subscriptions(self) -> list[dict[str, Any]]:
-        """The subscriptions that run."""
+        """Return the running and the waiting subscriptions."""
         return self._list("GET", "/subscriptions")
 
     def unsubscribe(self, id: str) -> None:
-        """Give a subscription up."""
+        """Cancel a subscription."""
         self._send("DELETE", f"/subscriptions/{_part(id)}")
 
     def declare_kpl(self, text: str, unit: str = "ms") -> list[dict[str, Any]]:
-        """Declare processes and streams in KPL; gives what is new. ``unit`` is what integers are
-        where the text does not say. A long text goes in parts, as of `annotate`."""
-        given: dict[str, Any] = {"headers": {"Content-Type": TEXT}, "params": {"unit": unit}}
+        """Declare processes and streams in KPL; returns the new declarations. ``unit`` is the unit
+        of integers if the text has none. A long text goes in parts, as in `annotate`."""
+        request: dict[str, Any] = {"headers": {"Content-Type": TEXT}, "params": {"unit": unit}}
         parts = kpl_parts(text)
-        return joined(sent(parts, lambda part: self._list("POST", "/kpl", content=part, **given)))
+        return joined(
+            send_parts(parts, lambda part: self._list("POST", "/kpl", content=part, **request))
+        )
 
     def kpl(self) -> list[dict[str, Any]]:
-        """Everything declared in KPL, in order."""
+        """Return all KPL declarations, in order."""
         return self._list("GET", "/kpl")
 
     def kpl_declaration(self, name: str) -> dict[str, Any]:
-        """One declaration by name or label, with what cannot be without it."""
+        """Return one declaration by name or label, with those that depend on it."""
         return self._object("GET", f"/kpl/{_part(name)}")
 
     def remove_kpl(self, name: str, *, cascade: bool = False) -> list[str]:
-        """Remove a declaration, with ``cascade`` also what cannot be without it."""
+        """Remove a declaration, and with ``cascade`` those that depend on it; return the names."""
         parameters = {"cascade": str(cascade).lower()}
-        answer = self._object("DELETE", f"/kpl/{_part(name)}", params=parameters)
-        removed: list[str] = answer["removed"]
+        response = self._object("DELETE", f"/kpl/{_part(name)}", params=parameters)
+        removed: list[str] = response["removed"]
         return removed
 
     def apply_specification(self, xml: str | bytes) -> dict[str, Any]:
-        """Insert and remove units as an XML text says; all of it or nothing. One that inserts more
-        than a request may, and removes nothing, goes in parts, as of `annotate`."""
+        """Insert and remove units by an XML text, as a whole or not at all. A text without removals
+        and with more insertions than a request may have goes in parts, as in `annotate`."""
         headers = {"Content-Type": "application/xml"}
         parts = specification_parts(xml)
-        changed, *others = sent(
+        changed, *others = send_parts(
             parts,
             lambda part: self._object("POST", "/specifications", content=part, headers=headers),
         )
         for other in others:
-            for key, found in other.items():
+            for key, value in other.items():
                 changed[key] = (
-                    changed[key] | found if isinstance(found, dict) else changed[key] + found
+                    changed[key] | value if isinstance(value, dict) else changed[key] + value
                 )
         return dict(changed)
 
     def insertions(self) -> list[dict[str, Any]]:
-        """What specifications inserted, in order."""
+        """Return the insertions of specifications, in order."""
         return self._list("GET", "/specifications")
 
     def current_specification(self) -> str:
-        """The running configuration as an XML text."""
+        """Return the running configuration as an XML text."""
         return self._send("GET", "/specifications/current").text
 
     def load_ontology(
         self, text: str, name: str | None = None, media_type: str = TURTLE
     ) -> dict[str, Any]:
-        """Add or replace a domain ontology; without ``name`` it is the text's one owl:Ontology.
-
-        ``media_type`` is that of Turtle, RDF/XML, JSON-LD or N-Triples.
-        """
+        """Add or replace a domain ontology; its default ``name`` is the IRI of the text's one
+        owl:Ontology. ``media_type``: Turtle, RDF/XML, JSON-LD or N-Triples."""
         parameters = {} if name is None else {"name": name}
         headers = {"Content-Type": media_type}
         return self._object("POST", "/ontologies", content=text, headers=headers, params=parameters)
 
     def ontologies(self) -> list[str]:
-        """The names of the loaded ontologies."""
-        found: list[str] = self._send("GET", "/ontologies").json()
-        return found
+        """Return the names of the loaded ontologies."""
+        names: list[str] = self._send("GET", "/ontologies").json()
+        return names
 
     def ontology_report(self) -> dict[str, Any]:
-        """Whether the stream space is well-formed: ``conforms``, and the ``violations``."""
+        """Validate the stream space: ``conforms``, and the ``violations``."""
         return self._object("GET", "/ontologies/report")
 
     def register_template(self, text: str, *, replace: str | None = None) -> dict[str, Any]:
-        """Register an event template; ``replace`` names the one that it takes the place of."""
+        """Register an event template; ``replace`` is the name of one to replace."""
         headers = {"Content-Type": TEXT}
         if replace is None:
             return self._object("POST", "/templates", content=text, headers=headers)
         return self._object("PUT", f"/templates/{_part(replace)}", content=text, headers=headers)
 
     def templates(self) -> list[dict[str, Any]]:
-        """All templates."""
+        """Return all templates."""
         return self._list("GET", "/templates")
 
     def template(self, name: str) -> dict[str, Any]:
-        """One template, by local name or IRI."""
+        """Return one template, by local name or IRI."""
         return self._object("GET", f"/templates/{_part(name)}")
 
     def remove_template(self, name: str) -> None:
@@ -417,11 +420,11 @@ class Client(Connection):
     ) -> dict[str, Any]:
         """Request an event: ``Event(arguments)`` as one text, or its name and arguments.
 
-        ``since`` "start" begins with what the streams keep of their past, a time (ISO-8601 or ns)
-        with what was available then or later, a duration such as "30s" so long before the newest
-        sample of all streams that are read. 410 where some of that is forgotten. Others may have
-        asked before: the answer's ``position``, as ``since`` of `events`, leaves out what came
-        until now.
+        ``since``: "start" begins with the whole histories of the streams, a time (ISO-8601 or ns)
+        with the samples available from then on, a duration such as "30s" that long before the
+        newest sample of all streams that are read. 410: a stream no longer has all of these.
+        Earlier requests may share the stream: `events` with the result's ``position`` as ``since``
+        skips their samples.
         """
         if arguments is None:
             headers = {"Content-Type": TEXT}
@@ -434,15 +437,15 @@ class Client(Connection):
         return self._object("POST", "/events", json=body)
 
     def requests(self) -> list[dict[str, Any]]:
-        """The event requests that run."""
+        """Return the running and the waiting event requests."""
         return self._list("GET", "/events")
 
     def request(self, id: str) -> dict[str, Any]:
-        """One event request that runs."""
+        """Return one event request."""
         return self._object("GET", f"/events/{_part(id)}")
 
     def cancel_event(self, id: str) -> None:
-        """Give an event request up."""
+        """Cancel an event request."""
         self._send("DELETE", f"/events/{_part(id)}")
 
     def register_query(
@@ -456,26 +459,26 @@ class Client(Connection):
         strategy: str = "fast",
         since: str = "now",
     ) -> dict[str, Any]:
-        """Register a continuous query (``REGISTER STREAM|QUERY …``); its samples are `events` of
-        the answer's ``stream``, its windows `query_results`. The same again is shared. For
+        """Register a continuous query (``REGISTER STREAM|QUERY …``). `events` of the result's
+        ``stream`` yields its samples, `query_results` its windows. Equal queries are shared. For
         ``since`` see `request_event`."""
-        given = {"semantics": semantics, "bounds": bounds, "origin": origin, "report": report}
-        given |= {"strategy": strategy, "since": since}
-        parameters = {key: value for key, value in given.items() if value is not None}
+        options = {"semantics": semantics, "bounds": bounds, "origin": origin, "report": report}
+        options |= {"strategy": strategy, "since": since}
+        parameters = {key: value for key, value in options.items() if value is not None}
         headers = {"Content-Type": SPARQL_QUERY}
         return self._object("POST", "/queries", content=text, headers=headers, params=parameters)
 
     def queries(self) -> list[dict[str, Any]]:
-        """The registered queries."""
+        """Return the registered queries."""
         return self._list("GET", "/queries")
 
     def query(self, name: str, *, explain: bool = False) -> dict[str, Any]:
-        """One registered query; with ``explain`` each stage of it as ``explanation``."""
+        """Return one registered query; with ``explain`` its stages as ``explanation``."""
         parameters = {"explain": "true"} if explain else {}
         return self._object("GET", f"/queries/{_part(name)}", params=parameters)
 
     def remove_query(self, name: str) -> None:
-        """Give a registered query up."""
+        """Remove one registration of a query."""
         self._send("DELETE", f"/queries/{_part(name)}")
 
     def query_results(
@@ -486,20 +489,17 @@ class Client(Connection):
         end: str | int | None = None,
         limit: int | None = None,
     ) -> dict[str, Any] | str:
-        """The result of the last window: SPARQL JSON for SELECT and ASK, Turtle for CONSTRUCT. Or
-        those of the kept windows that end from ``start`` to ``end``, the newest ``limit``."""
+        """Return the result of the last window: SPARQL JSON for SELECT and ASK, Turtle for
+        CONSTRUCT. Or those of the kept windows that end from ``start`` to ``end``, the newest
+        ``limit``."""
         accept = f"{SPARQL_JSON}, {TURTLE};q=0.9"
-        answer = self._query_results(name, accept, start, end, limit)
-        if answer.headers["content-type"].startswith(SPARQL_JSON):
-            found: dict[str, Any] = answer.json()
-            return found
-        return answer.text
+        return _json_or_text(self._query_results(name, accept, start, end, limit))
 
     def query_results_text(self, name: str, media_type: str = CSV, **arguments: Any) -> str:
-        """The same as text: ``text/csv``, ``text/tab-separated-values``,
+        """Return the same as text: ``text/csv``, ``text/tab-separated-values``,
         ``application/sparql-results+xml``, ``application/n-triples``, ``application/ld+json``."""
-        wanted = [arguments.get(key) for key in ("start", "end", "limit")]
-        return self._query_results(name, media_type, *wanted).text
+        window_range = [arguments.get(key) for key in ("start", "end", "limit")]
+        return self._query_results(name, media_type, *window_range).text
 
     def match(
         self,
@@ -509,23 +509,15 @@ class Client(Connection):
         objects: Sequence[str] = (),
         strategy: str = "fast",
     ) -> dict[str, Any]:
-        """How a feature could be had; nothing is started."""
+        """Find a plan for a feature; nothing starts."""
         body = {"feature": feature, "sort": sort, "objects": list(objects), "strategy": strategy}
         return self._object("POST", "/match", json=body)
 
     def sparql(self, query: str) -> dict[str, Any] | str:
-        """A SPARQL query's answer: SPARQL JSON for SELECT and ASK, Turtle for graphs."""
+        """Return a SPARQL query's answer: SPARQL JSON for SELECT and ASK, Turtle for graphs."""
         accept = f"{SPARQL_JSON}, {TURTLE};q=0.9"
-        answer = self._send(
-            "POST",
-            "/sparql",
-            content=query,
-            headers={"Content-Type": SPARQL_QUERY, "Accept": accept},
-        )
-        if answer.headers["content-type"].startswith(SPARQL_JSON):
-            found: dict[str, Any] = answer.json()
-            return found
-        return answer.text
+        headers = {"Content-Type": SPARQL_QUERY, "Accept": accept}
+        return _json_or_text(self._send("POST", "/sparql", content=query, headers=headers))
 
     def explain(
         self,
@@ -536,21 +528,21 @@ class Client(Connection):
         id: str | None = None,
         feature: str | None = None,
     ) -> str:
-        """Every stage of exactly one of these, as text."""
-        given = {"event": event, "template": template, "query": query, "id": id}
-        given["feature"] = feature
-        parameters = {key: value for key, value in given.items() if value is not None}
+        """Return the stages of exactly one of these, as text."""
+        things = {"event": event, "template": template, "query": query, "id": id}
+        things["feature"] = feature
+        parameters = {key: value for key, value in things.items() if value is not None}
         return self._send("GET", "/explain", params=parameters, headers={"Accept": TEXT}).text
 
     def status(self) -> dict[str, Any]:
-        """The service at a glance."""
+        """Return an overview of the service."""
         return self._object("GET", "/status")
 
     def rdf(self, stream: str, *, limit: int | None = None) -> str:
-        """The kept samples as N-Triples, by the stream's annotation."""
+        """Return the history as N-Triples, by the stream's annotation."""
         return self._history(stream, NTRIPLES, {"limit": limit}).text
 
-    # -- within
+    # -- helpers
 
     def _query_results(
         self,
@@ -560,29 +552,36 @@ class Client(Connection):
         end: str | int | None,
         limit: int | None,
     ) -> httpx.Response:
-        given = {"from": start, "to": end, "limit": limit}
-        parameters = {key: value for key, value in given.items() if value is not None}
+        bounds = {"from": start, "to": end, "limit": limit}
+        parameters = {key: value for key, value in bounds.items() if value is not None}
         path = f"/queries/{_part(name)}/results"
         return self._send("GET", path, params=parameters, headers={"Accept": accept})
 
     def _history(
-        self, stream: str, kind: str, given: Mapping[str, str | int | None]
+        self, stream: str, kind: str, arguments: Mapping[str, str | int | None]
     ) -> httpx.Response:
-        unknown = given.keys() - _QUESTIONS
+        unknown = arguments.keys() - _HISTORY_PARAMETERS
         if unknown:
-            raise TypeError(f"no question about a history: {', '.join(sorted(unknown))}")
+            raise TypeError(f"unknown parameters of a history: {', '.join(sorted(unknown))}")
         names = {"start": "from", "end": "to"}
         parameters = {
-            names.get(key, key): value for key, value in given.items() if value is not None
+            names.get(key, key): value for key, value in arguments.items() if value is not None
         }
         path = f"/streams/{_part(stream)}/samples"
         return self._send("GET", path, params=parameters, headers={"Accept": kind})
 
 
-_QUESTIONS: Final = frozenset(
+_HISTORY_PARAMETERS: Final = frozenset(
     {"start", "end", "valid_from", "valid_to", "limit"}
     | {"at", "before", "prev", "last_avail", "known"}
 )
+
+
+def _json_or_text(response: httpx.Response) -> dict[str, Any] | str:
+    if response.headers["content-type"].startswith(SPARQL_JSON):
+        results: dict[str, Any] = response.json()
+        return results
+    return response.text
 
 
 def _part(name: str) -> str:
@@ -590,7 +589,7 @@ def _part(name: str) -> str:
 
 
 def _accepted(stream: str, answer: Mapping[str, Any]) -> int:
-    """How many samples an answer counts; warns of those that were rounded."""
+    """Return the number of samples in a response; warn of rounded ones."""
     if rounded := answer.get("rounded"):
         warnings.warn(
             f"{stream}: the service rounded {rounded['count']} numbers to the nearest double, "
@@ -602,10 +601,10 @@ def _accepted(stream: str, answer: Mapping[str, Any]) -> int:
 
 
 def _ndjson(samples: Iterable[Mapping[str, Any]] | SampleBatch | bytes, stamp: bool) -> bytes:
-    """Rows, a batch or lines, as lines; ``stamp`` leaves a batch's available times out."""
+    """Encode rows, a batch or lines as NDJSON; ``stamp`` omits a batch's available times."""
     if isinstance(samples, bytes):
         return samples
-    # Rows in a list are no batch, and need neither numpy nor what encodes its columns.
+    # A list has rows: skip the imports of numpy and the encoder of columns.
     if not isinstance(samples, list | tuple):
         from ...converters.ndjson import encode_ndjson
         from ...streams.sample import SampleBatch
@@ -616,7 +615,7 @@ def _ndjson(samples: Iterable[Mapping[str, Any]] | SampleBatch | bytes, stamp: b
                 return body
             rows = msgspec.json.Decoder(dict[str, Any]).decode_lines(body)
             return msgspec.json.Encoder().encode_lines([_unstamped(row) for row in rows])
-    # json, not msgspec: it writes NaN as NaN, for the service to refuse, not as null.
+    # json, not msgspec: it writes NaN as NaN, which the service refuses; msgspec writes null.
     return "\n".join(json.dumps(row) for row in samples).encode()
 
 

@@ -1,4 +1,4 @@
-"""Connections to the service: refusals, retries, event streams. `Client` adds the verbs."""
+"""Connections to the service: errors, retries, event streams. `Client` adds the routes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..config.media_types import JSON, POSITION
 RETRY_FIRST = 0.2
 RETRY_LONGEST = 5.0
 SILENCE = 60.0
-"""Seconds without a byte, not even a ping, after which an event stream is taken for dead."""
+"""Seconds without a byte, not even a ping, after which an event stream counts as broken."""
 
-_SAID_AGAIN = ("unknown ", "no such route", "method not allowed", "empty body")
-"""How titles begin whose problems say the same in their details: "there is no stream 'x'"."""
+_REDUNDANT_TITLES = ("unknown ", "no such route", "method not allowed", "empty body")
+"""Beginnings of titles that a problem's detail repeats: "there is no stream 'x'"."""
 
 
 class ServiceError(Exception):
-    """A refusal of the service: what is wrong, where, and what to do next."""
+    """An error response of the service: what happened, where, and what to do next."""
 
     def __init__(
         self,
@@ -49,12 +49,12 @@ class ServiceError(Exception):
         self.column = column
         self.excerpt = excerpt
         self.problem = dict(problem or {})
-        """The whole problem as it came."""
+        """The whole problem document."""
 
     @property
     def _kind(self) -> str:
-        """The title, where the detail does not say it."""
-        return "" if self.title.startswith(_SAID_AGAIN) else f"{self.title}: "
+        """The title, unless the detail repeats it."""
+        return "" if self.title.startswith(_REDUNDANT_TITLES) else f"{self.title}: "
 
     def __str__(self) -> str:
         place = ""
@@ -86,21 +86,21 @@ class Event:
     @property
     def values(self) -> Mapping[str, Any]:
         """The named values of a sample."""
-        found: Mapping[str, Any] = self.data.get("values", {})
-        return found
+        values: Mapping[str, Any] = self.data.get("values", {})
+        return values
 
     @property
     def rdf(self) -> str:
-        """A sample as N-Triples."""
+        """The sample as N-Triples."""
         return str(self.data.get("rdf", ""))
 
 
 class Connection:
-    """One HTTP connection pool to a service. Not for several threads at once.
+    """One HTTP connection pool to a service. Not thread-safe.
 
-    ``token`` says who asks, where the service wants to know; without it that of the environment
-    variable ``DYKNOW_TOKEN``. ``transport`` and ``sleep`` are for tests. Every method raises
-    `ServiceError` for a refusal and ``httpx.TransportError`` when there is no service at ``url``.
+    ``token`` authenticates the caller; its default is the environment variable ``DYKNOW_TOKEN``.
+    ``transport`` and ``sleep`` are for tests. Every method raises `ServiceError` for an error
+    response and ``httpx.TransportError`` if no service responds at ``url``.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Connection:
         self._sleep = sleep
         self._timeout = timeout
         token = os.environ.get(TOKEN, "") if token is None else token
-        # An address on this machine is not reached through a proxy of the environment.
+        # trust_env=False: a proxy from the environment cannot reach an address on this machine.
         self._http = httpx.Client(
             base_url=self.url,
             headers={"Authorization": f"Bearer {token.strip()}"} if token else {},
@@ -143,10 +143,10 @@ class Connection:
     def _follow(
         self, path: str, since: str | None, resume: bool, streams: Sequence[str] = ()
     ) -> Iterator[Event]:
-        """The events of ``path``, until its end; of several ``streams`` until the last one's."""
+        """Yield the events of ``path`` until its end; of several ``streams`` until the last end."""
         last: str | None = None
-        # The switches since the last sample: the service tells them again when a client resumes.
-        told: list[Event] = []
+        # The switches since the last sample: the service sends them again after a reconnection.
+        switches: list[Event] = []
         ended: set[str] = set()
         wait = RETRY_FIRST
         timeout = httpx.Timeout(self._timeout, read=SILENCE)
@@ -160,25 +160,25 @@ class Connection:
             try:
                 with self._http.stream(
                     "GET", path, headers=headers, params=parameters, timeout=timeout
-                ) as answer:
-                    if answer.status_code >= 500 and last is not None and resume:
+                ) as response:
+                    if response.status_code >= 500 and last is not None and resume:
                         raise httpx.RemoteProtocolError("the service is not ready")
-                    _check(answer)
-                    # Known before the first sample: nothing is lost if the connection breaks.
-                    last = last or answer.headers.get(POSITION)
-                    for message in EventSource(answer).iter_sse():
+                    _check(response)
+                    # The start's id: a connection that breaks before the first sample loses none.
+                    last = last or response.headers.get(POSITION)
+                    for message in EventSource(response).iter_sse():
                         if not message.data:
                             continue
                         wait = RETRY_FIRST
                         event = _event(message)
                         if event.kind == "sample":
                             last = event.id
-                            told.clear()
+                            switches.clear()
                             ended.discard(str(event.data.get("stream")))
                         elif event.kind == "rematched":
-                            if event in told:
+                            if event in switches:
                                 continue
-                            told.append(event)
+                            switches.append(event)
                         yield event
                         if event.kind == "end":
                             ended.add(str(event.data.get("stream")))
@@ -187,14 +187,14 @@ class Connection:
                 if not resume:
                     return
             except httpx.TransportError:
-                # The first connection must succeed: a wrong address is no broken connection.
+                # The first connection must succeed: retries cannot mend a wrong address.
                 if not resume or last is None:
                     raise
             self._sleep(wait)
             wait = min(wait * 2, RETRY_LONGEST)
 
-    def _again(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        """Send until the service has room; a connection that broke is tried once more."""
+    def _send_until_room(self, method: str, path: str, **arguments: Any) -> httpx.Response:
+        """Send, and repeat while the service is full (429), and once after a broken connection."""
         broken = False
         while True:
             try:
@@ -209,39 +209,40 @@ class Connection:
                 broken = True
 
     def _send(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        answer = self._http.request(method, path, **arguments)
-        _check(answer)
-        return answer
+        response = self._http.request(method, path, **arguments)
+        _check(response)
+        return response
 
     def _object(self, method: str, path: str, **arguments: Any) -> dict[str, Any]:
-        found: dict[str, Any] = self._send(method, path, **arguments).json()
-        return found
+        value: dict[str, Any] = self._send(method, path, **arguments).json()
+        return value
 
     def _list(self, method: str, path: str, **arguments: Any) -> list[dict[str, Any]]:
         headers = {"Accept": JSON, **arguments.pop("headers", {})}
-        found: list[dict[str, Any]] = self._send(method, path, headers=headers, **arguments).json()
-        return found
+        items: list[dict[str, Any]] = self._send(method, path, headers=headers, **arguments).json()
+        return items
 
 
 def _event(message: ServerSentEvent) -> Event:
     return Event(message.event, message.id, msgspec.json.decode(message.data))
 
 
-def _check(answer: httpx.Response) -> None:
-    if answer.is_success:
+def _check(response: httpx.Response) -> None:
+    """Raises `ServiceError` for an error response."""
+    if response.is_success:
         return
-    answer.read()
+    response.read()
     try:
-        problem = answer.json()
+        problem = response.json()
     except ValueError:
         problem = {}
     if not isinstance(problem, dict) or "title" not in problem:
-        # Not ours: a proxy, or another service at this address.
-        problem = {"title": answer.reason_phrase or "error", "detail": answer.text[:500]}
-    if "retry-after" in answer.headers:
-        problem["retry_after"] = answer.headers["retry-after"]
+        # The response of a proxy, or of another service at this address.
+        problem = {"title": response.reason_phrase or "error", "detail": response.text[:500]}
+    if "retry-after" in response.headers:
+        problem["retry_after"] = response.headers["retry-after"]
     raise ServiceError(
-        answer.status_code,
+        response.status_code,
         str(problem["title"]),
         str(problem.get("detail", "")),
         hint=str(problem.get("hint", "")),

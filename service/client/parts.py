@@ -1,5 +1,5 @@
-"""What is longer than one request may be, in parts: what the client sends one after the other
-(config/text_bounds has the bounds, and docs/explanation/isolation.md why there are any)."""
+"""Splits long texts into parts that each fit a request, and sends them in order
+(config/text_bounds has the bounds, docs/explanation/isolation.md their reasons)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .connection import ServiceError
 
 T = TypeVar("T")
 SHORT: Final = 1024
-"""Characters of a text that is within all bounds, whatever it says: a declaration takes more than
-eight, a unit in XML fourteen."""
+"""Characters of a text that is within all bounds: a declaration takes more than eight, a unit in
+XML fourteen. Shorter texts need no import of the parsers."""
 
 
 def ssl_parts(text: str) -> list[str]:
-    """An SSL text."""
+    """Split an SSL text."""
     if len(text) <= SHORT:
         return [text]
     from . import text_parts
@@ -26,7 +26,7 @@ def ssl_parts(text: str) -> list[str]:
 
 
 def kpl_parts(text: str) -> list[str]:
-    """A KPL text."""
+    """Split a KPL text."""
     if len(text) <= SHORT:
         return [text]
     from . import text_parts
@@ -35,7 +35,7 @@ def kpl_parts(text: str) -> list[str]:
 
 
 def specification_parts(text: str | bytes) -> Sequence[str | bytes]:
-    """A specification in XML."""
+    """Split a specification in XML."""
     if len(text) <= SHORT:
         return [text]
     from . import text_parts
@@ -46,7 +46,7 @@ def specification_parts(text: str | bytes) -> Sequence[str | bytes]:
 def description_parts(
     streams: Mapping[str, Any] | Sequence[Mapping[str, Any]],
 ) -> list[Mapping[str, Any] | list[Mapping[str, Any]]]:
-    """Descriptions of streams, to be sent as JSON."""
+    """Split descriptions of streams, to be sent as JSON."""
     if isinstance(streams, Mapping):
         return [streams]
     parts: list[Mapping[str, Any] | list[Mapping[str, Any]]] = []
@@ -62,9 +62,9 @@ def description_parts(
     return [*parts, part]
 
 
-def sent(parts: Sequence[T], send: Callable[[T], Any]) -> Iterator[Any]:
-    """What the service answers to each part. Raises `ServiceError`, which says what has been done
-    already: each part is taken whole or refused whole, all of them are not."""
+def send_parts(parts: Sequence[T], send: Callable[[T], Any]) -> Iterator[Any]:
+    """Yield the response to each part. Raises `ServiceError` with the number of parts that took
+    effect before the failed one: parts are atomic, their sequence is not."""
     for number, part in enumerate(parts):
         try:
             yield send(part)
@@ -75,12 +75,12 @@ def sent(parts: Sequence[T], send: Callable[[T], Any]) -> Iterator[Any]:
 
 
 def _of_part(error: ServiceError, done: int, count: int) -> ServiceError:
-    before = f"{done} before it are done" if done else "nothing is done"
+    before = f"{done} before it took effect" if done else "nothing took effect"
     hint = f"{error.hint}; " if error.hint else ""
     problem = {
         **error.problem,
         "detail": f"part {done + 1} of {count}, {before}: {error.args[0]}",
-        "hint": f"{hint}send all of it again when it is right: what is there stays as it is",
+        "hint": f"{hint}correct the text, and send all of it again: equal declarations stay",
     }
     return ServiceError(
         error.status,
@@ -94,6 +94,6 @@ def _of_part(error: ServiceError, done: int, count: int) -> ServiceError:
     )
 
 
-def joined(answers: Iterator[list[T]]) -> list[T]:
-    """The lists that came of parts, as one."""
-    return list(chain.from_iterable(answers))
+def joined(responses: Iterator[list[T]]) -> list[T]:
+    """Concatenate the lists of several responses."""
+    return list(chain.from_iterable(responses))

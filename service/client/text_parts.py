@@ -1,8 +1,7 @@
-"""Long texts in parts, cut where their languages allow (config/text_bounds has the bounds).
+"""Splits long texts where their languages allow (config/text_bounds has the bounds).
 
-A text that fits is one part, as it is, and so is one that cannot be read or divided: the service
-says what is wrong with it. Called by `parts`, for texts that may be too long only: what is here
-imports the parsers.
+A text that fits is one part. So is a malformed text, or one that cannot be split: the service then
+reports the error. `parts` calls this for long texts only, since it imports the parsers.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ BOUNDS: Final = Bounds(MOST_PARTS, MOST_ELEMENTS, LONGEST)
 
 
 def ssl_parts(text: str) -> list[str]:
-    """An SSL text."""
+    """Split an SSL text."""
     try:
         return _cut(text, [one.span for one in parse_ssl(text)], "")
     except LanguageError:
@@ -36,30 +35,31 @@ def ssl_parts(text: str) -> list[str]:
 
 
 def kpl_parts(text: str) -> list[str]:
-    """A KPL text; each part says what integers are, if the text does."""
+    """Split a KPL text; each part repeats the text's unit of integers."""
     try:
-        found = parse_kpl(text)
+        specification = parse_kpl(text)
     except LanguageError:
         return [text]
-    spans = [one.span for one in found.declarations]
-    return _cut(text, spans, "" if found.unit is None else f"unit {found.unit.text}")
+    spans = [one.span for one in specification.declarations]
+    unit = specification.unit
+    return _cut(text, spans, "" if unit is None else f"unit {unit.text}")
 
 
 def specification_parts(text: str | bytes) -> Sequence[str | bytes]:
-    """A specification in XML."""
+    """Split a specification in XML."""
     try:
-        found = parse_specification(text)
+        specification = parse_specification(text)
     except LanguageError:
         return [text]
-    if is_within(found, text, BOUNDS):
+    if is_within(specification, text, BOUNDS):
         return [text]
-    return parts_of(found, BOUNDS) or [text]
+    return parts_of(specification, BOUNDS) or [text]
 
 
 def _cut(text: str, spans: Sequence[Span], head: str) -> list[str]:
-    """``text`` in parts of some declarations each, which stand where ``spans`` say. A part has the
-    ``head`` that the text had, and its lines have the numbers that they had there."""
-    # What stands before a declaration belongs to it, but for the head, which every part has.
+    """Split ``text`` into parts of some declarations each, whose places are ``spans``. Each part
+    begins with ``head``, and keeps the line numbers of the text for error messages."""
+    # The text between two declarations belongs to the first of them.
     starts = [0, *(span.start for span in spans[1:])] if spans else [0]
     ends = [*starts[1:], len(text)]
     parts: list[str] = []

@@ -1,1 +1,1 @@
-"""Commands are kept before they are answered; checkpoints and when they are due."""
+"""Executes commands, waits until the log has them on disk, and writes checkpoints."""

@@ -1,4 +1,4 @@
-"""When a checkpoint is written: after some time, some bytes of the log, or some work."""
+"""Decides when a checkpoint is due: after some time, some bytes of the log, or some work."""
 
 from __future__ import annotations
 
@@ -6,57 +6,59 @@ from typing import Final
 
 from ..config.settings import Settings
 
-_SHARE: Final = 20
-"""A checkpoint for so many times the time that it takes, of this process or of a copy."""
-_AGAIN: Final = 10.0
-"""Seconds after a checkpoint that failed until the next one is tried: each try costs as much as
-one that succeeds."""
+_WORK_PER_COST: Final = 20
+"""Work since the last checkpoint, as a multiple of that checkpoint's cost, before work alone makes
+another one due. Checkpoints then take at most 5 % of the time."""
+_RETRY_DELAY: Final = 10.0
+"""Seconds from a failed checkpoint to the next try: a failed one costs as much as a good one."""
 
 
-class CheckpointTimes:
-    """Of one log. Moments (s) are of the event loop's clock; ``written`` is the log's bytes."""
+class CheckpointPolicy:
+    """The policy for one log. Moments (s) are of the event loop's clock; ``written`` is the number
+    of the log's bytes."""
 
     def __init__(self) -> None:
-        self.worked = 0.0
-        """Seconds of work since the last checkpoint: about as long a start would take."""
-        self._written = 0
-        """Bytes of the log that the last one has."""
-        self._taken = 0
-        """And those of one that is on its way."""
-        self._spared = 0.0
-        """Seconds of work that it spares a start."""
+        self.work_seconds = 0.0
+        """Seconds of work since the last snapshot. Replaying the log takes about as long."""
+        self._checkpointed_bytes = 0
+        """Bytes of the log that the last checkpoint covers."""
+        self._snapshot_bytes = 0
+        """Bytes of the log that the checkpoint under way covers."""
+        self._snapshot_work = 0.0
+        """Seconds of work that the checkpoint under way covers."""
         self._cost = 0.0
-        """Seconds that the last one took."""
-        self._begun: float | None = None
+        """Seconds that the last checkpoint took."""
+        self._last_due: float | None = None
         self._not_before = float("-inf")
 
     def is_due(self, now: float, written: int, settings: Settings) -> bool:
-        """Whether one is to be written now; the next one is not before it is time again."""
-        if self._begun is None:
-            self._begun = now
-        new = written - self._written
+        """Whether to write a checkpoint now. True restarts the interval."""
+        if self._last_due is None:
+            self._last_due = now
+        new = written - self._checkpointed_bytes
         is_due = (
-            (now - self._begun >= settings.checkpoint_interval and new > 0)
+            (now - self._last_due >= settings.checkpoint_interval and new > 0)
             or new >= settings.checkpoint_bytes
-            or self.worked >= max(settings.checkpoint_work, _SHARE * self._cost)
+            or self.work_seconds >= max(settings.checkpoint_work, _WORK_PER_COST * self._cost)
         )
         if is_due and now >= self._not_before:
-            self._begun = now
+            self._last_due = now
             return True
         return False
 
-    def taken(self, written: int) -> None:
-        """What there is was taken, of a log that has ``written`` bytes, and will be kept: work
-        counts from here."""
-        self._taken = written
-        self.worked, self._spared = 0.0, self.worked
+    def snapshot_taken(self, written: int) -> None:
+        """Count work from here: the checkpoint under way covers ``written`` bytes of the log."""
+        self._snapshot_bytes = written
+        self.work_seconds, self._snapshot_work = 0.0, self.work_seconds
 
-    def kept(self, cost: float) -> None:
-        """It is kept, and took ``cost`` s. What came meanwhile is not in it."""
-        self._written, self._spared, self._cost = self._taken, 0.0, cost
+    def checkpoint_written(self, cost: float) -> None:
+        """The checkpoint under way is on disk, after ``cost`` s. It does not cover the commands
+        since its snapshot."""
+        self._checkpointed_bytes, self._snapshot_work = self._snapshot_bytes, 0.0
+        self._cost = cost
 
-    def failed(self, now: float) -> None:
-        """It could not be made, or not be kept: a start has all of the work to do."""
-        self.worked += self._spared
-        self._spared = 0.0
-        self._not_before = now + _AGAIN
+    def checkpoint_failed(self, now: float) -> None:
+        """Add the work of the failed checkpoint's snapshot back: a start must replay it."""
+        self.work_seconds += self._snapshot_work
+        self._snapshot_work = 0.0
+        self._not_before = now + _RETRY_DELAY

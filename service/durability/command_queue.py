@@ -1,13 +1,14 @@
-"""Doing commands, and waiting until they are kept: the service's way to change its engine.
+"""Executes commands, and waits until the log has them on disk: the only way to change the engine.
 
-    found = service.keeper.do(command)     # at once: the engine has done it
-    await service.keeper.kept()            # then it may be told: it survives
+    result = service.commands.do(command)     # the engine executes it at once
+    await service.commands.wait_durable()     # now the service may acknowledge it
 
-Windows of continuous queries that take long are closed a little at a time, after the command that
-made them due and between those that come next (`backlog_task`).
+A crash must not take back an acknowledged command or an event that a client has seen. `GatedOutput`
+therefore holds back the effects of commands until the log has synced them. Requests that wait at
+the same time share one write and sync. Without a data directory all of this costs nothing.
 
-Requests that wait together share one write and sync of the log. What came of commands that are not
-kept yet is shown to nobody: `Audience`. Without a data directory all of this costs nothing.
+`backlog_task` closes slow windows in parts, after the command that made them due and between later
+commands.
 """
 
 from __future__ import annotations
@@ -34,44 +35,44 @@ from ..admission.memory_limit import Memory
 from ..config.logs import log
 from ..config.settings import Settings
 from ..turns.backlog_task import BacklogTask
-from .checkpoint_policy import CheckpointTimes
-from .failure_log import Failures
-from .fork_snapshot import CAN, SnapshotError, Snapshots
-from .journal_metrics import JournalTimes
+from .checkpoint_policy import CheckpointPolicy
+from .failure_log import FailureLog
+from .fork_snapshot import IS_SUPPORTED, SnapshotError, Snapshots
+from .journal_metrics import JournalMetrics
 
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
 ENGINE = "engine"
 SOURCES = "sources"
-_WAITING = 4 << 20
-"""So many bytes may wait to be kept."""
-_LATEST = 1.0
-"""Seconds until what nobody waits for is kept."""
-_DISK = 1.0
-"""Seconds in which a disk tells how full it is."""
+_MOST_UNCOMMITTED = 4 << 20
+"""Bytes that may wait for a commit before live bodies wait too."""
+_COMMIT_INTERVAL = 1.0
+"""Seconds until a commit of commands that no request waits for."""
+_DISK_TIMEOUT = 1.0
+"""Seconds in which a disk must report its free space: a network disk may hang."""
 
 
-class Audience(Protocol):
-    """Those who look on from outside, and see only what is kept."""
+class GatedOutput(Protocol):
+    """Output to clients that is released when its commands are durable (`Feeds`)."""
 
-    def mark(self) -> object:
-        """What there is to be seen now."""
+    def take_pending(self) -> object:
+        """Return the pending output. A later `release` or `requeue` gets it."""
 
-    def show(self, mark: Any) -> None:
-        """Let them see what there was at ``mark``."""
+    def release(self, pending: Any) -> None:
+        """Show ``pending`` to clients: its commands are durable."""
 
-    def keep_unseen(self, mark: Any) -> None:
-        """What there was at ``mark`` is not kept yet."""
+    def requeue(self, pending: Any) -> None:
+        """Make ``pending`` pending again: the commit failed."""
 
     @property
-    def has_news(self) -> bool:
-        """Whether there is more to be seen than is shown."""
+    def has_pending(self) -> bool:
+        """Whether there is output that clients do not see yet."""
 
 
-class Keeper:
-    """Does the commands of the service, one at a time, in the thread of its event loop.
+class CommandQueue:
+    """Executes the commands of the service, one at a time, in the event loop's thread.
 
-    ``troubles``: why it keeps nothing at present, for people, by what fails; empty: all is well.
+    ``troubles``: reasons for users why the queue does not work, by the failing part.
     """
 
     def __init__(
@@ -81,70 +82,72 @@ class Keeper:
         troubles: dict[str, str],
         memory: Memory | None = None,
     ) -> None:
-        """Without ``memory`` there is no limit to it."""
+        """Without ``memory`` there is no memory limit."""
         self._engine = engine
         self._recorded = recorded
-        self._backlog = BacklogTask(engine, self._work_backlog, self.hasten, self._fault)
+        self._backlog = BacklogTask(
+            engine, self._work_backlog, self.start_commit, self._backlog_failed
+        )
         self._memory = memory or Memory()
         self._troubles = troubles
-        self._failures = Failures()
-        self._audience: Audience | None = None
+        self._failures = FailureLog()
+        self._output: GatedOutput | None = None
         self._commit: asyncio.Task[None] | None = None
-        self._hastening: set[asyncio.Task[None]] = set()
-        self._thread = ThreadPoolExecutor(1, "dyknow-journal")
-        self._looking = anyio.CapacityLimiter(1)
-        self._checkpoints = CheckpointTimes()
-        self._checkpointing: asyncio.Task[None] | None = None
+        self._commit_tasks: set[asyncio.Task[None]] = set()
+        self._journal_thread = ThreadPoolExecutor(1, "dyknow-journal")
+        self._disk_limiter = anyio.CapacityLimiter(1)
+        self._checkpoints = CheckpointPolicy()
+        self._checkpoint_task: asyncio.Task[None] | None = None
         self._snapshots = Snapshots()
-        self._aside = CAN
-        """Whether checkpoints are made by a copy of the process."""
-        self._putting = ThreadPoolExecutor(1, "dyknow-checkpoints")
-        self._kept_bytes = 0
-        """Bytes of the log at the last commit."""
-        self._tended = float("-inf")
-        self._unkept: set[Unkept] = set()
-        """Processes of which was told that what they remember is not in checkpoints."""
-        self.times = JournalTimes()
-        """What writing takes."""
+        self._uses_fork = IS_SUPPORTED
+        """Whether a fork of the process writes checkpoints."""
+        self._checkpoint_thread = ThreadPoolExecutor(1, "dyknow-checkpoints")
+        self._committed_bytes = 0
+        """Bytes of the log that the last commit covers."""
+        self._last_commit = float("-inf")
+        self._unsaved: set[Unkept] = set()
+        """User-written processes whose state checkpoints lack, and that were reported."""
+        self.metrics = JournalMetrics()
 
     @property
     def is_recording(self) -> bool:
-        """Whether anything is kept."""
+        """Whether there is a data directory."""
         return self._recorded is not None
 
     @property
-    def is_kept(self) -> bool:
-        """Whether all that was done is kept."""
+    def is_durable(self) -> bool:
+        """Whether the log has all commands on disk."""
         recorded = self._recorded
         return recorded is None or recorded.log.durable == recorded.log.position
 
-    def not_started(self) -> tuple[Waiting, ...]:
-        """What an earlier run has accepted and cannot be done at present, oldest first."""
+    def deferred(self) -> tuple[Waiting, ...]:
+        """Return accepted commands of earlier runs that cannot be executed now, oldest first."""
         return () if self._recorded is None else self._recorded.waiting()
 
-    def waits(self, kind: str) -> dict[str, Waiting]:
-        """The same of one kind, by the id or name under which people give it up."""
-        return {each.key.name: each for each in self.not_started() if each.key.kind == kind}
+    def deferred_by_name(self, kind: str) -> dict[str, Waiting]:
+        """Return the deferred commands of one kind, by the id or name that removes them."""
+        return {each.key.name: each for each in self.deferred() if each.key.kind == kind}
 
-    def show_to(self, audience: Audience) -> None:
-        """Whom to show what is kept."""
-        self._audience = audience
+    def gate(self, output: GatedOutput) -> None:
+        """Release ``output`` with each commit."""
+        self._output = output
 
-    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
-        """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
+    def do(self, command: Command, prepared: ReadAlready | None = None) -> Any:
+        """Execute ``command`` (`RecordedEngine.do`), and close windows that it makes due for a
+        moment."""
         self._backlog.before(command)
-        found = self._done(command, known)
+        result = self._execute(command, prepared)
         self._backlog.after_command()
-        return found
+        return result
 
-    def _done(self, command: Command, known: ReadAlready | None) -> Any:
+    def _execute(self, command: Command, prepared: ReadAlready | None) -> Any:
         if self._recorded is None:
-            return done(self._engine, command, known)
+            return done(self._engine, command, prepared)
         with self._recording():
-            return self._recorded.do(command, known)
+            return self._recorded.do(command, prepared)
 
     def _work_backlog(self, *, new: bool = False, begins: bool = True) -> None:
-        """See `backlog_task.Work`."""
+        """Implement `backlog_task.Work`."""
         if self._recorded is None:
             self._engine.work_backlog(new=new, begins=begins)
             return
@@ -153,7 +156,7 @@ class Keeper:
 
     @contextmanager
     def _recording(self) -> Iterator[None]:
-        """Something is done that is written down: what goes wrong is told."""
+        """Measure recorded work, and report its failures in ``troubles``."""
         assert self._recorded is not None
         begun = time.monotonic()
         try:
@@ -162,33 +165,32 @@ class Keeper:
             self._fail(JOURNAL, error)
             raise
         finally:
-            self._checkpoints.worked += time.monotonic() - begun
+            self._checkpoints.work_seconds += time.monotonic() - begun
             if self._recorded.failure is not None:
                 self._troubles[ENGINE] = self._recorded.failure
-            self._note(SOURCES, self._recorded.unread)
+            self._set_trouble(SOURCES, self._recorded.unread)
 
-    def _fault(self, error: Exception) -> None:
-        """Closing windows does not work: nothing is as it should be."""
+    def _backlog_failed(self, error: Exception) -> None:
+        """Report an error in the program: from now on the engine's state may be wrong."""
         self._troubles[ENGINE] = f"{type(error).__name__}: {error}"
         log().error("closing windows failed", exc_info=error)
 
     async def windows_closed(self) -> None:
-        """Return when no window is half done: before what changes more than streams."""
-        # No window is told of before there is room.
+        """Return when no window is half done, before a command that changes more than streams."""
+        # The log records closed windows, so none can close while it takes no records.
         await self._backlog.windows_closed(lambda: JOURNAL in self._troubles)
 
     async def caught_up(self, stream: str) -> None:
-        """Return when nobody who reads ``stream`` is behind, or a moment has passed."""
+        """Return when the readers of ``stream`` have caught up, or after two seconds."""
         await self._backlog.caught_up(stream)
 
     def is_overloaded(self, stream: str) -> bool:
-        """Whether more samples for ``stream`` have to wait until the queries that read it have
-        caught up."""
+        """Whether publishers of ``stream`` have to wait until its readers have caught up."""
         return self._backlog.is_overloaded(stream)
 
     def check_room(self, size: int) -> None:
-        """Before so many bytes are looked at: there is memory for more, and they can be kept.
-        Raises a 503 `Problem`, and `JournalError`."""
+        """Check that there is memory, and room in the log, for a body of ``size`` bytes. Raises a
+        503 `Problem`, and `JournalError`."""
         self._memory.check()
         if self._recorded is None:
             return
@@ -199,205 +201,212 @@ class Keeper:
             raise
 
     @property
-    def is_behind(self) -> bool:
-        """Whether so much waits to be kept that who brings more should wait, too."""
+    def is_full(self) -> bool:
+        """Whether live bodies should wait for a commit before they bring more (back-pressure)."""
         recorded = self._recorded
-        return recorded is not None and recorded.log.written - self._kept_bytes > _WAITING
+        return (
+            recorded is not None
+            and recorded.log.written - self._committed_bytes > _MOST_UNCOMMITTED
+        )
 
     @property
-    def waiting(self) -> tuple[int, int]:
-        """How many commands, and bytes of them, are done and wait to be kept."""
+    def uncommitted(self) -> tuple[int, int]:
+        """The number and the bytes of executed commands that wait for a commit."""
         recorded = self._recorded
         if recorded is None:
             return 0, 0
         log_ = recorded.log
-        return log_.position - log_.durable, log_.written - self._kept_bytes
+        return log_.position - log_.durable, log_.written - self._committed_bytes
 
     @property
     def position(self) -> int:
-        """How many commands the log has taken since there is one."""
+        """The number of the last command in the log."""
         return 0 if self._recorded is None else self._recorded.log.position
 
-    async def kept(self) -> None:
-        """Return when all that is done by now is kept. Raises `JournalError`: then it may not be,
-        and the same sent again under its Idempotency-Key does no harm."""
+    async def wait_durable(self) -> None:
+        """Return when the log has all commands up to now on disk. After a `JournalError` that is
+        unknown; a client may safely repeat its request under the same Idempotency-Key."""
         if self._recorded is None:
             return
         log_ = self._recorded.log
         until = log_.position
         while log_.durable < until:
-            # One that has begun may have begun before the last of it was done.
-            await self._committed()
+            # A commit under way may have begun before the last command: then await the next one.
+            await self._join_commit()
 
-    def hasten(self) -> None:
-        """Begin to keep what is done, for those who look on: nobody waits for it."""
-        if not self.is_kept and self._commit is None:
-            task = asyncio.get_running_loop().create_task(self.settled(), context=Context())
-            self._hastening.add(task)
-            task.add_done_callback(self._hastening.discard)
+    def start_commit(self) -> None:
+        """Begin a commit without waiting for it, so that clients see new output soon."""
+        if not self.is_durable and self._commit is None:
+            task = asyncio.get_running_loop().create_task(self.try_commit(), context=Context())
+            self._commit_tasks.add(task)
+            task.add_done_callback(self._commit_tasks.discard)
 
-    async def settled(self) -> None:
-        """Return when what was done before is kept, or cannot be at present: that is in
-        `troubles`, and the next tick tries again."""
+    async def try_commit(self) -> None:
+        """Like `wait_durable`, but return also if the commit fails: ``troubles`` has the reason,
+        and the next tick tries again."""
         try:
-            await self.kept()
+            await self.wait_durable()
         except JournalError as error:
-            log().debug("not kept yet", reason=str(error))
+            log().debug("not durable yet", reason=str(error))
 
-    async def _committed(self) -> None:
+    async def _join_commit(self) -> None:
+        """Await the commit under way, or a new one."""
         if self._commit is None:
-            # It is nobody's request's alone, and the log is not to say so.
+            # Many requests share it: an empty context keeps the id of this one out of the log.
             self._commit = asyncio.get_running_loop().create_task(
                 self._commit_once(), context=Context()
             )
-            # Those who wait hear of an error; if they have gone, `troubles` tells it.
+            # Retrieve the error, or asyncio warns if all waiting requests were cancelled.
             self._commit.add_done_callback(lambda done: done.cancelled() or done.exception())
         await asyncio.shield(self._commit)
 
     async def _commit_once(self) -> None:
         assert self._recorded is not None
-        mark = None if self._audience is None else self._audience.mark()
+        output = self._output
+        pending = None if output is None else output.take_pending()
         size = self._recorded.log.written
         try:
-            await self._beside(self._commit_now)
+            await self._in_journal_thread(self._write_and_sync)
         except JournalError as error:
-            self.times.commit_failures.inc()
-            if self._audience is not None:
-                self._audience.keep_unseen(mark)
+            self.metrics.commit_failures.inc()
+            if output is not None:
+                output.requeue(pending)
             self._fail(JOURNAL, error)
             raise
         finally:
             self._commit = None
-        self.times.committed.inc(size - self._kept_bytes)
-        self._kept_bytes = size
+        self.metrics.written_bytes.inc(size - self._committed_bytes)
+        self._committed_bytes = size
         self._recover(JOURNAL)
-        if self._audience is not None:
-            self._audience.show(mark)
+        if output is not None:
+            output.release(pending)
 
-    def _commit_now(self) -> None:
-        """In the journal's own thread."""
+    def _write_and_sync(self) -> None:
+        """Commit the log, in the journal's own thread."""
         assert self._recorded is not None
         log_ = self._recorded.log
         before, begun = log_.durable, time.perf_counter()
         until = log_.commit()
-        self.times.commit(time.perf_counter() - begun, until - before)
+        self.metrics.observe_commit(time.perf_counter() - begun, until - before)
 
-    async def tend(self, settings: Settings) -> None:
-        """What is to be done now and then: keep what nobody waits for, if somebody is to see it or
-        a second has passed; write a checkpoint when it is time. Raises `JournalError`."""
+    async def maintain(self, settings: Settings) -> None:
+        """Commit if there is pending output or after `_COMMIT_INTERVAL`, and begin a checkpoint
+        when one is due. Each tick calls this. Raises `JournalError`."""
         recorded = self._recorded
         if recorded is None:
             return
         self._failures.review()
         now = asyncio.get_running_loop().time()
-        audience = self._audience
-        has_news = audience is not None and audience.has_news
-        if not self.is_kept and (has_news or now - self._tended >= _LATEST):
-            self._tended = now
-            await self.kept()
-        if self.is_kept and audience is not None and audience.has_news:
-            # What came after the last commit had begun, and is in it.
-            audience.show(audience.mark())
-        if self._checkpointing is None and self._checkpoints.is_due(
+        output = self._output
+        has_pending = output is not None and output.has_pending
+        if not self.is_durable and (has_pending or now - self._last_commit >= _COMMIT_INTERVAL):
+            self._last_commit = now
+            await self.wait_durable()
+        if self.is_durable and output is not None and output.has_pending:
+            # Output since `take_pending` of the last commit, of commands that it covers.
+            output.release(output.take_pending())
+        if self._checkpoint_task is None and self._checkpoints.is_due(
             now, recorded.log.written, settings
         ):
-            self._checkpointing = asyncio.create_task(self._checkpoint(recorded), context=Context())
-            self._checkpointing.add_done_callback(self._has_checkpointed)
+            self._checkpoint_task = asyncio.create_task(
+                self._checkpoint(recorded), context=Context()
+            )
+            self._checkpoint_task.add_done_callback(self._checkpoint_ended)
 
-    def _has_checkpointed(self, task: asyncio.Task[None]) -> None:
-        self._checkpointing = None
+    def _checkpoint_ended(self, task: asyncio.Task[None]) -> None:
+        self._checkpoint_task = None
         if not task.cancelled() and (error := task.exception()) is not None:
-            self._checkpoints.failed(asyncio.get_running_loop().time())
+            self._checkpoints.checkpoint_failed(asyncio.get_running_loop().time())
             self._troubles[CHECKPOINT] = f"{type(error).__name__}: {error}"
             log().error("a checkpoint failed", exc_info=error)
 
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
-        """One that fails is told in ``troubles``, and tried again when it is time again."""
+        """Write a checkpoint. A failure goes to ``troubles``; the policy decides on the next."""
         await self.windows_closed()
         begun = time.monotonic()
         try:
-            with self.times.step("state"):
-                unwritten = recorded.checkpoint(self._snapshots.take if self._aside else None)
-            self._checkpoints.taken(recorded.log.written)
-            with self.times.step("disk"):
-                unkept = await self._put(unwritten)
-            self._aside = CAN
+            with self.metrics.time_step("state"):
+                unwritten = recorded.checkpoint(self._snapshots.take if self._uses_fork else None)
+            self._checkpoints.snapshot_taken(recorded.log.written)
+            with self.metrics.time_step("disk"):
+                unsaved = await self._write_checkpoint(unwritten)
+            self._uses_fork = IS_SUPPORTED
         except (CheckpointError, JournalError, OSError) as error:
             if isinstance(error, SnapshotError):
-                # The next one is made here, as long as that takes: better than none.
-                self._aside = False
-            self.times.checkpoint_failures.inc()
-            self._checkpoints.failed(asyncio.get_running_loop().time())
-            # All is kept by the log alone, which grows, and a start takes longer.
+                # The next one blocks the service while it is pickled, which is better than none.
+                self._uses_fork = False
+            self.metrics.checkpoint_failures.inc()
+            self._checkpoints.checkpoint_failed(asyncio.get_running_loop().time())
+            # No command is lost: the log grows, and the next start replays more of it.
             self._fail(CHECKPOINT, error)
             return
-        self._checkpoints.kept(time.monotonic() - begun)
+        self._checkpoints.checkpoint_written(time.monotonic() - begun)
         self._recover(CHECKPOINT)
-        for process in set(unkept) - self._unkept:
+        for process in set(unsaved) - self._unsaved:
             await self.windows_closed()
             self.do(TellUnkept(process.process, process.reason))
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
             )
-        # No more than there are processes: a reason may be another one each time.
-        self._unkept = set(unkept)
+        # Replaced, not extended: a process may give another reason each time.
+        self._unsaved = set(unsaved)
 
-    async def _put(self, unwritten: Unwritten) -> tuple[Unkept, ...]:
-        """Put a checkpoint on the disk and keep it, or leave nothing of it."""
+    async def _write_checkpoint(self, unwritten: Unwritten) -> tuple[Unkept, ...]:
+        """Write a checkpoint, and activate it once the log is durable. On failure, delete it."""
         loop = asyncio.get_running_loop()
         try:
-            unkept = await loop.run_in_executor(self._putting, unwritten.put)
-            await self.kept()
-            await self._beside(unwritten.keep)
+            unsaved = await loop.run_in_executor(self._checkpoint_thread, unwritten.put)
+            await self.wait_durable()
+            await self._in_journal_thread(unwritten.keep)
         except (CheckpointError, JournalError, OSError):
-            await loop.run_in_executor(self._putting, unwritten.drop)
+            await loop.run_in_executor(self._checkpoint_thread, unwritten.drop)
             raise
-        return unkept
+        return unsaved
 
     async def disk_use(self) -> DiskUse | None:
-        """What the data directory takes of the disk; None without one. Raises ``OSError``, and
-        ``TimeoutError`` where the disk does not answer."""
+        """Return the disk use of the data directory; None without one. Raises ``OSError``, and
+        ``TimeoutError`` if the disk does not respond."""
         recorded = self._recorded
         if recorded is None:
             return None
-        with anyio.fail_after(_DISK):
-            # A limiter of its own: a disk that hangs takes no thread from anybody else.
+        with anyio.fail_after(_DISK_TIMEOUT):
+            # A limiter of its own, so that a hanging disk blocks no thread of the shared pool.
             return await anyio.to_thread.run_sync(
-                recorded.disk_use, limiter=self._looking, abandon_on_cancel=True
+                recorded.disk_use, limiter=self._disk_limiter, abandon_on_cancel=True
             )
 
-    async def _beside(self, work: Callable[[], object]) -> None:
-        """Do what waits for the disk in the journal's own thread, one thing at a time."""
-        await asyncio.get_running_loop().run_in_executor(self._thread, work)
+    async def _in_journal_thread(self, work: Callable[[], object]) -> None:
+        """Run ``work`` in the journal's thread, which waits for the disk."""
+        await asyncio.get_running_loop().run_in_executor(self._journal_thread, work)
 
     def close(self) -> None:
-        """Keep all there is, with a checkpoint, and let the directory go. What is behind stays so,
-        and goes on at the next start."""
+        """Write a last checkpoint, and release the directory. The backlog goes on at the next
+        start."""
         self._backlog.close()
-        if self._checkpointing is not None:
-            self._checkpointing.cancel()
-        self._snapshots.end()
-        # Nobody else writes into the directory when the last checkpoint is written.
-        self._putting.shutdown()
-        self._thread.shutdown()
+        if self._checkpoint_task is not None:
+            self._checkpoint_task.cancel()
+        self._snapshots.kill()
+        # No other thread may write into the directory during the last checkpoint.
+        self._checkpoint_thread.shutdown()
+        self._journal_thread.shutdown()
         if self._recorded is not None:
             try:
                 self._recorded.close()
             except (JournalError, CheckpointError, OSError) as error:
-                # What was acknowledged is in the log: the next start does it again.
+                # The log has all acknowledged commands: the next start replays them.
                 log().error("no checkpoint at the end", reason=str(error))
 
-    def _note(self, what: str, reason: str | None) -> None:
-        """``what`` does not work for this ``reason``; None: it does."""
+    def _set_trouble(self, part: str, reason: str | None) -> None:
+        """Note why ``part`` does not work; None: it works."""
         if reason is None:
-            self._recover(what)
+            self._recover(part)
             return
-        self._troubles[what] = reason
-        self._failures.failed(what, reason)
+        self._troubles[part] = reason
+        self._failures.report(part, reason)
 
-    def _fail(self, what: str, error: Exception) -> None:
-        self._note(what, str(error))
+    def _fail(self, part: str, error: Exception) -> None:
+        self._set_trouble(part, str(error))
 
-    def _recover(self, what: str) -> None:
-        if self._troubles.pop(what, None) is not None:
-            self._failures.worked(what)
+    def _recover(self, part: str) -> None:
+        if self._troubles.pop(part, None) is not None:
+            self._failures.report_success(part)

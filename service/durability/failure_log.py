@@ -1,5 +1,7 @@
-"""What the log tells of things that fail again and again: once that they fail, and once that they
-work again, when they have for a while. A disk that is full takes little writes now and then."""
+"""Logs repeated failures once, and the recovery once it has lasted.
+
+A full disk accepts a small write now and then, so one success does not prove a recovery.
+"""
 
 from __future__ import annotations
 
@@ -9,48 +11,48 @@ from dataclasses import dataclass, field
 
 from ..config.logs import log
 
-CALM = 10.0
-"""Seconds without a failure after which something works again."""
+QUIET_PERIOD = 10.0
+"""Seconds without a failure that prove a recovery."""
 MOST_REASONS = 16
-"""So many reasons of one failure are told: they may name what is never the same."""
+"""The greatest number of logged reasons of one failure: each may name another object."""
 
 
 @dataclass(slots=True)
 class _Failure:
-    """``last``: when it failed last, s; ``reasons``: those that are told."""
+    """``last``: the moment of the last failure, s; ``reasons``: the logged ones."""
 
     last: float
     works: bool = False
     reasons: set[str] = field(default_factory=set)
 
 
-class Failures:
-    """What fails at present, or has within the last `CALM` seconds of ``clock``."""
+class FailureLog:
+    """The failures of the last `QUIET_PERIOD` seconds of ``clock``."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._failures: dict[str, _Failure] = {}
 
-    def failed(self, what: str, reason: str) -> None:
-        """``what`` has failed: each reason is told once, the first `MOST_REASONS`."""
-        found = self._failures.setdefault(what, _Failure(0.0))
-        found.last, found.works = self._clock(), False
-        if reason not in found.reasons and len(found.reasons) < MOST_REASONS:
-            found.reasons.add(reason)
-            log().error(f"{what} failed", reason=reason)
+    def report(self, part: str, reason: str) -> None:
+        """Log that ``part`` failed: each of the first `MOST_REASONS` reasons once."""
+        failure = self._failures.setdefault(part, _Failure(0.0))
+        failure.last, failure.works = self._clock(), False
+        if reason not in failure.reasons and len(failure.reasons) < MOST_REASONS:
+            failure.reasons.add(reason)
+            log().error(f"{part} failed", reason=reason)
 
-    def worked(self, what: str) -> None:
-        """``what`` has worked: if it goes on, `review` tells it."""
-        found = self._failures.get(what)
-        if found is not None:
-            found.works = True
+    def report_success(self, part: str) -> None:
+        """Note a success of ``part``; `review` logs the recovery if no failure follows."""
+        failure = self._failures.get(part)
+        if failure is not None:
+            failure.works = True
 
     def review(self) -> None:
-        """Tell what works again. Called now and then."""
+        """Log recoveries. `CommandQueue.maintain` calls this."""
         if not self._failures:
             return
         now = self._clock()
-        for what, found in list(self._failures.items()):
-            if found.works and now - found.last >= CALM:
-                del self._failures[what]
-                log().warning(f"{what} works again")
+        for part, failure in list(self._failures.items()):
+            if failure.works and now - failure.last >= QUIET_PERIOD:
+                del self._failures[part]
+                log().warning(f"{part} works again")

@@ -1,12 +1,12 @@
-"""What takes long and changes nothing, done on a copy of the process as it is at this moment.
+"""Runs long read-only work on a fork of the process: a snapshot of its memory.
 
-    found = snapshots.take(work)      # some milliseconds, however long ``work`` takes
-    found()                           # what it gives, in any thread
+    result = snapshots.take(work)     # takes some milliseconds, however long ``work`` takes
+    result()                          # waits for the result of ``work``, in any thread
 
-The copy is a fork: the kernel copies a page of memory when one of the two writes into it. So the
-service goes on while the copy pickles gigabytes. Only the thread that asked is in the copy: it must
-not wait for another one, and opens its files anew. What another thread has locked at that moment is
-locked there for ever, and half changed. It ends with the thread that asked.
+The kernel copies a page of memory when one of the two processes writes to it. So the service goes
+on while the fork pickles gigabytes. Only the calling thread exists in the fork. A lock that another
+thread holds at the fork stays locked there for ever, and its data may be half changed; ``work``
+must not wait for such a lock, and opens its files anew. The fork ends with its parent thread.
 """
 
 from __future__ import annotations
@@ -29,74 +29,75 @@ from ..config.oom_priority import be_dispensable
 
 T = TypeVar("T")
 
-CAN: Final = sys.platform == "linux"
-"""Elsewhere a fork of a process with threads is not to be relied on."""
-_PATIENCE: Final = 300.0
-"""Seconds that a copy may take."""
+IS_SUPPORTED: Final = sys.platform == "linux"
+"""On other systems, forking a process with threads is unreliable."""
+_TIMEOUT: Final = 300.0
+"""Seconds that a fork may take."""
 _NICE: Final = 5
-"""It gives way to the service."""
+"""The fork's niceness: the service comes first."""
 _DIES_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of Linux' prctl(2)."""
-_FREE: Final = nullcontext()
+_NO_LOCK: Final = nullcontext()
 
 
 class SnapshotError(CheckpointError):
-    """There is no copy, or it has died: the work may be tried in this process."""
+    """The fork failed or died. The caller may run the work in this process instead."""
 
 
 class Snapshots:
-    """Copies of this process, one at a time."""
+    """Forks of this process, one at a time."""
 
-    def __init__(self, patience: float = _PATIENCE) -> None:
-        self._patience = patience
-        self._prctl = ctypes.CDLL(None, use_errno=True).prctl if CAN else None
+    def __init__(self, timeout: float = _TIMEOUT) -> None:
+        self._timeout = timeout
+        self._prctl = ctypes.CDLL(None, use_errno=True).prctl if IS_SUPPORTED else None
         self._lock = threading.Lock()
         self._child = 0
-        """The process at work; 0: none."""
+        """The process id of the fork; 0: none."""
 
     def take(
-        self, work: Callable[[], T], lock: AbstractContextManager[object] = _FREE
+        self, work: Callable[[], T], lock: AbstractContextManager[object] = _NO_LOCK
     ) -> Callable[[], T]:
-        """Begin ``work`` in a copy; gives what waits for what it gives or raises, both pickled.
+        """Begin ``work`` in a fork, and return a function that waits for it. The function returns
+        the result of ``work`` or raises its error, both pickled.
 
-        ``lock``: under which other threads change what ``work`` reads. The copy is made while none
-        of them has it, and nobody has it there. Raises `SnapshotError` where there can be no copy,
-        and so does what waits.
+        ``lock`` guards the data that ``work`` reads and other threads change. The fork happens
+        while this thread holds it, so the data are consistent and the lock is free in the fork.
+        Both raise `SnapshotError` if the fork fails.
         """
         parent = os.getpid()
         try:
             reader, writer = os.pipe()
         except OSError as error:
-            raise _no_room(error) from error
+            raise _cannot_fork(error) from error
         try:
             with lock:
                 child = os.fork()
         except OSError as error:
             os.close(reader)
             os.close(writer)
-            raise _no_room(error) from error
+            raise _cannot_fork(error) from error
         if not child:
-            self._be_copy(work, writer, parent)
+            self._run_in_fork(work, writer, parent)
         os.close(writer)
         with self._lock:
             self._child = child
-        return lambda: self._found(reader, child)
+        return lambda: self._result(reader, child)
 
-    def end(self) -> None:
-        """End the copy that is at work: nobody waits for it any more, or soon nobody will."""
+    def kill(self) -> None:
+        """Kill the fork, if there is one: the service stops."""
         with self._lock:
             if self._child:
                 _kill(self._child)
 
-    def _be_copy(self, work: Callable[[], Any], writer: int, parent: int) -> NoReturn:
-        """In the copy: nothing that is the service's is touched, and nothing outlives it."""
+    def _run_in_fork(self, work: Callable[[], Any], writer: int, parent: int) -> NoReturn:
+        """Run ``work`` in the fork, send its result, and exit."""
         status = 1
         try:
             assert self._prctl is not None
             self._prctl(_DIES_WITH_PARENT, signal.SIGKILL)
             if os.getppid() != parent:
                 os._exit(1)
-            # The service's lock, connections and files end with the service, not with this.
+            # The directory's lock and all connections must close with the service, not later.
             last = max(map(int, os.listdir("/proc/self/fd")))
             os.closerange(3, writer)
             os.closerange(writer + 1, last + 1)
@@ -108,51 +109,51 @@ class Snapshots:
             with os.fdopen(writer, "wb") as target:
                 try:
                     answer = True, work()
-                except Exception as error:  # noqa: BLE001  raised again where it is waited for
+                except Exception as error:  # noqa: BLE001  `_result` raises it again
                     answer = False, error
                 target.write(pickle.dumps(answer))
             status = 0
         finally:
-            # However it ends: what follows is the service's business.
+            # Never return into the code of the service.
             os._exit(status)
 
-    def _found(self, reader: int, child: int) -> Any:
+    def _result(self, reader: int, child: int) -> Any:
         data = None
         try:
             data = self._read(reader)
         finally:
             os.close(reader)
-            # One that has said all is about to end, or has.
-            status = self._ended(child, kill=data is None)
+            # A fork that has sent its result exits by itself.
+            status = self._reap(child, kill=data is None)
         if data is None:
-            raise SnapshotError(f"a copy of the process took more than {self._patience:g} s")
+            raise SnapshotError(f"a fork of the process took more than {self._timeout:g} s")
         try:
-            is_done, found = pickle.loads(data)
-        except Exception as error:  # it has not come to its end, or raised what cannot be read
-            told = "" if not data else f": {type(error).__name__}: {error}"
-            raise SnapshotError(f"a copy of the process has died ({status}){told}") from error
+            is_done, result = pickle.loads(data)
+        except Exception as error:  # the data are cut off, or its exception cannot be unpickled
+            reason = "" if not data else f": {type(error).__name__}: {error}"
+            raise SnapshotError(f"a fork of the process has died ({status}){reason}") from error
         if not is_done:
-            raise found
-        return found
+            raise result
+        return result
 
-    def _ended(self, child: int, *, kill: bool) -> int:
-        """Wait until ``child`` is gone; its exit code."""
+    def _reap(self, child: int, *, kill: bool) -> int:
+        """Wait for the end of ``child``, and return its exit code."""
         with self._lock:
             if kill:
                 _kill(child)
             try:
                 _, status = os.waitpid(child, 0)
-            except ChildProcessError:  # who started the service has it ignore the ends of children
+            except ChildProcessError:  # the parent process set SIGCHLD to be ignored
                 status = 0
             self._child = 0
         return os.waitstatus_to_exitcode(status)
 
     def _read(self, reader: int) -> bytes | None:
-        """What it says until its end; None: it has not come to an end."""
-        # Not `select`, which takes no descriptor from 1024 on: each connection has one.
+        """Read until the end; None after the timeout."""
+        # `select` fails for descriptors from 1024 on, and each connection has a descriptor.
         ready = select.poll()
         ready.register(reader, select.POLLIN)
-        until = time.monotonic() + self._patience
+        until = time.monotonic() + self._timeout
         parts: list[bytes] = []
         while True:
             left = until - time.monotonic()
@@ -165,9 +166,9 @@ class Snapshots:
 
 
 def _kill(child: int) -> None:
-    with suppress(ProcessLookupError):  # it has just ended, and is not waited for
+    with suppress(ProcessLookupError):  # it has ended already
         os.kill(child, signal.SIGKILL)
 
 
-def _no_room(error: OSError) -> SnapshotError:
-    return SnapshotError(f"there is no room for a copy of the process: {error}")
+def _cannot_fork(error: OSError) -> SnapshotError:
+    return SnapshotError(f"cannot fork the process: {error}")

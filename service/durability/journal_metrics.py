@@ -1,7 +1,6 @@
-"""Metrics of the data directory: what writing takes, and what is on the disk
-(docs/reference/metrics.md).
+"""Metrics of the data directory: durations of writes, and disk use (docs/reference/metrics.md).
 
-Cost: some microseconds a commit, of which many requests share one, in the journal's own thread.
+Cost: some microseconds for each commit, in the journal's own thread; many requests share a commit.
 """
 
 from __future__ import annotations
@@ -27,24 +26,24 @@ _COMMITS: Final = (
 _CHECKPOINTS: Final = (0.001, 0.005, 0.01, 0.05, 0.1, 0.5, 1.0, 5.0, 10.0, 60.0)
 _RECORDS: Final = (1, 2, 5, 10, 25, 50, 100, 250, 1000)
 _STATE: Final = (
-    ("dyknow_journal_waiting_records", "Commands that are done and wait to be kept"),
-    ("dyknow_journal_waiting_bytes", "Bytes of them"),
+    ("dyknow_journal_waiting_records", "Executed commands that wait for a commit"),
+    ("dyknow_journal_waiting_bytes", "Bytes of executed commands that wait for a commit"),
     ("dyknow_journal_size_bytes", "Bytes of the files of the log"),
     ("dyknow_journal_segments", "Files of the log"),
-    ("dyknow_data_free_bytes", "Bytes that the disk of the data directory has room for"),
+    ("dyknow_data_free_bytes", "Free bytes of the data directory's disk"),
     ("dyknow_checkpoint_size_bytes", "Bytes of the newest checkpoint"),
-    ("dyknow_checkpoint_timestamp_seconds", "When the newest checkpoint was written"),
-    ("dyknow_checkpoint_behind_records", "Commands that a start would do again"),
+    ("dyknow_checkpoint_timestamp_seconds", "Time of the newest checkpoint"),
+    ("dyknow_checkpoint_behind_records", "Commands that a start would replay"),
 )
 
 
-class JournalTimes:
-    """What the keeper notes while it writes; nothing without a data directory."""
+class JournalMetrics:
+    """Metrics of commits and checkpoints, which `CommandQueue` observes."""
 
     def __init__(self) -> None:
         self._commit_seconds = Histogram(
             "dyknow_journal_commit_seconds",
-            "How long it took to write and sync the log",
+            "Duration of a write and sync of the log",
             registry=None,
             buckets=_COMMITS,
         )
@@ -54,58 +53,58 @@ class JournalTimes:
             registry=None,
             buckets=_RECORDS,
         )
-        self.committed = Counter(
-            "dyknow_journal_written_bytes", "Bytes that were written to the log", registry=None
+        self.written_bytes = Counter(
+            "dyknow_journal_written_bytes", "Bytes written to the log", registry=None
         )
         self.commit_failures = Counter(
-            "dyknow_journal_commit_failures", "Writes and syncs that failed", registry=None
+            "dyknow_journal_commit_failures", "Failed writes and syncs of the log", registry=None
         )
         self._checkpoint_seconds = Histogram(
             "dyknow_checkpoint_seconds",
-            "How long a checkpoint took: the state, for which everybody waits, and the disk",
+            "Duration of a checkpoint's steps: the state, which blocks all requests, and the disk",
             ["step"],
             registry=None,
             buckets=_CHECKPOINTS,
         )
         self.checkpoint_failures = Counter(
-            "dyknow_checkpoint_failures", "Checkpoints that could not be written", registry=None
+            "dyknow_checkpoint_failures", "Failed checkpoints", registry=None
         )
 
     def register(self, registry: CollectorRegistry) -> None:
-        """Let ``registry`` tell of it."""
+        """Register all metrics with ``registry``."""
         for each in (
             self._commit_seconds,
             self._commit_records,
-            self.committed,
+            self.written_bytes,
             self.commit_failures,
             self._checkpoint_seconds,
             self.checkpoint_failures,
         ):
             registry.register(each)
 
-    def commit(self, seconds: float, records: int) -> None:
-        """One write and sync."""
+    def observe_commit(self, seconds: float, records: int) -> None:
+        """Observe one write and sync."""
         self._commit_seconds.observe(seconds)
         self._commit_records.observe(records)
 
     @contextmanager
-    def step(self, step: str) -> Iterator[None]:
-        """A step of a checkpoint; one that fails counts nothing here."""
+    def time_step(self, step: str) -> Iterator[None]:
+        """Observe a step of a checkpoint, unless it fails."""
         begun = perf_counter()
         yield
         self._checkpoint_seconds.labels(step).observe(perf_counter() - begun)
 
 
-class Recorder(Protocol):
-    """Who records commands: what of it is told (`Keeper`)."""
+class LogCounters(Protocol):
+    """The counters that `CommandQueue` has of the log."""
 
     @property
     def is_recording(self) -> bool:
         """Whether there is a data directory."""
 
     @property
-    def waiting(self) -> tuple[int, int]:
-        """Records, and bytes of them, that wait to be written."""
+    def uncommitted(self) -> tuple[int, int]:
+        """The number and the bytes of records that wait for a commit."""
 
     @property
     def position(self) -> int:
@@ -113,19 +112,19 @@ class Recorder(Protocol):
 
 
 class JournalState(Collector):
-    """What there is now: `use` is looked up before each scrape, since it waits for the disk."""
+    """The present state of the log. The caller sets `use` before each scrape: it needs the disk."""
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, queue: LogCounters) -> None:
         self.use: DiskUse | None = None
-        self._recorder = recorder
+        self._queue = queue
 
     def describe(self) -> Iterable[Metric]:
         return ()
 
     def collect(self) -> Iterable[Metric]:
         values: dict[str, float] = {}
-        if self._recorder.is_recording:
-            records, size = self._recorder.waiting
+        if self._queue.is_recording:
+            records, size = self._queue.uncommitted
             values["dyknow_journal_waiting_records"] = records
             values["dyknow_journal_waiting_bytes"] = size
         use = self.use
@@ -133,7 +132,7 @@ class JournalState(Collector):
             values["dyknow_journal_size_bytes"] = use.log_bytes
             values["dyknow_journal_segments"] = use.log_files
             values["dyknow_data_free_bytes"] = use.free
-            behind = self._recorder.position
+            behind = self._queue.position
             if use.checkpoint is not None:
                 values["dyknow_checkpoint_size_bytes"] = use.checkpoint.size
                 values["dyknow_checkpoint_timestamp_seconds"] = use.checkpoint.written / SECOND

@@ -1,5 +1,5 @@
-"""What goes over the wire as JSON, by resource. Times are ISO-8601 in UTC, durations such as
-``5s``."""
+"""The JSON models of requests and responses, by resource. Times are ISO-8601 in UTC, durations are
+texts such as ``5s``."""
 
 from .annotations import AnnotationModel
 from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
@@ -43,7 +43,8 @@ from .transformations import (
 )
 
 READ_BY_ROUTES = (EventIn, TransformationIn, ContentsIn)
-"""Bodies beside which a route takes other media types, so that the framework does not see them."""
+"""Models of bodies that their routes parse: the framework cannot, as other media types are possible
+there."""
 
 __all__ = [
     "BEGINNING",

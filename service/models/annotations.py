@@ -1,4 +1,4 @@
-"""What streams and transformations are about, as JSON."""
+"""JSON models of annotations."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .transformations import PortModel
 
 
 class AnnotationModel(BaseModel):
-    """What a stream, source or computational unit is about."""
+    """The annotation of a stream, source or computational unit."""
 
     kind: Literal["stream", "source", "transformation"]
     name: str
-    features: list[str] = Field(description="IRIs of the features that it carries or makes")
+    features: list[str] = Field(description="IRIs of the features of the stream or the output")
     source: str = Field(description="the SSL text")
     stream: str | None = None
     contents: list[PortModel] | None = None

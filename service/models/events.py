@@ -1,4 +1,4 @@
-"""Templates, requests for events and their plans, as JSON."""
+"""JSON models of templates, requests for events, and plans."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ class UnitModel(BaseModel):
 
 
 class PlanModel(BaseModel):
-    """How a request is met."""
+    """The plan that answers a request."""
 
-    text: str = Field(description="the plan as a tree, for people")
+    text: str = Field(description="the plan as a tree, for reading")
     streams: list[str]
     units: list[UnitModel]
     query: str = Field(description="the continuous query as C-SPARQL text")
@@ -80,28 +80,28 @@ class PlanModel(BaseModel):
 
 
 class EventModel(BaseModel):
-    """A request for an event; its samples come at ``events``. One that waits has no stream."""
+    """A request for an event; ``events`` sends its samples. A waiting request has no stream."""
 
     id: str
     event: str
     arguments: list[str]
     strategy: str
-    since: str = Field(description="as asked for; a duration as the time that it means")
+    since: str = Field(description="as requested; a duration as the time that it stands for")
     state: Literal["running", "failed", "waiting"] = Field(
-        description="failed: what answers it was cut off, and nothing more comes; waiting: an "
-        "earlier run has accepted it, and this one cannot start it"
+        description="failed: the unit that answers it was stopped, and no more samples come; "
+        "waiting: an earlier run accepted it, and this one cannot start it"
     )
-    failure: str | None = Field(description="why it has failed or waits")
+    failure: str | None = Field(description="why it failed or waits")
     stream: str | None
     position: str | None = Field(
         description="id of the stream's last sample before the request: follow with since=position"
     )
     waits_for: list[str] = Field(
-        description="streams that have not begun and are not idle: nothing closes before"
+        description="streams without samples that are not idle: no window closes before they begin"
     )
     held_back_by: list[str] = Field(
-        description="the streams that are least far: the next window closes when they go on, end, "
-        "or are idle"
+        description="the streams with the least watermark: the next window closes when they go on, "
+        "end, or become idle"
     )
     late: int = Field(description="samples that came too late for their windows")
     events: str | None
@@ -110,7 +110,7 @@ class EventModel(BaseModel):
 
     @classmethod
     def waiting(cls, waiting: Waiting) -> EventModel:
-        """One that waits, as it was asked for."""
+        """Return the model of a waiting request."""
         command = waiting.command
         assert isinstance(command, RequestEvent)
         return cls(

@@ -1,4 +1,4 @@
-"""KPL declarations, as JSON."""
+"""JSON models of KPL declarations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...engine.model import views
 
 
 class DeclarationModel(BaseModel):
-    """A KPL declaration and what became of it."""
+    """A KPL declaration and its state."""
 
     name: str = Field(description="name, label, or `sort NAME`")
     kind: str = Field(description="the declaration's first word")
@@ -24,23 +24,23 @@ class DeclarationModel(BaseModel):
     restarts: int
     last_error: str | None
     counters: dict[str, Any] = Field(
-        description="what became of samples under its policy; which objects it has"
+        description="counters of samples under its policy, and the objects of its set"
     )
-    violations: str | None = Field(description="the stream of samples that were not passed on")
+    violations: str | None = Field(description="the stream of samples that violated the policy")
 
     @classmethod
     def of(cls, view: views.DeclarationView) -> DeclarationModel:
-        given = {field.name: getattr(view, field.name) for field in fields(view)}
-        return cls(**given | {"uses": list(view.uses), "counters": dict(view.counters)})
+        members = {field.name: getattr(view, field.name) for field in fields(view)}
+        return cls(**members | {"uses": list(view.uses), "counters": dict(view.counters)})
 
 
 class OneDeclarationModel(DeclarationModel):
-    """A declaration with what cannot be without it, users first."""
+    """A declaration with the declarations that depend on it, users first."""
 
     used_by: list[str]
 
 
 class RemovedModel(BaseModel):
-    """What was removed, users first."""
+    """The removed declarations, users first."""
 
     removed: list[str]

@@ -1,4 +1,4 @@
-"""What semantic matching is asked and answers, as JSON."""
+"""JSON models of semantic matching."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from .parts import MOST_ARGUMENTS, Body, Name, Strategy
 
 
 class MatchIn(Body):
-    """A wish for a feature, of the objects of a sort or of some objects."""
+    """A wanted feature, of the objects of a sort or of some objects."""
 
     feature: Name
     sort: Name | None = None
     objects: list[Name] = Field(
         default_factory=list,
         max_length=MOST_ARGUMENTS,
-        description="the object; of an n-ary feature its further arguments after it",
+        description="the object; for an n-ary feature its arguments in order",
     )
     strategy: Strategy = "fast"
 
 
 class MatchModel(BaseModel):
-    """What semantic matching found, and why; nothing was started."""
+    """The result of semantic matching, with reasons; nothing was started."""
 
     feature: str
     target: str
@@ -32,12 +32,12 @@ class MatchModel(BaseModel):
     plan: PlanModel | None
     alternatives: list[str]
     reasons: list[str]
-    cost: float | None = Field(description="of the plan's units that do not run yet")
-    quality: float | None = Field(description="of what the plan gives, 0 to 1")
+    cost: float | None = Field(description="cost of the plan's units that do not run yet")
+    quality: float | None = Field(description="quality of the plan's output, 0 to 1")
     proven: bool = Field(description="whether the plan is proven to be the strategy's best")
     specification: str | None = Field(
-        description="the plan as a specification in XML, as POST /specifications takes it; null "
-        "without a plan, or where the plan has the query of an event"
+        description="the plan as a specification in XML for POST /specifications; null without a "
+        "plan, or if the plan contains the query of an event"
     )
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Registered continuous queries, as JSON."""
+"""JSON models of registered continuous queries."""
 
 from __future__ import annotations
 
@@ -13,66 +13,66 @@ from .parts import iso
 
 
 class OptionsModel(BaseModel):
-    """How a query is read where its text leaves it open."""
+    """The options for what the query's text leaves open."""
 
     semantics: str = Field(description="bag or set: whether equal triples count each or once")
     bounds: str = Field(description="of a window with end e: (e - RANGE, e] or [e - RANGE, e)")
     origin: str = Field(description="windows end at origin + k STEP")
     report: str = Field(description="non-empty, change or close: which windows give a result")
-    strategy: str = Field(description="how streams are chosen for a query that names none")
-    since: str = Field(description="where it began, as asked for")
+    strategy: str = Field(description="how streams are chosen if the text names none")
+    since: str = Field(description="where the results begin, as requested")
 
 
 class QueryModel(BaseModel):
-    """A registered query. Its results are the stream ``stream``, as events at ``events``, as SPARQL
-    results at ``results``."""
+    """A registered query. Its results are the stream ``stream``; ``events`` sends them as events,
+    and ``results`` as SPARQL results."""
 
     name: str
-    kind: str = Field(description="STREAM or QUERY, as the text registers it")
+    kind: str = Field(description="STREAM or QUERY, as in the text")
     form: str = Field(description="SELECT, CONSTRUCT, ASK")
     dialect: str = Field(description="C-SPARQL or RSP-QL")
     state: str = Field(
-        description="running, failed, ended; not restored, waiting: of an earlier run"
+        description="running, failed, ended; not restored or waiting: from an earlier run"
     )
-    failure: str | None = Field(description="why it has failed, is not restored or waits")
-    users: int = Field(description="how often it was registered: it stops with the last removal")
+    failure: str | None = Field(description="why it failed, was not restored or waits")
+    users: int = Field(description="number of registrations: the last removal stops the query")
     stream: str | None
     fields: dict[str, str] = Field(description="the fields of the stream's samples and their types")
-    reads: list[str] = Field(description="the streams that the query itself reads")
+    reads: list[str] = Field(description="the streams that the query reads directly")
     position: str | None = Field(description="id of the stream's last sample: follow with since=")
     events: str | None
     results: str
     explain: str
-    windows: int = Field(description="how many windows' results are kept")
-    last_window: str | None = Field(description="the end of the last window that closed")
+    windows: int = Field(description="number of windows whose results are kept")
+    last_window: str | None = Field(description="the end of the last closed window")
     late: int = Field(
         description="samples that came too late for their windows; the stream `NAME_late_STREAM` "
-        "has those of a stream, from when it is first asked for"
+        "has those of a stream, from the first request for it on"
     )
     errors: int = Field(
-        description="windows that needed more rows, time or memory than they may, and have no "
-        "result (after three in a row the query is stopped); fields of a window with a value that "
-        "they cannot hold"
+        description="windows without a result, which exceeded a limit of rows, time or memory "
+        "(three in a row stop the query); fields of a window with a value that their type cannot "
+        "hold"
     )
-    last_error: str | None = Field(description="of which window, and what it needed or lost")
+    last_error: str | None = Field(description="the window of the last error, and its need or loss")
     waits_for: list[str] = Field(
-        description="streams that have not begun and are not idle: nothing closes before"
+        description="streams without samples that are not idle: no window closes before they begin"
     )
-    watermark: str | None = Field(description="windows that end before have closed")
+    watermark: str | None = Field(description="all windows that end before it have closed")
     held_back_by: list[str] = Field(
-        description="the streams that are least far: the next window closes when they go on, end, "
-        "or are idle"
+        description="the streams with the least watermark: the next window closes when they go on, "
+        "end, or become idle"
     )
     options: OptionsModel
     plan: PlanModel | None
     empty: str | None = Field(None, description="why the stream has no sample yet")
     source: str
-    explanation: str | None = Field(None, description="each stage, where it was asked for")
+    explanation: str | None = Field(None, description="each stage, if requested")
 
     @classmethod
     def waiting(cls, waiting: Waiting, epoch: str) -> QueryModel:
-        """One that waits, as it was asked for; of a text that is not understood any more there is
-        less to say."""
+        """Return the model of a waiting query. If its text is no longer valid, some members are
+        empty."""
         return cls.of(query_view(waiting), epoch)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Sessions of browsers as JSON."""
+"""JSON models of browser sessions."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from pydantic import BaseModel, Field, SecretStr
 
 
 class SessionIn(BaseModel):
-    """What somebody logs in with."""
+    """The token to log in with."""
 
     token: SecretStr = Field(max_length=1000)
 
 
 class SessionModel(BaseModel):
-    """Who asks: ``name`` is null where nobody has said."""
+    """The caller; ``name`` is null without a token or session."""
 
-    required: bool = Field(description="whether this service wants tokens")
-    name: str | None = Field(description="whose token it is")
-    scopes: list[str] = Field(description="what it allows: read, publish, admin")
+    required: bool = Field(description="whether this service requires tokens")
+    name: str | None = Field(description="the name of the token's owner")
+    scopes: list[str] = Field(description="the permissions: read, publish, admin")

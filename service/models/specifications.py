@@ -1,4 +1,4 @@
-"""Specifications over the wire ([Introspection15 §3.2])."""
+"""JSON models of specifications ([Introspection15 §3.2])."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from .events import UnitModel
 
 
 class SpecificationModel(BaseModel):
-    """What a specification changed."""
+    """The changes that a specification made."""
 
     started: list[UnitModel]
     stopped: list[UnitModel]
-    there: list[UnitModel] = Field(description="units that it speaks of and that ran already")
-    named: dict[str, str] = Field(description="names that it gave, with the stream that has each")
+    there: list[UnitModel] = Field(description="units of the specification that ran already")
+    named: dict[str, str] = Field(description="new names of streams: name to stream")
 
     @classmethod
     def of(cls, view: views.SpecificationView) -> SpecificationModel:
@@ -27,7 +27,7 @@ class SpecificationModel(BaseModel):
 
 
 class InsertionModel(BaseModel):
-    """A `cu` that a specification inserted; ``failure`` says why it is not at work."""
+    """A `cu` that a specification inserted; ``failure`` is the reason why it does not work."""
 
     name: str | None
     transformation: str

@@ -1,4 +1,4 @@
-"""The service itself and what it knows, as JSON."""
+"""JSON models of the service's state."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pydantic import BaseModel, Field
 
 
 class OntologyModel(BaseModel):
-    """A loaded ontology; FROM and GRAPH mean it by its name."""
+    """A loaded ontology; its name is its IRI for FROM and GRAPH."""
 
     name: str
 
 
 class ViolationModel(BaseModel):
-    """What a shape refuses: a node, the property concerned (if it is one), and why."""
+    """A violation of a shape: the node, the property (if it concerns one), and the reason."""
 
     node: str
     path: str | None
@@ -27,41 +27,41 @@ class OntologyReportModel(BaseModel):
 
 
 class WaitingModel(BaseModel):
-    """What an earlier run has accepted and this one cannot do at present."""
+    """A command that an earlier run accepted and this one cannot execute now."""
 
     kind: str = Field(description="stream, annotation, template, transformation, ontology, command")
-    name: str = Field(description="what DELETE gives up; of a command nothing does")
+    name: str = Field(description="the name that DELETE removes; a command has none to remove")
     reason: str
 
 
 class StatusModel(BaseModel):
-    """The service at a glance."""
+    """An overview of the service."""
 
     version: str
-    epoch: str = Field(description="the life of the service that ids of samples speak of")
+    epoch: str = Field(description="the epoch of the numbers in event ids")
     started: str
     now: str
     streams: int
     templates: int
-    requests: int = Field(description="event requests that run")
-    queries: int = Field(description="continuous queries that are registered")
-    clients: int = Field(description="clients that listen to streams")
+    requests: int = Field(description="number of running event requests")
+    queries: int = Field(description="number of registered continuous queries")
+    clients: int = Field(description="number of event-stream clients")
     accepted: int = Field(description="samples accepted since the start")
     waiting: list[WaitingModel] = Field(
-        description="what an earlier run has accepted and cannot be done at present, but for "
-        "requests, subscriptions and queries, which are listed among those that run"
+        description="commands that an earlier run accepted and this one cannot execute now; their "
+        "own lists have waiting requests, subscriptions and queries"
     )
 
 
 class HealthModel(BaseModel):
-    """``ok``; ``degraded``: it works, and some unit has failed; ``failing``, and what is wrong."""
+    """``ok``; ``degraded``: it works, but some units failed; ``failing``, with the reasons."""
 
     status: str
     reason: str | None = None
-    reasons: list[str] = Field(default=[], description="each cause for itself")
+    reasons: list[str] = Field(default=[], description="the single reasons")
 
 
 class ExplainModel(BaseModel):
-    """Every stage of a query, template, request or match, as text."""
+    """The stages of a query, template, request or match, as text."""
 
     text: str

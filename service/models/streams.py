@@ -1,4 +1,4 @@
-"""Streams and their samples, as JSON."""
+"""JSON models of streams and their samples."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _type(value: object) -> object:
 
 
 def _fields(value: object) -> object:
-    """A mapping of names to types says the same as a list of fields."""
+    """Convert an object of name: type to a list of fields."""
     if isinstance(value, dict):
         return [{"name": name, "type": kind} for name, kind in value.items()]
     return value
@@ -63,7 +63,7 @@ class FieldModel(Body):
 
 
 class FieldIn(FieldModel):
-    """A named value of the samples of a stream that is declared."""
+    """A named value of the samples, in a declaration."""
 
     name: Annotated[
         str,
@@ -79,9 +79,9 @@ class FieldIn(FieldModel):
 
 
 class RetentionModel(Body):
-    """How much history is kept: the newest samples, at most so many, of at most such an age, of at
-    most so many bytes; and the newest batch. A sample has 16 bytes for its times, 8 for a number, 1
-    for a boolean, for a text 128 and its characters, four times as many where not all are ASCII."""
+    """The size of the history: the newest samples within a number, an age and a number of bytes,
+    and at least the newest batch. A sample takes 16 bytes for its times, 8 for a number, 1 for a
+    boolean, and for a text 128 plus its characters, or four times these if not all are ASCII."""
 
     samples: int | None = Field(default=None, gt=0, le=100_000_000)
     age: Duration | None = None
@@ -98,49 +98,50 @@ class StreamIn(Body):
             if name in TIME_FIELDS:
                 raise ValueError(f"a field cannot be called {name!r}: that is a sample's time")
             if count > 1:
-                raise ValueError(f"the field {name!r} is there twice")
+                raise ValueError(f"the field {name!r} is declared twice")
         return fields
 
     fields: Annotated[list[FieldIn], BeforeValidator(_fields)] = Field(
         min_length=1,
         max_length=1000,
-        description="a list of names and types; an object of name: type will do",
+        description="a list of names and types, or an object of name: type",
         examples=[[{"name": "id", "type": "string"}, {"name": "speed", "type": "float"}]],
     )
-    lateness: Duration = Field(0, description="how far behind the newest a sample may be")
+    lateness: Duration = Field(0, description="how far behind the newest sample one may arrive")
     idle: Annotated[Duration, Field(gt=0)] | None = Field(
         None,
-        description="after how long without samples, by the service's clock, queries of several "
-        "streams do not wait for this one any more, until it speaks again; null: they always wait",
+        description="time without samples, by the service's clock, after which queries of several "
+        "streams no longer wait for this one; a sample ends that; null: they always wait",
         examples=["10s"],
     )
     ahead: Annotated[Duration, BeforeValidator(_oo)] = Field(
         HOUR,
-        description="how far ahead of the service's clock a sample may be stamped: a batch with "
-        "one that is further is refused; oo: any",
+        description="how far ahead of the service's clock a sample may be stamped; a batch with a "
+        "sample further ahead is refused; oo: any",
         examples=["1h", "oo"],
     )
     retention: Annotated[RetentionModel, BeforeValidator(_retention)] = RetentionModel()
     namespace: str = Field(
-        DYKNOW, min_length=1, description="where the objects of id fields have their names"
+        DYKNOW, min_length=1, description="the namespace of the objects in id fields"
     )
 
-    def declaration(self, name: str, usual: history.Retention) -> views.StreamDeclaration:
-        """For the engine; ``usual`` is the history kept when the request does not say. Who says how
-        many samples has so many, however large they are."""
+    def declaration(self, name: str, default: history.Retention) -> views.StreamDeclaration:
+        """Return the declaration for the engine; ``default`` is the retention for missing members.
+        The default of bytes does not apply if the request limits samples: it then gets that many,
+        however large."""
         fields = tuple(sample.Field(f.name, sample.FieldType(f.type)) for f in self.fields)
-        asked = self.retention
-        most = usual.bytes if asked.bytes is None and asked.samples is None else asked.bytes
-        kept = history.Retention(asked.samples or usual.samples, asked.age, most)
+        own = self.retention
+        size = default.bytes if own.bytes is None and own.samples is None else own.bytes
+        kept = history.Retention(own.samples or default.samples, own.age, size)
         return views.StreamDeclaration(
             name, fields, self.lateness, kept, self.namespace, self.idle, self.ahead
         )
 
 
 class CountersModel(BaseModel):
-    """Where the samples went: accepted = used + late + duplicate + expired + pending. Who wants the
-    late ones reads the stream `NAME_late`. `ahead` counts batches that were refused: their samples
-    are in none of the others."""
+    """The fates of samples: accepted = used + late + duplicate + expired + pending. The stream
+    `NAME_late` has the late ones. `ahead` counts refused batches, whose samples are in none of the
+    others."""
 
     accepted: int
     used: int
@@ -152,27 +153,27 @@ class CountersModel(BaseModel):
 
 
 class StreamModel(BaseModel):
-    """A stream as it is now."""
+    """The present state of a stream."""
 
     name: str
     fields: list[FieldModel]
     namespace: str
     lateness: str
     ahead: str = Field(description="how far ahead of the clock a sample may be stamped; oo: any")
-    idle: str | None = Field(description="after how long without samples it is idle; null: never")
-    is_idle: bool = Field(description="it has brought nothing for so long: nobody waits for it")
+    idle: str | None = Field(description="time without samples after which it is idle; null: never")
+    is_idle: bool = Field(description="whether it has been silent for that time: no reader waits")
     retention: dict[str, int | str | None]
-    stamped: bool | None = Field(description="samples are stamped on arrival; null: none came yet")
+    stamped: bool | None = Field(description="samples are stamped on arrival; null: no samples yet")
     ended: bool
     counters: CountersModel
     kept: int = Field(description="samples in history")
-    first: int = Field(description="number of the oldest sample kept")
+    first: int = Field(description="number of the oldest sample in history")
     last: int = Field(description="number of the newest sample; 0 before the first")
-    watermark: str | None = Field(description="nothing available before comes any more")
-    first_available: str | None = Field(description="how far the kept history reaches")
+    watermark: str | None = Field(description="later samples have at least this available time")
+    first_available: str | None = Field(description="the least available time of the history")
     last_available: str | None
     last_valid: str | None
-    rate: float = Field(description="samples a second of available time, lately")
+    rate: float = Field(description="recent samples per second of available time")
     lag: str | None = Field(description="how far the stream is behind the clock")
     annotation: str | None = Field(description="the SSL text")
     producer: str | None = Field(description="the unit that makes the stream")
@@ -225,21 +226,21 @@ class StreamModel(BaseModel):
 
 
 class FailureModel(BaseModel):
-    """A computational unit that was cut off."""
+    """A computational unit that failed."""
 
     unit: str
-    stream: str = Field(description="what it makes")
+    stream: str = Field(description="its output")
     asked: list[str] = Field(description="the requests, queries and subscriptions that it answers")
     failure: str
 
 
 class EvaluationModel(BaseModel):
-    """How far all is that reads a stream, directly or through other streams."""
+    """The progress of all direct and indirect readers of a stream."""
 
     last: int = Field(description="number of the newest sample; 0 before the first")
     evaluated: int = Field(
-        description="number of the newest sample with which all units that read it are through; "
-        "those that failed are not waited for"
+        description="number of the newest sample that all readers have evaluated; failed ones do "
+        "not count"
     )
     failed: list[FailureModel]
 
@@ -255,25 +256,25 @@ class EvaluationModel(BaseModel):
 
 
 class RoundedModel(BaseModel):
-    """Numbers that no double is: integers beyond 2^53, and what is nearer to 0 than doubles have
-    digits."""
+    """Numbers that a double cannot represent exactly: integers beyond 2^53, and numbers nearer to 0
+    than doubles have digits."""
 
     count: int
-    line: int = Field(description="of the first; of Arrow the row")
-    field: str = Field(description="of the first")
+    line: int = Field(description="the line of the first one; in Arrow the row")
+    field: str = Field(description="the field of the first one")
 
 
 class AcceptedModel(BaseModel):
-    """How many samples were taken; a batch is taken whole or refused whole."""
+    """The number of accepted samples; a batch is accepted as a whole or not at all."""
 
     accepted: int
     rounded: RoundedModel | None = Field(
-        None, description="numbers of float fields that were rounded beyond their last digit"
+        None, description="numbers of float fields that lost digits"
     )
 
     @classmethod
     def of(cls, accepted: int, rounded: Rounded | None) -> AcceptedModel:
-        told = None
+        model = None
         if rounded is not None:
-            told = RoundedModel(count=rounded.count, line=rounded.line, field=rounded.field)
-        return cls(accepted=accepted, rounded=told)
+            model = RoundedModel(count=rounded.count, line=rounded.line, field=rounded.field)
+        return cls(accepted=accepted, rounded=model)

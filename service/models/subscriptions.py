@@ -1,4 +1,4 @@
-"""Subscriptions to streams and to features, as JSON."""
+"""JSON models of subscriptions to streams and to features."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ from .parts import MOST_ARGUMENTS, Body, Duration, Name, Quality, Since, Strateg
 
 
 class SubscriptionIn(Body):
-    """What is subscribed to, a ``stream`` or a ``feature``, and what it is to be like."""
+    """A subscription to a ``stream`` or to a ``feature``, with its policy and limits."""
 
-    stream: Name | None = Field(None, description="a stream, and no feature")
-    feature: Name | None = Field(None, description="a feature, whatever streams hold it")
-    sort: Name | None = Field(None, description="the feature of every object of the sort")
+    stream: Name | None = Field(None, description="a stream; excludes a feature")
+    feature: Name | None = Field(None, description="a feature, of any streams that have it")
+    sort: Name | None = Field(None, description="the feature of all objects of the sort")
     objects: list[Name] = Field(
         default_factory=list,
         max_length=MOST_ARGUMENTS,
-        description="the feature of this object; of an n-ary feature its arguments",
+        description="the feature of this object; for an n-ary feature its arguments in order",
     )
     strategy: Strategy = "fast"
     policy: str = Field(
         "",
         max_length=2000,
-        description="constraints as after `with` in KPL; empty: the stream as it is",
+        description="constraints as after `with` in KPL; empty: the unchanged stream",
         examples=["sample every 1s, max delay 200"],
     )
     unit: Literal["ns", "us", "ms", "s"] = "ms"
-    """What integers of the policy are."""
+    """The unit of the policy's integers."""
     since: Since = "now"
     staleness: Duration | None = Field(
-        None, description="so long a source may be silent; null: five times its usual gap"
+        None, description="how long a source may be silent; null: five times its usual gap"
     )
-    min_quality: Quality = Field(0.0, description="the least quality that is good enough")
+    min_quality: Quality = Field(0.0, description="the least sufficient quality")
     hold_off: Duration = Field(
-        2 * SECOND, description="so long a better source must have been there"
+        2 * SECOND, description="how long a better source must exist before it is used"
     )
 
 
 class AdaptiveModel(BaseModel):
-    """What a subscription to a feature is to, and how it is."""
+    """The want and the state of a subscription to a feature."""
 
     want: str
     strategy: str
     state: str = Field(
-        description="running; stale: what it reads is silent, and there is nothing else; "
-        "waiting: nothing gives what is wanted"
+        description="running; stale: its source is silent, and there is no other; waiting: no "
+        "stream gives the feature"
     )
     failure: str | None
-    reads: list[str] = Field(description="the streams and sources behind it")
-    missing: list[str] = Field(description="of one that waits: what would have to be there")
+    reads: list[str] = Field(description="its present streams and sources")
+    missing: list[str] = Field(description="the missing parts of a plan, if it waits")
     staleness: str | None
     min_quality: float
     hold_off: str
-    rematches: int = Field(description="how many switches are kept")
+    rematches: int = Field(description="number of switches that are kept")
 
     @classmethod
     def of(cls, view: views.AdaptiveView) -> AdaptiveModel:
@@ -83,10 +83,10 @@ class RematchModel(BaseModel):
     time: str
     position: int
     why: str
-    before: list[str] = Field(description="the streams and sources that it read")
-    after: list[str] = Field(description="and those that it reads from then on")
+    before: list[str] = Field(description="the streams and sources before the switch")
+    after: list[str] = Field(description="the streams and sources after it")
     lost: bool = Field(
-        description="the new source had forgotten some of what followed the last sample"
+        description="whether the new source no longer had all samples after the last one"
     )
 
     @classmethod
@@ -102,27 +102,27 @@ class RematchModel(BaseModel):
 
 
 class SubscriptionModel(BaseModel):
-    """A subscription; its samples come on ``stream``, and as events at ``events``. One that waits
+    """A subscription; ``stream`` has its samples, and ``events`` sends them. A waiting subscription
     has no stream."""
 
     id: str
-    source: str = Field(description="the stream; of one to a feature that waits, the feature")
-    policy: str = Field(description="as KPL, integers in ms; of one that waits as it was written")
-    since: str = Field(description="as asked for; a duration as the time that it means")
+    source: str = Field(description="the stream; the feature, if one to a feature waits")
+    policy: str = Field(description="as KPL, integers in ms; as written, if it waits")
+    since: str = Field(description="as requested; a duration as the time that it stands for")
     state: Literal["running", "failed", "waiting"] = Field(
-        description="failed: what feeds it was cut off, and nothing more comes; waiting: an "
-        "earlier run has accepted it, and this one cannot start it"
+        description="failed: its source was stopped, and no more samples come; waiting: an earlier "
+        "run accepted it, and this one cannot start it"
     )
-    failure: str | None = Field(description="why it has failed or waits")
+    failure: str | None = Field(description="why it failed or waits")
     stream: str | None
-    counters: dict[str, Any] = Field(description="what became of the samples under the policy")
-    violations: str | None = Field(description="the stream of samples that were not passed on")
+    counters: dict[str, Any] = Field(description="counters of the samples under the policy")
+    violations: str | None = Field(description="the stream of samples that violated the policy")
     events: str | None
-    adaptive: AdaptiveModel | None = Field(description="of a subscription to a feature")
+    adaptive: AdaptiveModel | None = Field(description="only for a subscription to a feature")
 
     @classmethod
     def waiting(cls, waiting: Waiting) -> SubscriptionModel:
-        """One that waits, as it was asked for."""
+        """Return the model of a waiting subscription."""
         command = waiting.command
         assert isinstance(command, Subscribe | SubscribeToFeature)
         return cls(

@@ -1,4 +1,5 @@
-"""Transformations and the ports of annotations, as JSON ([Introspection15 §3.1, Listing 3])."""
+"""JSON models of transformations and the ports of annotations ([Introspection15 §3.1, Listing
+3])."""
 
 from __future__ import annotations
 
@@ -26,12 +27,12 @@ from ...rdf.namespaces import shorten
 from .parts import Body, Name, Quality
 
 PORTS = 100
-"""A transformation has at most so many inputs, a feature so many arguments."""
+"""The most inputs of a transformation, and arguments of a feature."""
 
 
 class ArgumentModel(Body):
-    """A sort, an object or ``self``. ``as`` tells two of a sort apart, ``id`` is the field that
-    names the object. ``every`` says that the name is that of a sort (true) or of an object."""
+    """A sort, an object or ``self``. ``as`` is an alias that distinguishes two of one sort; ``id``
+    is the field with the object's name. ``every``: the name is a sort's (true) or an object's."""
 
     model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
 
@@ -42,7 +43,7 @@ class ArgumentModel(Body):
 
 
 class PortModel(Body):
-    """A feature and the field it is in; ``unit`` null: the feature's own."""
+    """A feature and its field; ``unit`` null: the feature's own."""
 
     model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
 
@@ -52,8 +53,8 @@ class PortModel(Body):
     of: list[Name | ArgumentModel] = Field(
         default_factory=list,
         max_length=PORTS,
-        description="whose feature it is: names of sorts and objects, or objects with `name`, "
-        "`as` and `id`",
+        description="the feature's arguments: names of sorts and objects, or JSON objects with "
+        "`name`, `as` and `id`",
     )
 
     @classmethod
@@ -75,7 +76,7 @@ class PortModel(Body):
         )
 
     def described(self) -> DescribedPort:
-        """For the engine."""
+        """Convert the port for the engine."""
         arguments = (
             DescribedArgument(one)
             if isinstance(one, str)
@@ -86,8 +87,8 @@ class PortModel(Body):
 
 
 class ContentsIn(Body):
-    """An annotation in JSON: of a ``stream`` its ``contents``; of a transformation its ``name``,
-    ``inputs`` (none: it is a source) and ``output``. What GET shows beside them is not read."""
+    """An annotation in JSON: ``stream`` and ``contents``, or for a transformation ``name``,
+    ``inputs`` (none: a source) and ``output``. The other members that GET shows are ignored."""
 
     stream: Name | None = None
     contents: list[PortModel] | None = Field(None, min_length=1, max_length=1000)
@@ -99,7 +100,7 @@ class ContentsIn(Body):
     source: str | None = None
 
     def described(self) -> DescribedStream | DescribedTransformation:
-        """For the engine; raises `ValueError` for a description of neither or of both."""
+        """Convert the annotation for the engine. Raises `ValueError` unless it has one form."""
         of_stream = self.stream is not None and self.contents is not None
         if of_stream == (self.name is not None and self.output is not None):
             raise ValueError("an annotation has either stream and contents, or name and output")
@@ -111,36 +112,38 @@ class ContentsIn(Body):
 
 
 class TransformationIn(Body):
-    """A transformation: what it takes and gives, by an ``annotation`` in SSL or by ``name``,
-    ``inputs`` and ``output``; and the code behind it."""
+    """A transformation and its code: ``annotation`` in SSL describes its inputs and output, or
+    ``name``, ``inputs`` and ``output`` do."""
 
     annotation: str | None = Field(
         None,
         max_length=100_000,
-        description="one `compunit` or `source` in SSL, in place of name, inputs and output",
+        description="one `compunit` or `source` in SSL, instead of name, inputs and output",
     )
     name: Name | None = None
     inputs: list[PortModel] = Field(
-        default_factory=list, max_length=PORTS, description="none: it is a source"
+        default_factory=list, max_length=PORTS, description="empty for a source"
     )
     output: PortModel | None = None
-    implementation: Name | None = Field(None, description="the code; null: that of its name")
+    implementation: Name | None = Field(None, description="the code; null: the code of its name")
     parameters: dict[Name, bool | int | float | str] = Field(
-        default_factory=dict, max_length=PORTS, description="of the code; the others have defaults"
+        default_factory=dict,
+        max_length=PORTS,
+        description="parameters of the code; missing ones get defaults",
     )
-    cost: float = Field(1.0, ge=0, allow_inf_nan=False, description="of a unit of it")
+    cost: float = Field(1.0, ge=0, allow_inf_nan=False, description="the cost of one unit")
     quality: Quality = 1.0
 
     @property
     def texts(self) -> dict[str, str]:
-        """The parameters as the engine takes them."""
+        """The parameters as texts for the engine."""
         return {
             key: str(value).lower() if isinstance(value, bool) else str(value)
             for key, value in self.parameters.items()
         }
 
     def described(self) -> DescribedTransformation:
-        """For the engine. Contract: it has a name and an output."""
+        """Convert it for the engine. Contract: it has a name and an output."""
         assert self.name is not None
         assert self.output is not None
         return DescribedTransformation(
@@ -155,32 +158,32 @@ class TransformationIn(Body):
 
 
 class WorthIn(Body):
-    """What has changed of a transformation."""
+    """The new cost or quality of a transformation."""
 
     cost: float | None = Field(None, ge=0, allow_inf_nan=False)
     quality: Quality | None = None
 
 
 class QualityIn(Body):
-    """How good a stream is from now on."""
+    """The new quality of a stream."""
 
     quality: Quality
 
 
 class TransformationModel(BaseModel):
-    """A transformation, and the units of it that run."""
+    """A transformation and its running units."""
 
     name: str
     kind: Literal["source", "transformation"]
-    text: str = Field(description="what it takes and gives, for people")
-    annotation: str = Field(description="the SSL text, or the same in words")
+    text: str = Field(description="its inputs and output, for reading")
+    annotation: str = Field(description="the SSL text, or a description in words")
     inputs: list[PortModel]
     output: PortModel
     implementation: str
     parameters: dict[str, str]
     cost: float
     quality: float
-    lacks: str = Field(description="why no unit can be made of it; empty: one can")
+    lacks: str = Field(description="why no unit can be made of it; empty if one can")
     units: list[str]
 
     @classmethod
@@ -215,7 +218,7 @@ def _argument(argument: Argument) -> ArgumentModel:
 def _named(
     object: str | None, sort: str | None, id: str | None, variable: str | None
 ) -> ArgumentModel:
-    """What a feature speaks of: an object, or every object of a sort."""
+    """Return an argument: an object, or every object of a sort."""
     name = "self" if object == SELF else shorten(object or sort or "")
     return ArgumentModel.model_validate(
         {"name": name, "as": variable, "id": id, "every": object is None}

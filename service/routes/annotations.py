@@ -1,4 +1,4 @@
-"""Annotations in SSL ([Events14 §III.A]): what streams, sources and units are about."""
+"""Annotations of streams, sources and units in SSL ([Events14 §III.A])."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ BODY = {
         "required": True,
         "content": {
             TEXT: text_schema("declarations in SSL", EXAMPLE),
-            TURTLE: text_schema("annotations as Listing 3 has them", LISTING),
+            TURTLE: text_schema("annotations in the form of Listing 3", LISTING),
             JSON: {
                 "schema": {
                     "anyOf": [
@@ -80,8 +80,8 @@ Described: TypeAlias = ContentsIn | Annotated[list[ContentsIn], Field(max_length
 async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     """Annotate streams, sources and units in SSL, or streams in JSON.
 
-    All of it takes effect, or none. What is said of a stream replaces what was said before. In
-    JSON names may be IRIs that SSL has no words for: 404 for a feature that is not known.
+    The request takes effect as a whole, or not at all. A new annotation replaces that of the same
+    stream. In JSON, names may be IRIs that SSL cannot write. 404: an unknown feature.
     """
     kind = content_type(request, (TEXT, JSON, TURTLE))
     body = await request.body()
@@ -94,24 +94,24 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
         quotas.check_streams(streams)
         others = [one.name for one in declared if not isinstance(one, StreamDeclaration)]
         quotas.check_transformations(others)
-        found = await service.do(Annotate(text))
-        return [AnnotationModel.of(annotation) for annotation in found]
+        annotations = await service.do(Annotate(text))
+        return [AnnotationModel.of(annotation) for annotation in annotations]
     if kind == TURTLE:
         turtle, documents = utf8(body), service.isolation.documents
-        read = await while_connected(
+        parsed = await while_connected(
             request, lambda: documents.run(lambda: read_annotations(turtle, documents))
         )
-        check_number(read)
-        return await _describe(service, read)
+        check_number(parsed)
+        return await _describe(service, parsed)
     described: ContentsIn | list[ContentsIn] = await json_value(body, Described)
-    several = described if isinstance(described, list) else [described]
-    if sum(len(each.contents or ()) for each in several) > MOST_CONTENTS:
+    items = described if isinstance(described, list) else [described]
+    if sum(len(each.contents or ()) for each in items) > MOST_CONTENTS:
         raise too_long(f"{MOST_CONTENTS} contents")
     try:
-        wanted = [each.described() for each in several]
+        descriptions = [each.described() for each in items]
     except ValueError as error:
         raise Problem(400, "wrong arguments", str(error)) from error
-    return await _describe(service, wanted)
+    return await _describe(service, descriptions)
 
 
 async def _describe(
@@ -121,8 +121,8 @@ async def _describe(
     others = tuple(one for one in described if isinstance(one, DescribedTransformation))
     service.gate.quotas.check_streams([one.stream for one in streams])
     service.gate.quotas.check_transformations([one.name for one in others])
-    made = await service.do(Describe(streams, others))
-    return [AnnotationModel.of(annotation) for annotation in made]
+    annotations = await service.do(Describe(streams, others))
+    return [AnnotationModel.of(annotation) for annotation in annotations]
 
 
 @router.get(
@@ -134,11 +134,14 @@ async def _describe(
     },
 )
 async def list_annotations(request: Request, service: Context) -> Response:
-    """All annotations; as SSL for ``Accept: text/plain``, or Turtle. Each can be sent again."""
+    """List all annotations, as JSON, as SSL (``Accept: text/plain``) or as Turtle.
+
+    POST accepts each form.
+    """
     kind = accepted(request, (JSON, TEXT, TURTLE))
-    found = service.engine.annotations()
+    annotations = service.engine.annotations()
     if kind == TEXT:
-        return PlainTextResponse("".join(f"{each.source.rstrip()}\n" for each in found))
+        return PlainTextResponse("".join(f"{each.source.rstrip()}\n" for each in annotations))
     if kind == TURTLE:
-        return Response(format_annotations(found), media_type=TURTLE)
-    return await listed(found, AnnotationModel.of)
+        return Response(format_annotations(annotations), media_type=TURTLE)
+    return await listed(annotations, AnnotationModel.of)

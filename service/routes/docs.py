@@ -1,4 +1,4 @@
-"""The documentation page: own files, no outside address."""
+"""The page with the HTTP reference. It loads files of this service only, nothing from outside."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FILES = {
     "docs.js": "text/javascript; charset=utf-8",
 }
 POLICY = {
-    # Own script and style, nothing inline; requests to this service; in nobody's frame.
+    # Own script and style, nothing inline; requests to this service; not inside other pages.
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'",
@@ -28,24 +28,24 @@ POLICY = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-cache",
 }
-"""Of the page and its files; what holds for every answer stands in service/server."""
+"""Headers of the page and its files; service/server adds those of all responses."""
 
 
 @router.get("/")
 async def home() -> Response:
-    """People who open the service in a browser see what it can do."""
+    """Send browsers to the documentation."""
     return RedirectResponse("/docs")
 
 
 @router.get("/docs")
 async def page() -> Response:
-    """The documentation of all routes, made from /openapi.json in the browser."""
+    """Return the documentation of all routes; its script reads /openapi.json."""
     return _file("docs.html")
 
 
 @router.get("/static/{name}")
 async def static(name: str) -> Response:
-    """Style and script of the page."""
+    """Return a style or script of the page."""
     return _file(name)
 
 

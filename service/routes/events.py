@@ -1,4 +1,4 @@
-"""Events on demand ([Events14 §V.B]): request, list, read, give up."""
+"""Events on demand ([Events14 §V.B]): request, list, read, cancel."""
 
 from __future__ import annotations
 
@@ -58,16 +58,16 @@ async def request_event(
     strategy: Annotated[Strategy, Query(description="for a request as text")] = "fast",
     since: Annotated[Since, Query(description=f"for a request as text: {BEGINNING}")] = "now",
 ) -> EventModel:
-    """Request an event: the streams it needs are found or built.
+    """Request an event: the service finds or builds the streams that it needs.
 
-    The same request twice shares one stream; ``position`` is the id of its last sample before
-    this request, to follow with ``since=``. 404: no such event; 410: the streams have forgotten
-    some of what ``since`` asks for; 422: no plan, ``missing`` says what would be needed.
+    Equal requests share one stream. ``position`` is the id of the last sample before this request:
+    follow the stream with it as ``since``. 404: no such event; 410: the streams no longer have all
+    samples from ``since`` on; 422: there is no plan, and ``missing`` lists what one would need.
     """
     kind = content_type(request, (JSON, TEXT))
     body = (await request.body()).removeprefix(BOM_UTF8)
     engine = service.engine
-    # A body that came without a type may be either; JSON begins with a brace.
+    # Without a content type the body may be either; JSON begins with a brace.
     if kind == TEXT or not ("content-type" in request.headers or body.lstrip().startswith(b"{")):
         command = RequestEvent(utf8(body), strategy=strategy, since=since)
     else:
@@ -82,9 +82,11 @@ async def request_event(
 
 @router.get("/events", response_model=list[EventModel])
 async def list_events(service: Context) -> Response:
-    """The requests that run, then those of an earlier run that wait (``state``)."""
+    """List the running requests, then the waiting ones of earlier runs (``state``)."""
     engine = service.engine
-    waiting = [EventModel.waiting(each) for each in service.keeper.waits(REQUEST).values()]
+    waiting = [
+        EventModel.waiting(each) for each in service.commands.deferred_by_name(REQUEST).values()
+    ]
     return await listed(
         engine.event_ids(), lambda id: EventModel.of(engine.event(id), engine.epoch), waiting
     )
@@ -92,15 +94,15 @@ async def list_events(service: Context) -> Response:
 
 @router.get("/events/{id}", responses=responses(404))
 async def read_event(id: str, service: Context) -> EventModel:
-    """One request, with its plan if it runs."""
-    if (waiting := service.keeper.waits(REQUEST).get(id)) is not None:
+    """Return one request, with its plan if it runs."""
+    if (waiting := service.commands.deferred_by_name(REQUEST).get(id)) is not None:
         return EventModel.waiting(waiting)
     return EventModel.of(service.engine.event(id), service.engine.epoch)
 
 
 @router.delete("/events/{id}", status_code=204, responses=responses(404))
 async def cancel_event(id: str, service: Context) -> Response:
-    """Give a request up. A unit stops with its last user."""
+    """Cancel a request. A unit stops with its last user."""
     await service.do(CancelEvent(id))
     service.feeds.review()
     return Response(status_code=204)

@@ -1,4 +1,4 @@
-"""Every stage of a query, template, request or match, as text."""
+"""Explanations: the stages of a query, template, request or match, as text."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ async def explain(
     query: str | None = Query(None, max_length=LIMIT, description="a REGISTER STREAM|QUERY text"),
     id: str | None = Query(None, max_length=LIMIT, description="a running request or query"),
     feature: str | None = Query(None, max_length=LIMIT, description="a feature to match"),
-    sort: str | None = Query(None, max_length=LIMIT, description="whose feature"),
+    sort: str | None = Query(None, max_length=LIMIT, description="the sort that has the feature"),
     strategy: Strategy = "fast",
 ) -> Response:
     """Explain exactly one of `event`, `template`, `query`, `id` and `feature`."""
@@ -47,8 +47,8 @@ async def explain(
         raise Problem(
             400,
             "wrong arguments",
-            f"one thing is explained at a time, got {len(given)}",
-            hint="give exactly one of event, template, query, id, feature",
+            f"a request explains one thing, and this one names {len(given)}",
+            hint="send exactly one of event, template, query, id, feature",
         )
     if id is not None:
         text = service.engine.explain_running(id) + "\n"

@@ -1,4 +1,4 @@
-"""Routes that are asked so often that what the framework does for each request counts."""
+"""A route class for frequent requests, for which the framework's own work is too slow."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from fastapi.routing import APIRoute
 
 
 def direct(answer: Callable[[Request], Awaitable[Response | None]]) -> type[APIRoute]:
-    """Routes whose requests ``answer`` answers itself: the framework's dependencies, validation and
-    models take as long as a small batch (docs/explanation/design/0005-arrival-to-event.md). Where
-    it gives None, the framework is asked, which refuses what is to be refused.
+    """Return a route class that lets ``answer`` handle the request first.
+
+    The framework's dependencies, validation and models take as long as a small batch
+    (docs/explanation/design/0005-arrival-to-event.md). If ``answer`` returns None, the framework
+    handles the request, mostly to refuse it with its usual error.
     """
 
     class Direct(APIRoute):
         def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-            usual = super().get_route_handler()
+            framework = super().get_route_handler()
 
             async def handle(request: Request) -> Response:
-                found = await answer(request)
-                return await usual(request) if found is None else found
+                response = await answer(request)
+                return await framework(request) if response is None else response
 
             return handle
 

@@ -1,4 +1,4 @@
-"""Streams as server-sent events: one, or several on one connection."""
+"""Streams as server-sent events: one stream, or several on one connection."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ EVENTS: dict[int | str, dict[str, Any]] = {
 }
 
 SINCE = (
-    "`start` of what is kept, a time, a duration before the newest sample (`30s`), or the id of a "
+    "`start` of the history, a time, a duration before the newest sample (`30s`), or the id of a "
     "sample"
 )
 
 
-async def _followed(request: Request) -> Response | None:
+async def _follow_directly(request: Request) -> Response | None:
     name = request.path_params.get("name")
     if name is None:
         return None
@@ -36,7 +36,7 @@ async def _followed(request: Request) -> Response | None:
     return await follow(request.app.state.service, request, name, since)
 
 
-router = APIRouter(tags=["streams"], route_class=direct(_followed))
+router = APIRouter(tags=["streams"], route_class=direct(_follow_directly))
 
 
 @router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 410, 429, 503)})
@@ -46,11 +46,11 @@ async def follow_stream(
     service: Context,
     since: str | None = Query(None, description=SINCE),
 ) -> Response:
-    """The stream's samples as server-sent events, from now on.
+    """Send the stream's samples as server-sent events, from now on.
 
-    After ``Last-Event-ID`` when a client resumes, or from ``since``. Messages: `sample`, `gap`
-    (samples that are no longer kept), `end` (the stream has ended or was removed; the answer
-    ends with it).
+    A client that resumes sends ``Last-Event-ID``; ``since`` begins elsewhere. Messages: `sample`,
+    `gap` (samples that the stream no longer has), `end` (the stream has ended or was removed; the
+    response ends with it).
     """
     return await follow(service, request, name, since)
 
@@ -62,12 +62,13 @@ async def follow(
     since: str | None,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
-    """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
+    """Return the event stream of ``name``; ``switches`` as in `event_stream`."""
     key = service.client_key(request)
-    answer = event_stream(service.feeds, request, key, name, since, switches)
-    # It says where it begins, and that is to be so after a restart, too.
-    await service.keeper.settled()
-    return answer
+    response = event_stream(service.feeds, request, key, name, since, switches)
+    # The response names its start, which must be durable: a client may resume from it after a
+    # restart.
+    await service.commands.try_commit()
+    return response
 
 
 @router.get("/follow", responses={**EVENTS, **responses(404, 406, 410, 422, 429, 503)})
@@ -80,13 +81,13 @@ async def follow_streams(
     ],
     since: str | None = Query(None, description=SINCE),
 ) -> Response:
-    """The samples of several streams as server-sent events, on one connection.
+    """Send the samples of several streams as server-sent events, on one connection.
 
-    Messages are those of `/streams/{name}/events`, of which `data.stream` tells the stream. An `id`
-    is opaque: with it as `Last-Event-ID`, and the same streams, all of them go on where they were.
-    `end` is of one stream; the answer ends with the last of them.
+    Messages are those of `/streams/{name}/events`; `data.stream` names the stream. An `id` is
+    opaque: sent as `Last-Event-ID` with the same streams, it resumes all of them. `end` concerns
+    one stream; the response ends with the last of them.
     """
     key = service.client_key(request)
-    answer = follow_many(service.feeds, request, key, stream, since)
-    await service.keeper.settled()
-    return answer
+    response = follow_many(service.feeds, request, key, stream, since)
+    await service.commands.try_commit()
+    return response

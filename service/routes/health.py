@@ -1,4 +1,4 @@
-"""Is the service alive, is it ready, what does it count."""
+"""Liveness, readiness and metrics of the service."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ router = APIRouter(tags=["health"])
 
 @router.get("/healthz")
 async def healthz() -> HealthModel:
-    """The process answers."""
+    """Return 200 while the process answers."""
     return HealthModel(status="ok")
 
 
 @router.get("/readyz", responses={503: {"model": HealthModel}})
 async def readyz(service: Context, response: Response) -> HealthModel:
-    """The service takes requests: 503 with the reasons while it starts or stops, while the engine's
-    tick fails or is late, and while something else keeps it from its work.
+    """Return 200 while the service takes requests, and 503 with reasons while it does not.
 
-    200 with `degraded` while all works but units that were cut off: what they answer is `failed` in
-    `/events`, `/queries` and `/subscriptions`. Others are served, and a restart would mend nothing.
+    Reasons: it starts or stops, the engine's tick fails or is late, the data directory, the
+    workers or the memory limit prevent its work. 200 with `degraded`: some units failed, and show
+    `failed` in `/events`, `/queries` and `/subscriptions`; all else works. A restart would not
+    help.
     """
     reasons = service.reasons()
     if not reasons:
@@ -41,5 +42,5 @@ async def readyz(service: Context, response: Response) -> HealthModel:
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 async def metrics(service: Context) -> Response:
-    """Metrics in the text format of Prometheus."""
+    """Return the metrics in the text format of Prometheus."""
     return Response(await service.metrics.text(), media_type=CONTENT_TYPE)

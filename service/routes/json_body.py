@@ -1,4 +1,4 @@
-"""Routes whose bodies are JSON: here, and nowhere else, the framework has them read."""
+"""A route class for JSON bodies that the framework reads; other routes read their bodies."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class _JsonRequest(Request):
 
 
 class JsonRoute(APIRoute):
-    """A route that refuses a body in which a member stands twice."""
+    """A route that refuses a body with a repeated member, where JSON parsers differ."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        usual = super().get_route_handler()
+        framework = super().get_route_handler()
 
         async def handle(request: Request) -> Response:
-            return await usual(_JsonRequest(request.scope, request.receive))
+            return await framework(_JsonRequest(request.scope, request.receive))
 
         return handle

@@ -34,7 +34,7 @@ BODY = {
 }
 Unit = Annotated[
     Literal["ns", "us", "ms", "s"],
-    Query(description="what integers are, where the text does not say `unit`"),
+    Query(description="the unit of integers, if the text has no `unit`"),
 ]
 
 
@@ -44,9 +44,9 @@ Unit = Annotated[
 async def declare(request: Request, service: Context, unit: Unit = "ms") -> list[DeclarationModel]:
     """Declare sources, computational units, generators and streams, and start them.
 
-    All of the text takes effect, or none: 400 with line and column, 404 for a unit without code,
-    409 where a stream or the code is otherwise. Gives what is new; what was declared in the same
-    words before changes nothing.
+    The text takes effect as a whole, or not at all. 400 with line and column; 404: a unit without
+    code; 409: a stream or the code differs from the declaration. Returns the new declarations; an
+    equal earlier declaration stays as it is.
     """
     check_length(await request.body())
     text = await text_body(request, (TEXT,))
@@ -60,7 +60,7 @@ async def declare(request: Request, service: Context, unit: Unit = "ms") -> list
     responses={200: {"content": {TEXT: {"schema": {"type": "string"}}}}, **responses(406)},
 )
 async def list_declarations(request: Request, service: Context) -> Response:
-    """Everything declared, in order; as KPL for ``Accept: text/plain``, integers in ms."""
+    """List all declarations in order; as KPL for ``Accept: text/plain``, with integers in ms."""
     if accepted(request, (JSON, TEXT)) == TEXT:
         return PlainTextResponse(service.engine.kpl_text())
     return await listed(service.engine.kpl(), DeclarationModel.of)
@@ -68,7 +68,7 @@ async def list_declarations(request: Request, service: Context) -> Response:
 
 @router.get("/kpl/{name:path}", responses=responses(404))
 async def read_declaration(name: str, service: Context) -> OneDeclarationModel:
-    """One declaration by name or label, with what cannot be without it."""
+    """Return one declaration by name or label, with the declarations that depend on it."""
     view, used_by = service.engine.kpl_declaration(name)
     return OneDeclarationModel(**DeclarationModel.of(view).model_dump(), used_by=list(used_by))
 
@@ -77,12 +77,12 @@ async def read_declaration(name: str, service: Context) -> OneDeclarationModel:
 async def remove_declaration(
     name: str,
     service: Context,
-    cascade: Annotated[bool, Query(description="also what cannot be without it")] = False,
+    cascade: Annotated[bool, Query(description="remove what depends on it, too")] = False,
 ) -> RemovedModel:
-    """Stop and forget a declaration; its streams are gone, and their clients told.
+    """Stop and remove a declaration and its streams; clients of these get `end`.
 
-    409 where others need it, without ``cascade``, and where something outside of KPL reads one of
-    the streams.
+    409: other declarations depend on it, and ``cascade`` is false; or something outside of KPL
+    reads one of the streams.
     """
     removed = await service.do(RemoveKpl(name, cascade))
     service.feeds.review()

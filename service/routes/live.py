@@ -1,4 +1,4 @@
-"""Live samples: one request whose samples are published while its body comes."""
+"""Live samples: one request whose samples are published while its body arrives."""
 
 from __future__ import annotations
 
@@ -33,21 +33,22 @@ async def publish_live(
     request: Request,
     service: Context,
     idempotency_key: Annotated[
-        str | None, Header(description="refused: a live body is not taken whole")
+        str | None, Header(description="refused: a live body takes effect in parts")
     ] = None,
 ) -> AcceptedModel | Response:
-    """Publish samples as they come, in one body of any length (`Transfer-Encoding: chunked`).
+    """Publish samples while they arrive, in one body of any length (`Transfer-Encoding: chunked`).
 
-    A line (a record batch of Arrow) is published as soon as it is there. The answer comes at the
-    end. An error ends the body: all before `line` is published and stays, nothing from it on is;
-    `accepted` counts. 408: nothing has come for too long; 503: the service stops.
+    The service publishes each line (each record batch of Arrow) as soon as it has arrived, and
+    responds at the end. An error ends the body: the samples before `line` stay published, the
+    others are not; `accepted` counts the former. 408: nothing arrived for too long; 503: the
+    service stops.
     """
     service.engine.accepting(name)
     if idempotency_key is not None:
         raise Problem(
             400,
             "no key here",
-            "a live body is not taken whole, so that it cannot be repeated under a key",
+            "a live body takes effect in parts, so a key cannot make its repetition safe",
             hint="leave Idempotency-Key out, or POST batches to /streams/{name}/samples",
         )
     live = _samples(name, content_type(request, (NDJSON, ARROW)), service)
@@ -55,29 +56,29 @@ async def publish_live(
         await service.bodies.publish(request, live, service.settings.live_timeout)
     except ClientDisconnect:
         log().info("live samples broken off", stream=name, accepted=live.accepted)
-        return Response(status_code=400)  # nobody reads it
+        return Response(status_code=400)  # the client has gone
     except Exception as error:
         if isinstance(error, AheadOfClock):
             service.engine.intake.count_ahead(name)
-        # What the answer says of it holds.
-        await service.keeper.settled()
+        # The response counts accepted samples, which must be durable then.
+        await service.commands.try_commit()
         raise _refusal(error, live) from error
-    await service.keeper.kept()
+    await service.commands.wait_durable()
     return AcceptedModel.of(live.accepted, live.rounded)
 
 
 def _samples(name: str, kind: str, service: Service) -> LiveSamples:
-    make = LiveLines if kind == NDJSON else LiveTables
+    live_class = LiveLines if kind == NDJSON else LiveTables
     limits = service.settings.live_batch_limits
-    return make(service.engine, service.keeper, name, service.clock, limits)
+    return live_class(service.engine, service.commands, name, service.clock, limits)
 
 
 def _refusal(error: Exception, live: LiveSamples) -> Exception:
-    """The problem that ``error`` is, with what was accepted before it."""
+    """Return ``error`` as a problem with the number of accepted samples."""
     problem = problem_of(error)
     if problem.status_code == 500:
         return error
     problem.members["accepted"] = live.accepted
-    # What of the body still comes is no request.
+    # The rest of the body is not the next request.
     problem.headers = {**(problem.headers or {}), "Connection": "close"}
     return problem

@@ -15,7 +15,7 @@ router = APIRouter(tags=["matching"], route_class=JsonRoute)
 
 @router.post("/match", dependencies=[Depends(json_only)], responses=responses(404, 413, 415, 422))
 async def match_feature(wanted: MatchIn, service: Context) -> MatchModel:
-    """How a feature could be had: the plan, what else was possible, and why. Nothing starts."""
+    """Find a plan for a feature, with alternatives and reasons. Nothing starts."""
     objects = [service.engine.object_name(each) for each in wanted.objects]
     view = service.engine.match(
         wanted.feature, sort=wanted.sort, objects=objects, strategy=wanted.strategy

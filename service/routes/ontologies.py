@@ -1,4 +1,4 @@
-"""Domain ontologies: sorts, features and objects that the service is told of while it runs."""
+"""Domain ontologies, loaded while the service runs: sorts, features and objects."""
 
 from __future__ import annotations
 
@@ -46,10 +46,12 @@ BODY: dict[str, Any] = {
     }
 }
 _ONTOLOGY = NamedNode(OWL + "Ontology")
-# A name of nothing: what a text calls <> has no IRI of its own.
+# The base of relative IRIs: an ontology that a text calls <> has no IRI of its own.
 _NO_BASE = NamedNode("urn:dyknow:no-base:")
-_ANOTHER = "the stream space is described in its terms; say more of them under another name"
-_NAME_IT = "say what it is called: ?name=<IRI>, or --name IRI"
+_OTHER_NAME_HINT = (
+    "the system describes the stream space in it; load your ontology under another name"
+)
+_NAME_HINT = "name it: ?name=<IRI>, or --name IRI"
 
 
 @router.post(
@@ -63,39 +65,39 @@ async def load_ontology(
         Query(
             min_length=1,
             max_length=2000,
-            description="the ontology's IRI; else that of the one owl:Ontology in the text",
+            description="the ontology's IRI; default: the IRI of the one owl:Ontology in the text",
         ),
     ] = None,
 ) -> OntologyModel:
-    """Add a domain ontology, or replace the one of this name. All of it counts, or nothing.
+    """Add a domain ontology, or replace the one of this name, as a whole or not at all.
 
-    Its sorts, features and objects are known from then on, also to requests that run. FROM means
-    it by its name. Imports are not followed. What the ontologies entail is computed anew, by a
-    process of its own; 400 for a text that needs more time, memory or triples than it may have.
+    Its sorts, features and objects are known at once, also to running requests. FROM refers to it
+    by its name. Imports are not followed. A separate process computes the entailments of all
+    ontologies. 400: the text needs more time, memory or triples than it may.
     """
     format = ONTOLOGY_FORMATS[content_type(request, tuple(ONTOLOGY_FORMATS))]
     body = await request.body()
     text = utf8(body)
-    # What it entails is computed for a second: not of what cannot be kept.
-    service.keeper.check_room(len(body))
+    # First: computing the entailments takes a second, in vain if the log has no room.
+    service.commands.check_room(len(body))
     documents, ontology = service.isolation.documents, service.engine.ontology
 
     def prepare() -> tuple[str, PreparedOntology]:
-        known = _own_name(text, format, documents) if name is None else name
-        if known == STREAM_SPACE_ONTOLOGY.value:
-            # Not by the engine: logs of earlier versions may have it.
-            raise OntologyError(f"the name {known} is the system's own", hint=_ANOTHER)
-        service.gate.quotas.check_ontology(known)
-        return known, ontology.prepare(text, name=known, format=format, reasoning=documents)
+        iri = _own_name(text, format, documents) if name is None else name
+        if iri == STREAM_SPACE_ONTOLOGY.value:
+            # Checked here, not in the engine: logs of earlier versions may contain it.
+            raise OntologyError(f"the name {iri} is the system's own", hint=_OTHER_NAME_HINT)
+        service.gate.quotas.check_ontology(iri)
+        return iri, ontology.prepare(text, name=iri, format=format, reasoning=documents)
 
-    known, prepared = await while_connected(request, lambda: documents.run(prepare))
-    await service.do(LoadOntology(text, known, format), prepared)
+    iri, prepared = await while_connected(request, lambda: documents.run(prepare))
+    await service.do(LoadOntology(text, iri, format), prepared)
     return OntologyModel(name=prepared.graph.value)
 
 
 @router.get("/ontologies")
 async def list_ontologies(service: Context) -> list[str]:
-    """The names of the ontologies that are loaded, those that come with the program included."""
+    """List the names of the loaded ontologies, including the shipped ones."""
     return list(service.engine.ontology.ontologies())
 
 
@@ -104,25 +106,27 @@ _ONE_AT_A_TIME = anyio.CapacityLimiter(1)
 
 @router.get("/ontologies/report")
 async def report(service: Context) -> OntologyReportModel:
-    """Hold everything that SPARQL sees against the shapes of a well-formed stream space (SHACL).
+    """Validate all that SPARQL sees against the SHACL shapes of a well-formed stream space.
 
-    It takes about a second, longer with many streams; requests are answered meanwhile.
+    It takes about a second, longer with many streams; the service answers other requests meanwhile.
     """
     service.engine.measure()
-    found = await anyio.to_thread.run_sync(service.engine.ontology.validate, limiter=_ONE_AT_A_TIME)
+    report = await anyio.to_thread.run_sync(
+        service.engine.ontology.validate, limiter=_ONE_AT_A_TIME
+    )
     return OntologyReportModel(
-        conforms=found.conforms,
+        conforms=report.conforms,
         violations=[
             ViolationModel(node=shorten(each.node), path=each.path, message=each.message)
-            for each in found.violations
+            for each in report.violations
         ],
     )
 
 
 def _own_name(text: str, format: TextFormat, reasoning: Reasoning) -> str:
-    """The IRI of the one ontology that the text declares.
+    """Return the IRI of the one ontology that the text declares.
 
-    Raises a 400 `Problem` for none or several, `OntologyError` for a text that cannot be read.
+    Raises a 400 `Problem` for none or several, `OntologyError` for a malformed text.
     """
     names = {
         triple.subject.value
@@ -133,13 +137,13 @@ def _own_name(text: str, format: TextFormat, reasoning: Reasoning) -> str:
     }
     if len(names) != 1:
         found = "no owl:Ontology with an IRI" if not names else f"{len(names)} ontologies"
-        raise Problem(400, "ontology without a name", f"the text declares {found}", hint=_NAME_IT)
+        raise Problem(400, "ontology without a name", f"the text declares {found}", hint=_NAME_HINT)
     name = names.pop()
     if name.startswith(_NO_BASE.value):
         raise Problem(
             400,
             "ontology without a name",
             "the text's owl:Ontology is a relative IRI",
-            hint=_NAME_IT,
+            hint=_NAME_HINT,
         )
     return name

@@ -1,4 +1,4 @@
-"""Samples into a stream: publish a batch ([DyKnow10 Def. 4.4])."""
+"""Publishes batches of samples into a stream ([DyKnow10 Def. 4.4])."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BODY: dict[str, Any] = {
             NDJSON: {
                 "schema": {
                     "type": "string",
-                    "description": "a line a sample: valid, available (optional), every field",
+                    "description": "one sample per line: valid, available (optional), all fields",
                 },
                 "example": LINE,
             },
@@ -36,18 +36,18 @@ BODY: dict[str, Any] = {
 }
 
 
-async def _published(request: Request) -> Response | None:
+async def _publish_directly(request: Request) -> Response | None:
     key = request.headers.get("idempotency-key")
     if key is not None and len(key) > KEY_LENGTH:
         return None
     name, service = request.path_params["name"], request.app.state.service
-    taken = await publish_samples(name, request, service, key)
-    if taken.rounded is not None:
-        return Response(taken.model_dump_json(), 202, media_type=JSON)
-    return Response(b'{"accepted":%d}' % taken.accepted, 202, media_type=JSON)
+    accepted = await publish_samples(name, request, service, key)
+    if accepted.rounded is not None:
+        return Response(accepted.model_dump_json(), 202, media_type=JSON)
+    return Response(b'{"accepted":%d}' % accepted.accepted, 202, media_type=JSON)
 
 
-router = APIRouter(tags=["samples"], route_class=direct(_published))
+router = APIRouter(tags=["samples"], route_class=direct(_publish_directly))
 
 
 @router.post(
@@ -62,38 +62,37 @@ async def publish_samples(
     request: Request,
     service: Context,
     idempotency_key: Annotated[
-        str | None, Header(max_length=KEY_LENGTH, description="repeating it has no second effect")
+        str | None, Header(max_length=KEY_LENGTH, description="a repetition has no second effect")
     ] = None,
 ) -> AcceptedModel:
-    """Publish a batch: taken whole, or refused whole with the line and the cause.
+    """Publish a batch, as a whole or not at all: an error names the line and the cause.
 
-    Samples without `available` are stamped on arrival; one that is further ahead of the clock than
-    the stream's `ahead` is a 400 (`latest` is the latest time that is taken). `rounded` counts
-    numbers that float fields do not hold, if there are any.
+    Samples without `available` are stamped on arrival. 400 with `latest`: a sample is further ahead
+    of the clock than the stream's `ahead`. `rounded` counts numbers that a float field cannot
+    represent exactly, if there are any.
 
-    429: queries that read the stream are behind, and samples that bring `available` have to wait.
-    409: the `Idempotency-Key` was used for
-    another body.
+    429: queries that read the stream are behind, and the samples have an `available` of their own.
+    409: the `Idempotency-Key` was used for another body.
     """
-    service.engine.accepting(name)  # an unknown stream is told before the body is read
-    if service.keeper.is_overloaded(name):
+    service.engine.accepting(name)  # refuse an unknown stream before the body arrives
+    if service.commands.is_overloaded(name):
         raise Problem(
             429,
             "queries are behind",
-            f"queries that read stream {name!r} are behind, and take no more samples now",
+            f"queries that read stream {name!r} are behind; it takes no more samples now",
             hint="send the batch again after the seconds in Retry-After",
             headers={"Retry-After": "1"},
         )
     kind = content_type(request, (NDJSON, ARROW))
     body = await request.body()
-    # Asked again: the stream may have been declared anew while the body came.
+    # `decode` checks the stream again: it may have been declared anew while the body arrived.
     batch = Publish(
         name, "ndjson" if kind == NDJSON else "arrow", body, service.clock(), idempotency_key
     )
-    # What is decoded stays with the stream's texts: not of what cannot be kept.
-    service.keeper.check_room(len(body))
+    # First: decoding adds texts to the stream's dictionary, in vain if the log has no room.
+    service.commands.check_room(len(body))
     incoming = await service.decoder.decode(batch)
-    # It may have taken its time, and commands are done in the order of theirs.
+    # Decoding may have waited for other batches, and times of commands must not decrease.
     batch = replace(batch, now=service.clock())
     try:
         batch.check_ahead(service.engine, incoming)

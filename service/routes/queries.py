@@ -37,7 +37,7 @@ BODY = {
         "content": {kind: text_schema("a REGISTER STREAM|QUERY text", EXAMPLE) for kind in TEXTS},
     }
 }
-TEXT_TOO: dict[int | str, dict[str, Any]] = {
+TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
     200: {"content": {TEXT: {"schema": {"type": "string"}}}}
 }
 CONTENT: dict[int | str, dict[str, Any]] = {
@@ -47,7 +47,7 @@ CONTENT: dict[int | str, dict[str, Any]] = {
     }
 }
 END_HEADER = "Dyknow-Window-End"
-"""The header that says of which window a result is."""
+"""The header with the end of the window that a result is of."""
 Name = Annotated[str, Path(description="the query's name")]
 
 
@@ -62,7 +62,7 @@ async def register_query(
     request: Request,
     service: Context,
     semantics: Annotated[
-        Semantics | None, Query(description="as the dialect has it: bag, or set for RSP-QL")
+        Semantics | None, Query(description="bag or set; default: bag, or set for RSP-QL")
     ] = None,
     bounds: Annotated[
         Bounds, Query(description="of a window with end e: (e - RANGE, e] or [e - RANGE, e)")
@@ -71,19 +71,19 @@ async def register_query(
         str, Query(description="windows end at origin + k STEP; ISO-8601 or integer ns")
     ] = "0",
     report: Annotated[
-        Report, Query(description="which windows give a result: with content, with other, all")
+        Report, Query(description="which windows give a result: non-empty, changed, or all")
     ] = "non-empty",
     strategy: Annotated[
-        Strategy, Query(description="how streams are chosen where the text names none")
+        Strategy, Query(description="how to choose streams if the text names none")
     ] = "fast",
     since: Annotated[Since, Query(description=BEGINNING)] = "now",
 ) -> Response:
-    """Register a continuous query in C-SPARQL or RSP-QL: 201, and 200 when it is there already.
+    """Register a continuous query in C-SPARQL or RSP-QL: 201, or 200 if it exists.
 
-    Its results are a stream of its name. Streams are those of FROM STREAM, or found from the
-    features that the query names. The same text again is shared. 404: no such stream; 409: the name
-    is taken; 410: the streams have forgotten some of what ``since`` asks for; 422: a stream without
-    annotation, a graph that is not loaded, or nothing gives what is needed.
+    Its results are a stream of its name. It reads the streams of FROM STREAM, or those that
+    matching finds for its features. Equal texts share one query. 404: no such stream; 409: the name
+    is taken; 410: the streams no longer have all samples from ``since`` on; 422: a stream has no
+    annotation, a graph is not loaded, or no stream gives a feature.
     """
     text = await text_body(request, TEXTS)
     await parse_aside(parse_continuous, text)
@@ -100,27 +100,29 @@ async def register_query(
 
 @router.get("/queries", response_model=list[QueryModel])
 async def list_queries(service: Context) -> Response:
-    """The registered queries, oldest first, then those of an earlier run that wait (``state``)."""
+    """List the registered queries, oldest first, then those that wait from earlier runs."""
     engine = service.engine
-    there = engine.queries
-    waits = service.keeper.waits(QUERY).values()
-    waiting = [QueryModel.waiting(each, engine.epoch) for each in waits]
+    queries = engine.queries
+    deferred = service.commands.deferred_by_name(QUERY).values()
+    waiting = [QueryModel.waiting(each, engine.epoch) for each in deferred]
     return await listed(
-        there.names(), lambda name: QueryModel.of(there.view(name), engine.epoch), waiting
+        queries.names(), lambda name: QueryModel.of(queries.view(name), engine.epoch), waiting
     )
 
 
-@router.get("/queries/{name}", response_model=QueryModel, responses=TEXT_TOO | responses(404, 406))
+@router.get(
+    "/queries/{name}", response_model=QueryModel, responses=TEXT_RESPONSE | responses(404, 406)
+)
 async def read_query(
     name: Name,
     request: Request,
     service: Context,
-    explain: Annotated[bool, Query(description="tell each stage of what runs")] = False,
+    explain: Annotated[bool, Query(description="add each stage of the running query")] = False,
 ) -> Response:
-    """One query; for ``Accept: text/plain`` its text, or with ``explain`` each stage of it."""
+    """Return one query; for ``Accept: text/plain`` its text, or with ``explain`` its stages."""
     kind = accepted(request, (JSON, TEXT))
     engine = service.engine
-    waiting = service.keeper.waits(QUERY).get(name)
+    waiting = service.commands.deferred_by_name(QUERY).get(name)
     view = engine.queries.view(name) if waiting is None else query_view(waiting)
     stages = engine.queries.explain_running(name) if explain else None
     if kind == TEXT:
@@ -130,8 +132,8 @@ async def read_query(
 
 @router.delete("/queries/{name}", status_code=204, responses=responses(404, 409))
 async def remove_query(name: Name, service: Context) -> Response:
-    """Give a query up. It stops with its last user; 409 for that one while others read its
-    stream."""
+    """Remove one registration of a query, which stops with the last. 409: it is the last, and
+    others read the query's stream."""
     await service.do(RemoveQuery(name))
     service.feeds.review()
     return Response(status_code=204)
@@ -149,17 +151,17 @@ async def read_results(
     start: Annotated[Time, Query(alias="from")] = None,
     end: Annotated[Time, Query(alias="to")] = None,
     limit: Annotated[
-        int | None, Query(ge=1, description="the newest so many windows; with `from` the oldest")
+        int | None, Query(ge=1, description="the newest windows; with `from` the oldest")
     ] = None,
 ) -> Response:
-    """The result of the last window that closed; 404 while there is none.
+    """Return the result of the last closed window; 404 while there is none.
 
-    Or, with `from`, `to` or `limit`, those of the kept windows that end then: a table with the
-    column `window_end` first, or one graph. JSON, XML, CSV, TSV for SELECT; JSON, XML for one
-    answer to ASK; Turtle, N-Triples, JSON-LD for CONSTRUCT. Terms are as the query gave them.
+    With `from`, `to` or `limit`: the results of the kept windows that end in that range, as a table
+    with the first column `window_end`, or as one graph. SELECT: JSON, XML, CSV, TSV. ASK: JSON,
+    XML, for one window. CONSTRUCT: Turtle, N-Triples, JSON-LD. Terms are the query's own.
     """
     queries, most = service.engine.queries, service.settings.sparql_bytes
-    # Results do not change, so that they are written beside the event loop.
+    # A thread may serialize them: results never change.
     if start is None and end is None and limit is None:
         latest = queries.latest(name)
         response = await anyio.to_thread.run_sync(one_window, request, latest, most)
@@ -167,5 +169,7 @@ async def read_results(
         return response
     view = queries.view(name)
     variables = tuple(field.name for field in view.fields)
-    found = queries.results(name, time_of(start, "from"), time_of(end, "to"), limit)
-    return await anyio.to_thread.run_sync(many_windows, request, found, view.form, variables, most)
+    results = queries.results(name, time_of(start, "from"), time_of(end, "to"), limit)
+    return await anyio.to_thread.run_sync(
+        many_windows, request, results, view.form, variables, most
+    )

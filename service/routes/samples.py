@@ -1,4 +1,4 @@
-"""The history of a stream: the samples that are kept ([DyKnow10 Def. 5.5-5.8])."""
+"""Queries over the history of a stream ([DyKnow10 Def. 5.5-5.8])."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ CONTENT: dict[int | str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What is asked of a history: one kind of question, with its bounds."""
+class HistoryParameters:
+    """The parameters of a query over a history: one kind of query, with its bounds."""
 
     start: Annotated[Time, Query(alias="from")] = None
     end: Annotated[Time, Query(alias="to")] = None
@@ -44,16 +44,18 @@ class Asked:
         int | None,
         Query(
             ge=1,
-            description="the newest so many; with `from` or `valid_from` the oldest; with `from` "
+            description="the newest samples; with `from` or `valid_from` the oldest; with `from` "
             "also the rest of their last instant",
         ),
     ] = None
-    at: Annotated[Time, Query(description="most_recent_at: the latest valid by then")] = None
-    before: Annotated[Time, Query(description="before: all that are valid by then")] = None
-    prev: Annotated[Time, Query(description="prev: the last one available before then")] = None
-    last_avail: Annotated[Time, Query(description="last_avail: the last available by then")] = None
+    at: Annotated[Time, Query(description="most_recent_at: the latest sample valid by then")] = None
+    before: Annotated[Time, Query(description="before: all samples valid by then")] = None
+    prev: Annotated[Time, Query(description="prev: the last sample available before then")] = None
+    last_avail: Annotated[
+        Time, Query(description="last_avail: the last sample available by then")
+    ] = None
     known: Annotated[
-        Time, Query(description="with `at` or `before`: of what was available by then")
+        Time, Query(description="with `at` or `before`: only samples available by then")
     ] = None
 
 
@@ -63,53 +65,60 @@ class Asked:
     responses=CONTENT | responses(404, 406, 410, 422),
 )
 async def read_samples(
-    name: str, request: Request, service: Context, asked: Annotated[Asked, Depends()]
+    name: str,
+    request: Request,
+    service: Context,
+    parameters: Annotated[HistoryParameters, Depends()],
 ) -> Response:
-    """The kept samples with available time from `from` to `to` and valid time from `valid_from` to
-    `valid_to`, all included.
+    """Return the samples of the history with available time from `from` to `to` and valid time from
+    `valid_from` to `valid_to`, inclusive.
 
-    A long answer comes in pieces, each encoded when the one before it is taken.
+    A long response comes in pieces; the service encodes each after the client has read the previous
+    one.
 
-    Or, with `at`, the one sample that says most about that valid time; with `before` all samples
-    about earlier valid times; with `prev` and `last_avail` the one before or at an available time
-    (Def. 5.5-5.7). 410 with `oldest`, the oldest available time kept, where the answer depends on
-    samples that the stream has forgotten.
+    Other queries (Def. 5.5-5.7): `at` returns the sample with the latest valid time up to then;
+    `before` returns all samples with earlier valid times; `prev` and `last_avail` return the last
+    sample before or at an available time. 410 with `oldest`, the oldest available time in the
+    history: the result depends on evicted samples.
     """
     kind = accepted(request, FORMATS)
     stream = service.engine.generator(name).stream
-    question = _question(asked, asked.limit or service.settings.history_limit)
-    # Nobody has a place for it yet (service/http/response_limit): few at a time, so that many who
-    # ask at once take no more than there are places for.
+    query = _history_query(parameters, parameters.limit or service.settings.history_limit)
+    # No limit on long responses applies yet (service/http/response_limit), so few histories are
+    # looked up at a time: many simultaneous requests then need no more memory than that limit.
     async with service.histories:
-        batch = question(stream)
+        batch = query(stream)
         return await history_answer(kind, batch, partial(_triples, service, name))
 
 
 def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:
     try:
         return service.engine.rdf_of(name, batch)
-    except UnknownStream:  # removed while its samples were sent: what they meant is gone with it
+    except UnknownStream:  # removed while the response was sent, and its annotation with it
         return []
 
 
-def _question(asked: Asked, limit: int) -> Callable[[FluentStream], SampleBatch]:
-    """What to ask of the stream; raises a 400 `Problem` for questions that exclude each other."""
-    ranges = {"from": asked.start, "to": asked.end}
-    ranges |= {"valid_from": asked.valid_from, "valid_to": asked.valid_to}
-    single = {"at": asked.at, "before": asked.before}
-    single |= {"prev": asked.prev, "last_avail": asked.last_avail}
+def _history_query(
+    parameters: HistoryParameters, limit: int
+) -> Callable[[FluentStream], SampleBatch]:
+    """Return the query over the stream. Raises a 400 `Problem` for parameters that exclude each
+    other."""
+    ranges = {"from": parameters.start, "to": parameters.end}
+    ranges |= {"valid_from": parameters.valid_from, "valid_to": parameters.valid_to}
+    single = {"at": parameters.at, "before": parameters.before}
+    single |= {"prev": parameters.prev, "last_avail": parameters.last_avail}
     bounds = {key: time_of(text, key) for key, text in ranges.items()}
     times = {key: time for key, text in single.items() if (time := time_of(text, key)) is not None}
-    known = time_of(asked.known, "known")
+    known = time_of(parameters.known, "known")
     if len(times) > 1 or (times and any(text is not None for text in ranges.values())):
         raise Problem(
             400,
             "wrong arguments",
-            f"`{next(iter(times))}` stands alone, without another question",
-            hint="ask one of at, before, prev, last_avail; or for a range",
+            f"`{next(iter(times))}` excludes all other queries",
+            hint="send one of at, before, prev, last_avail; or a range",
         )
     if known is not None and not times.keys() & {"at", "before"}:
-        raise Problem(400, "wrong arguments", "`known` goes with `at` or `before`")
+        raise Problem(400, "wrong arguments", "`known` requires `at` or `before`")
     by = TIME_MAX if known is None else known
     if times:
         kinds: dict[str, Callable[[FluentStream, int], SampleBatch]] = {

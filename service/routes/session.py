@@ -1,4 +1,4 @@
-"""Logging in with a token, for the page in a browser: its event streams cannot send headers."""
+"""Log in with a token in a browser, whose event streams cannot send headers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ router = APIRouter(tags=["session"], route_class=JsonRoute)
 
 @router.get("/session")
 async def read_session(request: Request, service: Context) -> SessionModel:
-    """Whether this service wants tokens, and whose token or session the request has.
+    """Return whether this service requires tokens, and the owner of the request's token or session.
 
-    401 for a token that is not known.
+    401: an unknown token.
     """
     gate = service.gate
     caller = gate.who(request.scope) if gate.tokens.required else None
@@ -36,18 +36,18 @@ async def read_session(request: Request, service: Context) -> SessionModel:
     responses=responses(409, 413, 415, 422),
 )
 async def log_in(login: SessionIn, request: Request, service: Context) -> Response:
-    """Log in with a token: a cookie takes its place for twelve hours, in requests of pages of this
-    service. 401 for a token that is not known, 409 where none is needed."""
+    """Log in with a token. For twelve hours a cookie replaces it in requests of this service's
+    pages. 401: an unknown token; 409: the service requires no tokens."""
     gate = service.gate
     if not gate.tokens.required:
-        raise Problem(409, "no tokens", "this service is open: nobody logs in")
+        raise Problem(409, "no tokens", "this service requires no tokens, so there is no login")
     value = gate.sessions.begin(gate.known(login.token.get_secret_value().encode()))
     return _answer(request, value)
 
 
 @router.delete("/session", status_code=204)
 async def log_out(request: Request, service: Context) -> Response:
-    """Log out: the cookie is worth nothing any more. Nothing happens where nobody is logged in."""
+    """Log out: the cookie becomes invalid. Without a session this does nothing."""
     service.gate.sessions.end(request.headers.get("cookie", "").encode("latin-1"))
     return _answer(request, "")
 

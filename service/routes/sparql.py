@@ -1,7 +1,7 @@
 """SPARQL 1.1 Protocol queries over the ontology and the live stream space.
 
-The dataset is fixed: the merge of all graphs. Queries are checked first (no SERVICE, no updates,
-bounded size) and evaluated in worker processes, a few at a time, with limits of time, memory, rows
+The dataset is fixed: the merge of all graphs. The service checks a query (no SERVICE, no updates,
+bounded size). Worker processes then evaluate it, a few at a time, with limits of time, memory, rows
 and bytes (`service/workers`).
 """
 
@@ -34,7 +34,7 @@ router = APIRouter(tags=["sparql"])
 EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""
 _LONGEST_FORM: Final = 4 * LONGEST_TEXT
-"""Bytes of a form: encoded, a query takes three times as many at most."""
+"""Bytes of a form: percent-encoding makes a query at most three times as long."""
 TEXT_SCHEMA = {"type": "string", "description": "SELECT, ASK, CONSTRUCT or DESCRIBE"}
 BODY: dict[str, Any] = {
     "requestBody": {
@@ -81,7 +81,7 @@ async def query_by_get(
     name="sparql_post",
 )
 async def query_by_post(request: Request, service: Context) -> Response:
-    """The same, with the query as the body or in a form."""
+    """Answer a query in the body or in a form."""
     kind = content_type(request, (SPARQL_QUERY, FORM))
     parameters = list(request.query_params.multi_items())
     sent = await request.body()
@@ -90,7 +90,7 @@ async def query_by_post(request: Request, service: Context) -> Response:
             413,
             "body too large",
             f"a form has at most {_LONGEST_FORM} bytes, and this one {len(sent)}",
-            hint=f"a query has at most {LONGEST_TEXT}; sent as {SPARQL_QUERY} it is not encoded",
+            hint=f"send the query as {SPARQL_QUERY}: it may have {LONGEST_TEXT} bytes, unencoded",
         )
     body = utf8(sent)
     if kind == FORM:
@@ -104,28 +104,28 @@ async def query_by_post(request: Request, service: Context) -> Response:
 
 
 def _text(parameters: list[tuple[str, str]]) -> str:
-    """The query among the protocol's parameters. Raises a `Problem` for what is not served."""
+    """Return the query among the protocol's parameters. Raises a `Problem` for unsupported ones."""
     for key, _ in parameters:
         if key in ("default-graph-uri", "named-graph-uri", "using-graph-uri"):
             raise Problem(
                 400,
                 "query refused",
-                f"{key} is not served: the dataset is the merge of all graphs",
-                hint="write GRAPH <iri> { ... } in the query to look at one graph",
+                f"{key} is not supported: the dataset is the merge of all graphs",
+                hint="write GRAPH <iri> { ... } in the query to read one graph",
             )
         if key == "update":
             raise Problem(
                 400,
                 "query refused",
-                "updates are not served",
-                hint="ontology, templates and streams are changed by their own routes",
+                "updates are not supported",
+                hint="change ontology, templates and streams by their own routes",
             )
     texts = [value for key, value in parameters if key == "query"]
     if len(texts) != 1:
         raise Problem(
             400,
             "wrong arguments",
-            f"one query is answered at a time, got {len(texts)}",
+            f"a request has exactly one query, and this one has {len(texts)}",
             hint="GET /sparql?query=..., or POST it as application/sparql-query",
         )
     return texts[0]
@@ -137,20 +137,20 @@ async def _answer(service: Service, request: Request, text: str) -> Response:
     try:
         kind, not_acceptable = accepted(request, tuple(offered)), None
     except Problem as problem:
-        # What is no query is told first, whatever the client would like to have.
+        # A syntax error in the query goes before an unacceptable format.
         kind, not_acceptable = "", problem
     service.engine.measure()
     queries, sender = service.isolation.queries, client_key(request)
-    found = await while_connected(request, lambda: queries.answer(text, kind, sender))
-    match found:
+    result = await while_connected(request, lambda: queries.answer(text, kind, sender))
+    match result:
         case Written(body):
             return answer(body, kind)
         case Truth() if not_acceptable is not None:
             raise not_acceptable
         case Refused():
-            raise QueryRefused(found.message, found.line or 1, found.column or 1, found.hint)
+            raise QueryRefused(result.message, result.line or 1, result.column or 1, result.hint)
         case Failed(message):
             raise Problem(400, "query failed", message)
         case TooMuch(what, limit):
             raise result_too_large(f"{limit} {what}")
-    raise AssertionError(f"no answer to a query: {type(found).__name__}")
+    raise AssertionError(f"no answer to a query: {type(result).__name__}")

@@ -1,4 +1,4 @@
-"""Specifications in XML: what runs, and how it is to change ([Introspection15 §3.2, Listing 1])."""
+"""Specifications in XML: read and change the configuration ([Introspection15 §3.2, Listing 1])."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ ANSWER: dict[int | str, dict[str, Any]] = {200: {"content": {XML: {"schema": {"t
     "/specifications", openapi_extra=BODY, responses=responses(403, 404, 409, 413, 415, 422, 503)
 )
 async def apply(request: Request, service: Context) -> SpecificationModel:
-    """Insert and remove units, all that the text says as one change, or nothing.
+    """Insert and remove units: one change, as a whole or not at all.
 
-    400 with line and column for a text that is none, or speaks of what is not there. Applied again
-    it changes nothing. What was inserted survives a restart.
+    400 with line and column: a malformed text, or a reference to something that does not exist.
+    Applying a text again changes nothing. Insertions survive a restart.
     """
     content_type(request, KINDS)
-    # Bytes: the text says itself how it is encoded.
+    # Bytes, not text: the XML declares its own encoding.
     body = await request.body()
     check_length(body)
     specification = await while_connected(
@@ -61,11 +61,11 @@ async def apply(request: Request, service: Context) -> SpecificationModel:
 
 @router.get("/specifications", responses=responses())
 async def list_insertions(service: Context) -> list[InsertionModel]:
-    """What specifications inserted, in order, and what became of it."""
+    """List what specifications inserted, in order, with its present state."""
     return [InsertionModel.of(view) for view in service.engine.insertions()]
 
 
 @router.get("/specifications/current", response_class=Response, responses=ANSWER)
 async def current(service: Context) -> Response:
-    """The running configuration as a specification; what none can express stands in a comment."""
+    """Return the running configuration as a specification, with comments where XML has no form."""
     return Response(service.engine.current_specification(), media_type=XML)

@@ -1,4 +1,4 @@
-"""The service at a glance, and the status stream ([Introspection15 §3.3])."""
+"""An overview of the service, and the status stream ([Introspection15 §3.3])."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .follow import EVENTS, SINCE, follow
 router = APIRouter(tags=["status"])
 
 LISTED = (REQUEST, SUBSCRIPTION, QUERY)
-"""Kinds of what waits that are listed with what runs."""
+"""The kinds of deferred commands that other routes list with the running ones."""
 
 
 @router.get("/status")
 async def read_status(service: Context) -> StatusModel:
-    """What runs."""
+    """Return an overview of the service."""
     engine = service.engine
     streams = engine.streams()
     return StatusModel(
@@ -36,7 +36,7 @@ async def read_status(service: Context) -> StatusModel:
         accepted=sum(stream.counters.accepted for stream in streams),
         waiting=[
             WaitingModel(kind=each.key.kind, name=each.key.name, reason=each.reason)
-            for each in service.keeper.not_started()
+            for each in service.commands.deferred()
             if each.key.kind not in LISTED
         ],
     )
@@ -48,5 +48,5 @@ async def follow_status(
     service: Context,
     since: str | None = Query(None, description=SINCE),
 ) -> Response:
-    """Every change of the stream space as server-sent events: the stream `status`."""
+    """Send every change of the stream space as server-sent events: the stream `status`."""
     return await follow(service, request, "status", since)

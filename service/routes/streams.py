@@ -36,13 +36,13 @@ NewName = Annotated[
 
 
 async def json_only(request: Request) -> None:
-    """Refuse a body that says it is something else than JSON (415)."""
+    """Refuse a body of another declared type than JSON (415)."""
     content_type(request, (JSON,))
 
 
 @router.get("/streams", response_model=list[StreamModel])
 async def list_streams(service: Context) -> Response:
-    """All streams with rate, counters, lag, annotation, producer and subscribers."""
+    """List all streams with rate, counters, lag, annotation, producer and subscribers."""
     engine = service.engine
     names = [generator.name for generator in engine.generators()]
     return await listed(names, lambda name: StreamModel.of(engine.stream(name)))
@@ -50,19 +50,18 @@ async def list_streams(service: Context) -> Response:
 
 @router.get("/streams/{name}", responses=responses(404))
 async def read_stream(name: str, service: Context) -> StreamModel:
-    """One stream.
+    """Return one stream.
 
-    `NAME_late` is the stream of the samples that came too late for stream NAME, `NAME_late_INPUT`
-    that of the samples of INPUT that came too late for the unit or query that makes NAME. It comes
-    into being when it is first asked for, here or wherever a stream is named, and takes what is
-    late from then on.
+    `NAME_late` has the samples that came too late for stream NAME. `NAME_late_INPUT` has those of
+    INPUT that came too late for the unit or query that makes NAME. Such a stream begins when a
+    request first names it, here or elsewhere.
     """
     return StreamModel.of(service.engine.stream(name))
 
 
 @router.get("/streams/{name}/evaluation", responses=responses(404))
 async def read_evaluation(name: str, service: Context) -> EvaluationModel:
-    """How far the queries and other units are that read the stream, and which of them failed."""
+    """Return how far the readers of the stream have evaluated it, and which of them failed."""
     return EvaluationModel.of(service.engine.evaluation(name))
 
 
@@ -74,18 +73,18 @@ async def read_evaluation(name: str, service: Context) -> EvaluationModel:
 async def declare_stream(
     name: NewName, declaration: StreamIn, response: Response, service: Context
 ) -> StreamModel:
-    """Declare a stream. Saying the same again changes nothing; an annotation stays.
+    """Declare a stream. An equal declaration changes nothing; the annotation stays.
 
-    At any time a stream may get further fields, and another `lateness`, `idle` and `retention`:
-    what is not to be kept any more goes at once. Samples kept so far have no value in a new field,
-    and units that run go on with the fields that they know. A field of another type or less, or
-    another namespace, is taken while the stream has no samples and no subscribers, else 409.
+    A stream may get more fields, and another `lateness`, `idle` and `retention` at any time; a
+    smaller history is evicted at once. Earlier samples have no value in a new field, and running
+    units read the fields that they know. Other changes of fields or namespace are possible while
+    the stream has no samples and no subscribers, else 409.
     """
-    known = _known(service, name)
+    is_new = not _exists(service, name)
     settings = service.settings
-    kept = Retention(settings.retention_samples, None, settings.retention_bytes)
-    view = await service.do(DeclareStream(declaration.declaration(name, kept)))
-    if not known:
+    default = Retention(settings.retention_samples, None, settings.retention_bytes)
+    view = await service.do(DeclareStream(declaration.declaration(name, default)))
+    if is_new:
         response.status_code = 201
         response.headers["Location"] = f"/streams/{view.name}"
     return StreamModel.of(view)
@@ -93,10 +92,10 @@ async def declare_stream(
 
 @router.delete("/streams/{name}", status_code=204, responses=responses(403, 404, 409))
 async def remove_stream(name: str, service: Context) -> Response:
-    """Remove a declared stream with its samples and its annotation; its clients are told.
+    """Remove a declared stream with its samples and annotation; its clients get `end`.
 
-    Also a stream of late samples, which are only counted from then on. 403 for other streams of the
-    system; 409 while units or requests read it.
+    It may also be a stream of late samples; the service only counts these afterwards. 403: another
+    stream of the system; 409: units or requests read it.
     """
     await service.do(RemoveStream(name))
     service.feeds.review()
@@ -109,24 +108,24 @@ async def remove_stream(name: str, service: Context) -> Response:
     dependencies=[Depends(json_only)],
     responses=responses(404, 413, 415, 422),
 )
-async def set_quality(name: str, known: QualityIn, service: Context) -> Response:
-    """How good the stream is from now on, 0 to 1: matching by quality looks at it, and adaptive
-    subscriptions that want more than it has switch."""
-    await service.do(SetQuality(name, known.quality))
+async def set_quality(name: str, quality: QualityIn, service: Context) -> Response:
+    """Set the quality of the stream, 0 to 1. Matching by quality uses it at once; adaptive
+    subscriptions that need more switch."""
+    await service.do(SetQuality(name, quality.quality))
     return Response(status_code=204)
 
 
 @router.post("/streams/{name}/end", status_code=204, responses=responses(403, 404))
 async def end_stream(name: str, service: Context) -> Response:
-    """A recording has come to its end: what is held back is released, open windows close.
+    """End the stream, such as a recording: buffered samples are released, and open windows close.
 
-    A sample that comes later takes the stream up again.
+    A later sample continues the stream.
     """
     await service.do(EndStream(name))
     return Response(status_code=204)
 
 
-def _known(service: Service, name: str) -> bool:
+def _exists(service: Service, name: str) -> bool:
     try:
         service.engine.stream(name)
     except UnknownStream:

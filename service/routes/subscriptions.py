@@ -1,5 +1,5 @@
-"""Subscriptions to a stream under a policy ([DyKnow10 Def. 4.8]), and to a feature, whatever
-streams hold it ([Introspection15 §4.4])."""
+"""Subscriptions to a stream under a policy ([DyKnow10 Def. 4.8]), and to a feature of any streams
+([Introspection15 §4.4])."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from .streams import json_only
 
 router = APIRouter(tags=["subscriptions"], route_class=JsonRoute)
 
-FORM = 'give "stream" with a policy, or "feature" with "sort" or "objects"'
+FORM = 'send "stream" with a policy, or "feature" with "sort" or "objects"'
 OF_A_FEATURE = {"sort", "objects", "strategy", "staleness", "min_quality", "hold_off"}
-REMATCHED: dict[int | str, dict[str, Any]] = {
+SUBSCRIPTION_EVENTS: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "server-sent events: sample, rematched, gap, end",
         "content": {EVENT_STREAM: {"schema": {"type": "string"}}},
@@ -44,12 +44,12 @@ REMATCHED: dict[int | str, dict[str, Any]] = {
 async def subscribe(
     wanted: SubscriptionIn, response: Response, service: Context
 ) -> SubscriptionModel:
-    """Subscribe to a stream, or to a feature, from now on or from the start of what is kept.
+    """Subscribe to a stream or a feature, from now on or from the start of the history.
 
-    Equal subscriptions to a stream share one adapted stream. One to a feature has a stream of its
-    own, whose sources change when one ends, falls silent or is not good enough; it waits where
-    nothing gives the feature. 400 with line and column for a policy that is none; 404 for an
-    unknown stream, feature or sort.
+    Equal subscriptions to a stream share one adapted stream. A subscription to a feature has its
+    own stream. Its sources change when one ends, falls silent or is not good enough; it waits while
+    no stream gives the feature. 400 with line and column: a malformed policy; 404: an unknown
+    stream, feature or sort.
     """
     view = await service.do(_command(wanted, service.engine))
     response.headers["Location"] = f"/subscriptions/{view.id}"
@@ -58,10 +58,10 @@ async def subscribe(
 
 @router.get("/subscriptions", response_model=list[SubscriptionModel])
 async def list_subscriptions(service: Context) -> Response:
-    """The subscriptions that run, then those of an earlier run that wait (``state``)."""
+    """List the running subscriptions, then the waiting ones of earlier runs (``state``)."""
     engine = service.engine
-    waits = service.keeper.waits(SUBSCRIPTION).values()
-    waiting = [SubscriptionModel.waiting(each) for each in waits]
+    deferred = service.commands.deferred_by_name(SUBSCRIPTION).values()
+    waiting = [SubscriptionModel.waiting(each) for each in deferred]
     return await listed(
         engine.subscription_ids(), lambda id: SubscriptionModel.of(engine.subscription(id)), waiting
     )
@@ -69,17 +69,17 @@ async def list_subscriptions(service: Context) -> Response:
 
 @router.get("/subscriptions/{id}", responses=responses(404))
 async def read_subscription(id: str, service: Context) -> SubscriptionModel:
-    """One subscription, with what became of the samples under its policy."""
-    if (waiting := service.keeper.waits(SUBSCRIPTION).get(id)) is not None:
+    """Return one subscription, with the counters of its policy."""
+    if (waiting := service.commands.deferred_by_name(SUBSCRIPTION).get(id)) is not None:
         return SubscriptionModel.waiting(waiting)
     return SubscriptionModel.of(service.engine.subscription(id))
 
 
 @router.delete("/subscriptions/{id}", status_code=204, responses=responses(404))
 async def cancel_subscription(id: str, service: Context) -> Response:
-    """Give a subscription up; clients that follow it are told.
+    """Cancel a subscription; clients that follow it get `end`.
 
-    Its stream goes with the last of those that share it.
+    Its stream ends with the last subscription that shares it.
     """
     await service.do(Unsubscribe(id))
     service.feeds.review()
@@ -88,12 +88,13 @@ async def cancel_subscription(id: str, service: Context) -> Response:
 
 @router.get("/subscriptions/{id}/rematches", responses=responses(404))
 async def list_rematches(id: str, service: Context) -> list[RematchModel]:
-    """The last switches of a subscription to a feature, oldest first; none of another."""
+    """List the latest switches of a subscription to a feature, oldest first."""
     return [RematchModel.of(switch) for switch in service.engine.rematches(id)]
 
 
 @router.get(
-    "/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406, 410, 429, 503)}
+    "/subscriptions/{id}/events",
+    responses={**SUBSCRIPTION_EVENTS, **responses(404, 406, 410, 429, 503)},
 )
 async def follow_subscription(
     id: str,
@@ -101,10 +102,10 @@ async def follow_subscription(
     service: Context,
     since: str | None = Query(None, description=SINCE),
 ) -> Response:
-    """The samples as server-sent events; see `/streams/{name}/events`.
+    """Send the samples as server-sent events; see `/streams/{name}/events`.
 
-    Of a subscription to a feature also `rematched`, with no id: it stands after sample `position`,
-    before the next one. A client that resumes after a sample is told again of the switches since.
+    A subscription to a feature also sends `rematched`, without an id, after sample `position` and
+    before the next one. A client that resumes gets the switches since its last sample again.
     """
     view = service.engine.subscription(id)
     switches = None if view.adaptive is None else service.engine.rematches(id)
@@ -112,16 +113,16 @@ async def follow_subscription(
 
 
 def _command(wanted: SubscriptionIn, engine: Engine) -> Subscribe | SubscribeToFeature:
-    """Raises a 400 `Problem` for what is neither or both, and for parts of the other one."""
+    """Return the command. Raises a 400 `Problem` unless exactly one of the two forms is there."""
     if (wanted.stream is None) == (wanted.feature is None):
         which = "neither" if wanted.stream is None else "both"
-        told = f"a stream or a feature is subscribed to, not {which}"
-        raise Problem(400, "wrong arguments", told, hint=FORM)
+        detail = f"a subscription is to a stream or to a feature, and this body has {which}"
+        raise Problem(400, "wrong arguments", detail, hint=FORM)
     if wanted.stream is not None:
         more = sorted(wanted.model_fields_set & OF_A_FEATURE)
         if more:
-            told = f"{', '.join(more)}: only with a feature"
-            raise Problem(400, "wrong arguments", told, hint=FORM)
+            detail = f"{', '.join(more)}: only with a feature"
+            raise Problem(400, "wrong arguments", detail, hint=FORM)
         return Subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since, keyed=True)
     assert wanted.feature is not None
     return SubscribeToFeature(

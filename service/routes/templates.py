@@ -36,7 +36,9 @@ BODY = {
         "content": {kind: text_schema("a REGISTER TEMPLATE text", EXAMPLE) for kind in TEXTS},
     }
 }
-BOTH: dict[int | str, dict[str, Any]] = {200: {"content": {TEXT: {"schema": {"type": "string"}}}}}
+TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
+    200: {"content": {TEXT: {"schema": {"type": "string"}}}}
+}
 Name = Annotated[str, Path(description="the event's local name or IRI")]
 IfMatch = Annotated[str | None, Header(description="act only on this version (412 otherwise)")]
 IfNoneMatch = Annotated[str | None, Header()]
@@ -57,9 +59,11 @@ async def register_template(request: Request, service: Context) -> Response:
     return _answer(view, 201)
 
 
-@router.get("/templates", response_model=list[TemplateModel], responses=BOTH | responses(406))
+@router.get(
+    "/templates", response_model=list[TemplateModel], responses=TEXT_RESPONSE | responses(406)
+)
 async def list_templates(request: Request, service: Context) -> Response:
-    """All templates; their source texts for ``Accept: text/plain``."""
+    """List all templates; for ``Accept: text/plain`` their source texts."""
     kind = accepted(request, (JSON, TEXT))
     views = service.engine.templates()
     if kind == TEXT:
@@ -68,12 +72,14 @@ async def list_templates(request: Request, service: Context) -> Response:
 
 
 @router.get(
-    "/templates/{name:path}", response_model=TemplateModel, responses=BOTH | responses(404, 406)
+    "/templates/{name:path}",
+    response_model=TemplateModel,
+    responses=TEXT_RESPONSE | responses(404, 406),
 )
 async def read_template(
     name: Name, request: Request, service: Context, if_none_match: IfNoneMatch = None
 ) -> Response:
-    """One template; its source text for ``Accept: text/plain``."""
+    """Return one template; for ``Accept: text/plain`` its source text."""
     kind = accepted(request, (JSON, TEXT))
     view = service.engine.template(name)
     if if_none_match is not None and _names(if_none_match, view):
@@ -96,7 +102,7 @@ async def put_template(
     if_match: IfMatch = None,
     if_none_match: IfNoneMatch = None,
 ) -> Response:
-    """Register the template of this name, or replace it. Running requests keep what they have."""
+    """Register the template of this name, or replace it. Running requests keep the old one."""
     text = await text_body(request, TEXTS)
     await parse_aside(parse_registration, text)
     registered = parse_template(text).name
@@ -104,7 +110,7 @@ async def put_template(
         raise Problem(
             409,
             "conflict",
-            f"the text registers <{registered}>, the address names {name}",
+            f"the text registers <{registered}>, but the address names {name}",
             hint=f"PUT it to /templates/{local_name(registered)}",
         )
     old = _existing(service, name)
@@ -115,7 +121,7 @@ async def put_template(
 
 @router.delete("/templates/{name:path}", status_code=204, responses=responses(404, 409, 412))
 async def remove_template(name: Name, service: Context, if_match: IfMatch = None) -> Response:
-    """Remove a template and its event concept. 409 while a request for the event runs."""
+    """Remove a template and its event concept. 409: a request for the event runs."""
     if if_match is not None:
         _check(service.engine.template(name), if_match, None)
     await service.do(RemoveTemplate(name))
@@ -127,7 +133,7 @@ def _answer(view: TemplateView, status: int) -> Response:
 
 
 def _headers(view: TemplateView) -> dict[str, str]:
-    # A name may hold what a header or an address may not: `#`, letters beyond ASCII.
+    # Percent-encode: a name may have characters that a header or an address may not, such as `#`.
     location = f"/templates/{quote(view.local_name, safe='/:')}"
     return {"ETag": _quoted(view.etag), "Location": location}
 
@@ -140,17 +146,17 @@ def _existing(service: Service, name: str) -> TemplateView | None:
 
 
 def _check(view: TemplateView | None, if_match: str | None, if_none_match: str | None) -> None:
-    """Raises a 412 `Problem` unless the conditions hold for the template that is there."""
+    """Raises a 412 `Problem` unless the conditions hold for the present template."""
     if if_match is not None and (view is None or not _names(if_match, view)):
-        now = "it is not there" if view is None else f"it is {_quoted(view.etag)} now"
+        now = "it does not exist" if view is None else f"it is {_quoted(view.etag)} now"
         raise Problem(
             412,
             "precondition failed",
             f"the template is not {if_match}: {now}",
-            hint="read it again, then decide",
+            hint="read the template again, then decide",
         )
     if if_none_match is not None and view is not None and _names(if_none_match, view):
-        raise Problem(412, "precondition failed", "the template is there already")
+        raise Problem(412, "precondition failed", "the template exists already")
 
 
 def _names(condition: str, view: TemplateView) -> bool:

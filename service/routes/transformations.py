@@ -59,11 +59,11 @@ BODY: dict[str, Any] = {
         "required": True,
         "content": {
             JSON: {"schema": schema_of(TransformationIn), "example": EXAMPLE},
-            TURTLE: text_schema("transformations as Listing 3 has them", LISTING),
+            TURTLE: text_schema("transformations in the form of Listing 3", LISTING),
         },
     }
 }
-FORM = 'give "annotation" with one compunit or source in SSL, or "name", "inputs" and "output"'
+FORM = 'send "annotation" with one compunit or source in SSL, or "name", "inputs" and "output"'
 Name = Annotated[str, Path(max_length=200)]
 Wanted = TransformationIn | Sequence[DescribedTransformation]
 
@@ -77,30 +77,30 @@ Wanted = TransformationIn | Sequence[DescribedTransformation]
 async def register_transformations(
     request: Request, response: Response, service: Context
 ) -> TransformationModel | list[TransformationModel]:
-    """Register a transformation in JSON, or one or several in Turtle: all of them, or none.
+    """Register a transformation in JSON, or one or several in Turtle, as a whole or not at all.
 
-    Matching uses it at once. The same again changes nothing. 400 with line and column for SSL and
-    Turtle that cannot be read, 404 for a feature or an implementation that is not known, 409 for a
-    name that is taken, or code that takes or gives otherwise. Turtle is answered with a list.
+    Matching uses it at once. An equal registration changes nothing. 400 with line and column:
+    malformed SSL or Turtle; 404: an unknown feature or implementation; 409: the name is taken, or
+    the code has other inputs or another output. The response to Turtle is a list.
     """
     wanted = await _read(request, service)
     service.gate.quotas.check_transformations(_names(wanted))
     views = await service.do(_command(wanted))
     if len(views) == 1:
         response.headers["Location"] = f"/transformations/{views[0].name}"
-    found = [TransformationModel.of(view) for view in views]
-    return found[0] if isinstance(wanted, TransformationIn) else found
+    models = [TransformationModel.of(view) for view in views]
+    return models[0] if isinstance(wanted, TransformationIn) else models
 
 
 @router.get("/transformations", response_model=list[TransformationModel])
 async def list_transformations(service: Context) -> Response:
-    """All transformations, in the order of registration."""
+    """List all transformations, in the order of registration."""
     return await listed(service.engine.transformations.views(), TransformationModel.of)
 
 
 @router.get("/transformations/{name}", responses=responses(404))
 async def read_transformation(name: Name, service: Context) -> TransformationModel:
-    """One transformation; `lacks` says why no unit can be made of it."""
+    """Return one transformation; `lacks` is the reason why no unit can be made of it."""
     return TransformationModel.of(service.engine.transformations.view(name))
 
 
@@ -115,14 +115,14 @@ async def read_transformation(name: Name, service: Context) -> TransformationMod
 async def put_transformation(
     name: Name, request: Request, response: Response, service: Context
 ) -> TransformationModel:
-    """Register the transformation of this name, or replace it. Units that run stay as they are."""
+    """Register the transformation of this name, or replace it. Running units stay as they are."""
     wanted = await _read(request, service)
-    named = _names(wanted)
-    if named != [name]:
+    names = _names(wanted)
+    if names != [name]:
         raise Problem(
             409,
             "conflict",
-            f"the body describes {', '.join(named)}, the address names {name}",
+            f"the body describes {', '.join(names)}, but the address names {name}",
             hint="PUT one transformation to the address of its name",
         )
     is_new = not _is_known(service, name)
@@ -141,39 +141,39 @@ async def put_transformation(
 async def change_transformation(
     name: Name, worth: WorthIn, service: Context
 ) -> TransformationModel:
-    """The cost or quality of a transformation has changed; who reads a unit of it may switch."""
+    """Change the cost or quality of a transformation; readers of its units may switch."""
     command = ChangeTransformation(name, worth.cost, worth.quality)
     return TransformationModel.of(await service.do(command))
 
 
 @router.delete("/transformations/{name}", status_code=204, responses=responses(404, 409))
 async def remove_transformation(name: Name, service: Context) -> Response:
-    """Forget a transformation. 409 while a unit of it runs, and for those of the system."""
+    """Remove a transformation. 409: a unit of it runs, or it is the system's."""
     await service.do(RemoveTransformation(name))
     return Response(status_code=204)
 
 
 async def _read(request: Request, service: Service) -> Wanted:
-    """What the body describes; raises a 400 `Problem` for JSON of neither form."""
+    """Parse the body. Raises a 400 `Problem` for JSON of neither or both forms."""
     kind = content_type(request, (JSON, TURTLE))
     body = await request.body()
     if kind == TURTLE:
         text, documents = utf8(body), service.isolation.documents
-        several = await while_connected(
+        parsed = await while_connected(
             request, lambda: documents.run(lambda: read_transformations(text, documents))
         )
-        check_number(several)
-        return several
+        check_number(parsed)
+        return parsed
     wanted: TransformationIn = await json_value(body, TransformationIn)
     if wanted.annotation is not None:
         await read_ssl(wanted.annotation)
     described = (wanted.name, wanted.output) != (None, None) or bool(wanted.inputs)
     if described == (wanted.annotation is not None):
-        what = "both ways" if described else "neither way"
-        raise Problem(400, "wrong arguments", f"it is described {what}", hint=FORM)
+        forms = "both forms" if described else "neither form"
+        raise Problem(400, "wrong arguments", f"the body has {forms}", hint=FORM)
     if described and (wanted.name is None or wanted.output is None):
         lacks = "name" if wanted.name is None else "output"
-        raise Problem(400, "wrong arguments", f"it has no {lacks}", hint=FORM)
+        raise Problem(400, "wrong arguments", f"the body has no {lacks}", hint=FORM)
     return wanted
 
 

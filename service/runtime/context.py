@@ -24,7 +24,7 @@ from ..admission.gate import Gate
 from ..admission.memory_limit import Memory
 from ..admission.token_file import TokenFile
 from ..config.settings import Settings
-from ..durability.command_queue import Keeper
+from ..durability.command_queue import CommandQueue
 from ..http.client_address import address_of
 from ..sse.clients import ClientKey
 from ..sse.feeds import Feeds
@@ -55,7 +55,7 @@ class Service:
     isolation: Isolation
     started: int
     gate: Gate
-    keeper: Keeper
+    commands: CommandQueue
     memory: Memory
     troubles: dict[str, str]
     """The reasons why the service is not ready, by the part that adds and removes them
@@ -115,16 +115,16 @@ class Service:
         """Execute ``command``, and return its result when the log has kept it. After a batch, wait
         a limited time for the units that read the stream (back-pressure)."""
         if not isinstance(command, ANYTIME):
-            await self.keeper.windows_closed()
-        found = self.keeper.do(command, known)
-        await self.keeper.kept()
+            await self.commands.windows_closed()
+        found = self.commands.do(command, known)
+        await self.commands.wait_durable()
         if isinstance(command, Publish | EndStream):
-            await self.keeper.caught_up(command.stream)
+            await self.commands.caught_up(command.stream)
         return found
 
     def tick(self) -> None:
         """Tick the engine, end event streams of removed streams, review memory and collector."""
-        self.keeper.do(Tick(self.clock()))
+        self.commands.do(Tick(self.clock()))
         self.feeds.review()
         self.memory.review()
         if self.collector is not None:

@@ -37,7 +37,7 @@ from ...streams.generator import StreamGenerator
 from ...streams.time import Clock
 from ..admission.gate import CALLER, revoked
 from ..admission.tokens import Caller, Scope, Tokens
-from ..durability.command_queue import Keeper
+from ..durability.command_queue import CommandQueue
 from ..http.body_limit import BODY, Body
 from ..http.problems import Problem
 from ..sse.clients import OPEN
@@ -64,7 +64,7 @@ class LiveSamples(ABC):
     def __init__(
         self,
         engine: Engine,
-        keeper: Keeper,
+        commands: CommandQueue,
         name: str,
         clock: Clock,
         limits: BatchLimits | None = None,
@@ -74,7 +74,7 @@ class LiveSamples(ABC):
         """The accepted numbers that were rounded."""
         self._limits = limits
         self._engine = engine
-        self._keeper = keeper
+        self._commands = commands
         self._name = name
         self._clock = clock
         self._before = 0
@@ -98,12 +98,12 @@ class LiveSamples(ABC):
     async def keep_up(self) -> bool:
         """Back-pressure: wait for the log, and a limited time for the units that read the stream.
         Return whether these can take more samples. Raises `JournalError`."""
-        if self._keeper.is_behind:
-            await self._keeper.kept()
-        await self._keeper.caught_up(self._name)
+        if self._commands.is_full:
+            await self._commands.wait_durable()
+        await self._commands.caught_up(self._name)
         # If the stream was removed meanwhile, the next sample raises the error.
         there = self._engine.has_stream(self._name)
-        return not there or not self._keeper.is_overloaded(self._name)
+        return not there or not self._commands.is_overloaded(self._name)
 
     def _target(self) -> StreamGenerator:
         """The stream's generator, looked up each time: it may have been replaced or removed."""
@@ -116,8 +116,8 @@ class LiveSamples(ABC):
             raise mixed_times(line)
         batch = Publish(self._name, kind, body, self._clock())
         batch.check_ahead(self._engine, incoming)
-        self.accepted += self._keeper.do(batch, incoming)
-        self._keeper.hasten()
+        self.accepted += self._commands.do(batch, incoming)
+        self._commands.start_commit()
         self._note(incoming.rounded)
         self._stamped = incoming.stamped
 
@@ -146,12 +146,12 @@ class LiveLines(LiveSamples):
     def __init__(
         self,
         engine: Engine,
-        keeper: Keeper,
+        commands: CommandQueue,
         name: str,
         clock: Clock,
         limits: BatchLimits | None = None,
     ) -> None:
-        super().__init__(engine, keeper, name, clock, limits)
+        super().__init__(engine, commands, name, clock, limits)
         # The number of lines that arrive together is accidental, so it has no limit.
         self._limits = limits and replace(limits, samples=sys.maxsize)
         self._rest = bytearray()
@@ -205,7 +205,7 @@ class LiveLines(LiveSamples):
         # A byte order mark is valid at the body's beginning only.
         if text.startswith(BOM):
             raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
-        self._keeper.check_room(len(text))
+        self._commands.check_room(len(text))
         incoming = decode_ndjson(text, generator.schema, generator.stream.pools, self._limits)
         blank = len(text) - len(text.lstrip())
         self._publish(incoming, "ndjson", text, 1 + text.count(b"\n", 0, blank))
@@ -218,12 +218,12 @@ class LiveTables(LiveSamples):
     def __init__(
         self,
         engine: Engine,
-        keeper: Keeper,
+        commands: CommandQueue,
         name: str,
         clock: Clock,
         limits: BatchLimits | None = None,
     ) -> None:
-        super().__init__(engine, keeper, name, clock, limits)
+        super().__init__(engine, commands, name, clock, limits)
         self._messages = ArrowMessages(limits)
 
     @property
@@ -257,12 +257,12 @@ class LiveTables(LiveSamples):
         table = joined(tables)
         generator = self._target()
         # Before decoding, which adds texts to the stream's pools.
-        self._keeper.check_room(table.nbytes)
+        self._commands.check_room(table.nbytes)
         try:
             incoming = samples_of_table(
                 table, generator.schema, generator.stream.pools, self._limits
             )
-            body = bytes_of_table(table) if self._keeper.is_recording else b""
+            body = bytes_of_table(table) if self._commands.is_recording else b""
             self._publish(incoming, "arrow", body, 1)
         except WireError as error:
             if len(tables) == 1:

@@ -27,7 +27,7 @@ from ...streams.time import Clock
 from ..admission.memory_limit import Memory
 from ..config.logs import log
 from ..config.version import __version__
-from ..durability.command_queue import Keeper
+from ..durability.command_queue import CommandQueue
 from ..durability.journal_metrics import JournalState
 from ..http.body_limit import UnderWay
 from ..http.response_limit import LongAnswers
@@ -54,23 +54,23 @@ class Metrics:
         bodies: UnderWay,
         answers: LongAnswers,
         clock: Clock,
-        keeper: Keeper,
+        commands: CommandQueue,
         isolation: Isolation,
         memory: Memory,
         streams: int,
     ) -> None:
         """``streams``: the number of streams, and of units, with lines of their own."""
         self._clock = clock
-        self._keeper = keeper
+        self._commands = commands
         self._streams = StreamMetrics(engine, streams)
-        self._journal = JournalState(keeper)
+        self._journal = JournalState(commands)
         self._registry = registry = CollectorRegistry()
         self._is_told = False
         """Whether the log has the warning that the disk does not answer."""
         ProcessCollector(registry=registry)
         registry.register(_Service(engine, feeds, bodies, answers, memory))
         registry.register(self._journal)
-        keeper.times.register(registry)
+        commands.metrics.register(registry)
         registry.register(WorkerMetrics(isolation.pools))
         self._ready = Gauge("dyknow_ready", "Whether the service is ready", registry=registry)
         build = {"version": __version__, "python": sys.version.split()[0]}
@@ -136,7 +136,7 @@ class Metrics:
     async def text(self) -> bytes:
         """All metrics in the text format of Prometheus."""
         try:
-            self._journal.use = await self._keeper.disk_use()
+            self._journal.use = await self._commands.disk_use()
             self._is_told = False
         except (OSError, TimeoutError) as error:
             # Omit these metrics only.

@@ -1,1 +1,1 @@
-"""Server-sent events: feeds, clients, messages."""
+"""Server-sent events: feeds of streams, their clients, and messages."""

@@ -1,8 +1,8 @@
-"""Clients of server-sent events: how many there may be, how each is woken, and why each goes.
+"""Clients of server-sent events: limits on their number, wake-ups, heartbeats and cut-offs.
 
-An `EventClient` is one answer that is under way (`EventStream` in event_response sends it). All
-share one timer, for heartbeats and for those that take nothing, and are woken in rounds, some at a
-time: a publish costs O(1) however many clients there are, and everybody else's turn comes between.
+An `EventClient` is one response under way, which `response.EventStream` sends. All clients share
+one timer for heartbeats and for stalled clients. `Rounds` wakes them in slices. A publish therefore
+costs O(1) for any number of clients, and other tasks run between the slices.
 """
 
 from __future__ import annotations
@@ -19,134 +19,135 @@ from ..admission.tokens import Caller, Scope, Tokens
 from ..http.problems import Problem
 
 SLICE = 64
-"""So many clients are woken before the loop looks at anything else."""
+"""Clients that one pass of the event loop wakes."""
 ClientKey = Callable[[Request], str]
-"""Who a request's client is counted with: a token, an address."""
-LEAVE = 2.0
-"""Seconds that clients have, when the service stops, to take what they were sent."""
+"""Returns the key under which a request's client counts: its token or address."""
+LEAVE_SECONDS = 2.0
+"""Seconds that clients have to read their last messages when the service stops."""
 RETRY = 5
-"""Seconds after which a client that found no place should ask again."""
+"""Seconds after which a refused client should try again (``Retry-After``)."""
 REASONS = ("ended", "removed", "left", "stalled", "revoked", "shutdown", "failed")
-"""Why an answer ends: its stream did, or was removed; the client went, or took nothing; its token
-is not accepted any more; the service stops; what feeds the stream has failed, or an error, which is
-in the log."""
+"""Why a response ends: the stream ended or was removed; the client disconnected or stalled; its
+token was revoked; the service stops; the stream's source failed, or an error that the log has."""
 OPEN = Tokens()
-"""No token is asked for."""
+"""No tokens: everyone may read."""
 
 
 class EventClient:
-    """One answer under way: it waits for something to send, and others see how long it has been
-    sending, or quiet. Moments are of the event loop's clock (s)."""
+    """One response under way: its wake-up, and how long it has been sending or idle.
+
+    Moments are of the event loop's clock (s).
+    """
 
     __slots__ = (
         "_awake",
-        "_beat",
-        "_patience",
-        "_waiting",
+        "_is_heartbeat_due",
+        "_timeout",
+        "_wake_up",
         "blocked_since",
         "caller",
+        "idle_since",
         "key",
-        "quiet_since",
         "reason",
     )
 
     def __init__(self, key: str, caller: Caller | None = None) -> None:
         self.key = key
         self.caller = caller
-        """Whose token it came with."""
+        """The owner of the request's token."""
         self.blocked_since: float | None = None
-        """When the send began that is under way; None between sends."""
-        self.quiet_since = 0.0
-        """When the last one ended."""
+        """When the present send began; None between sends."""
+        self.idle_since = 0.0
+        """When the last send ended."""
         self.reason: str | None = None
-        """Why it was cut off; None if it was not."""
-        self._patience: asyncio.Timeout | None = None
-        self._waiting: asyncio.Future[None] | None = None
+        """Why the client was cut off; None if it was not."""
+        self._timeout: asyncio.Timeout | None = None
+        self._wake_up: asyncio.Future[None] | None = None
         self._awake = True
-        self._beat = False
+        self._is_heartbeat_due = False
 
     def begin(self) -> asyncio.Timeout:
-        """What the answer is sent within: it raises ``TimeoutError`` when the client is cut off."""
-        self._patience = asyncio.timeout(None)
-        self.quiet_since = asyncio.get_running_loop().time()
-        return self._patience
+        """Return the context in which to send: it raises ``TimeoutError`` when `cut` was called."""
+        self._timeout = asyncio.timeout(None)
+        self.idle_since = asyncio.get_running_loop().time()
+        return self._timeout
 
     async def send(self, send: Send, message: Message) -> None:
-        """Send a part of the answer; returns when the client has room for more."""
+        """Send a part of the response; returns when the client has room for more."""
         loop = asyncio.get_running_loop()
         self.blocked_since = loop.time()
         await send(message)
         self.blocked_since = None
-        self.quiet_since = loop.time()
+        self.idle_since = loop.time()
 
     async def wait(self) -> bool:
-        """Until there may be something to send: False if that is but a heartbeat.
+        """Wait for a wake-up; returns False if only a heartbeat is due.
 
-        Look at what there is only after this: who is woken meanwhile does not wait again.
+        Look for messages only after this returns: a wake-up in between makes the next call return
+        at once, so none is lost.
         """
         if not self._awake:
-            self._waiting = asyncio.get_running_loop().create_future()
+            self._wake_up = asyncio.get_running_loop().create_future()
             try:
-                await self._waiting
+                await self._wake_up
             finally:
-                self._waiting = None
-        beat = self._beat and not self._awake
-        self._awake = self._beat = False
-        return not beat
+                self._wake_up = None
+        is_heartbeat = self._is_heartbeat_due and not self._awake
+        self._awake = self._is_heartbeat_due = False
+        return not is_heartbeat
 
     def wake(self) -> bool:
-        """There is something to send. Whether that was news."""
+        """Note that there may be messages; returns False if the client was awake already."""
         if self._awake:
             return False
         self._awake = True
-        self._rouse()
+        self._resume()
         return True
 
-    def beat(self) -> None:
-        """A heartbeat is due."""
-        self._beat = True
-        self._rouse()
+    def request_heartbeat(self) -> None:
+        """Note that a heartbeat is due."""
+        self._is_heartbeat_due = True
+        self._resume()
 
     def cut(self, reason: str, after: float = 0.0) -> None:
-        """End the answer wherever it is, in ``after`` seconds; the first reason counts."""
-        if self.reason is None and self._patience is not None:
+        """Interrupt the response in ``after`` seconds; the first reason counts."""
+        if self.reason is None and self._timeout is not None:
             self.reason = reason
-            self._patience.reschedule(asyncio.get_running_loop().time() + after)
+            self._timeout.reschedule(asyncio.get_running_loop().time() + after)
 
-    def _rouse(self) -> None:
-        if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_result(None)
+    def _resume(self) -> None:
+        if self._wake_up is not None and not self._wake_up.done():
+            self._wake_up.set_result(None)
 
 
-class Listened(Protocol):
-    """What clients listen to."""
+class HasClients(Protocol):
+    """The part of a feed that `Rounds` reads."""
 
     @property
     def clients(self) -> Iterable[EventClient]: ...
 
 
 class Rounds:
-    """Wakes the clients of what has something new: each feed in its turn, `SLICE` clients at a
-    time. What comes during a round is another one; a client that is awake is not woken again.
+    """Wakes the clients of changed feeds, one feed after the other, `SLICE` clients at a time.
 
-    Who has listened longest comes first: those that leave and come back, again and again, are the
-    last, and what their coming takes holds up nobody who stayed.
+    A change during a round begins another round. Clients are woken in the order of their arrival:
+    clients that reconnect again and again come last, and do not delay the others.
 
-    Cost: `add` O(1), and a round O(clients of the feed). With few clients they are awake at once.
+    Cost: `add` O(1), and a round O(clients of the feed). Up to `SLICE` clients are awake at once.
     """
 
     def __init__(self) -> None:
-        self._changed: dict[Listened, None] = {}
+        self._changed: dict[HasClients, None] = {}
         self._round: list[EventClient] = []
-        self._going = False
+        self._is_scheduled = False
 
-    def add(self, feed: Listened) -> None:
-        """The clients of ``feed`` are to look again."""
+    def add(self, feed: HasClients) -> None:
+        """Wake the clients of ``feed``."""
         self._changed[feed] = None
-        if not self._going:
-            self._go_on()
+        if not self._is_scheduled:
+            self._wake_slice()
 
-    def _go_on(self) -> None:
+    def _wake_slice(self) -> None:
         woken = 0
         while woken < SLICE:
             while not self._round and self._changed:
@@ -155,19 +156,19 @@ class Rounds:
                 self._round = list(feed.clients)
                 self._round.reverse()  # taken from the end
             if not self._round:
-                self._going = False
+                self._is_scheduled = False
                 return
             woken += self._round.pop().wake()
-        self._going = True
-        asyncio.get_running_loop().call_soon(self._go_on)
+        self._is_scheduled = True
+        asyncio.get_running_loop().call_soon(self._wake_slice)
 
 
 class EventClients:
-    """All clients of event streams.
+    """All clients of event streams, and their limits.
 
-    At most ``total`` together and ``each`` of one key (see `admit`); ``heartbeat`` s without a
-    message bring a comment (0: none); who takes nothing for ``timeout`` s is cut off, and so is
-    whose token is not among ``tokens`` any more.
+    At most ``total`` clients are admitted, and ``each`` of one key. A client gets a comment after
+    ``heartbeat`` s without a message (0: none). It is cut off when a send takes ``timeout`` s, or
+    when ``tokens`` no longer has its token.
     """
 
     def __init__(
@@ -176,10 +177,10 @@ class EventClients:
         self.total = total
         self.each = each
         self.ends: Counter[str] = Counter(dict.fromkeys(REASONS, 0))
-        """Answers that have ended, by reason."""
+        """The number of ended responses, by reason."""
         self.refused: Counter[str] = Counter({"each": 0, "total": 0})
         self.sent = 0
-        """Bytes of messages."""
+        """Sent bytes of messages."""
         self.is_closing = False
         self.rounds = Rounds()
         self._heartbeat = heartbeat
@@ -190,18 +191,18 @@ class EventClients:
         self._timer: asyncio.TimerHandle | None = None
 
     def __len__(self) -> int:
-        """How many there are."""
+        """The number of clients."""
         return len(self._clients)
 
     @property
     def blocked(self) -> int:
-        """How many there are that have not taken what they were sent."""
+        """The number of clients with a send under way."""
         return sum(client.blocked_since is not None for client in self._clients)
 
     def admit(self, key: str, caller: Caller | None = None) -> EventClient:
-        """A client that is counted with those of the same ``key``: a token, an address.
+        """Return a new client, which counts under ``key``: a token or an address.
 
-        Raises `Problem` 429 when it has all that it may have, 503 when nobody gets a further one.
+        Raises `Problem` 429 if ``key`` has reached its limit, and 503 if all clients together have.
         """
         headers = {"Retry-After": str(RETRY)}
         if self._of_key[key] >= self.each:
@@ -209,7 +210,7 @@ class EventClients:
             raise Problem(
                 429,
                 "too many event streams",
-                f"you have {self.each} event streams open, and may have no more",
+                f"you have {self.each} event streams open, the most that one client may have",
                 hint="close some, or follow several streams on one connection (GET /follow)",
                 headers=headers,
             )
@@ -218,21 +219,21 @@ class EventClients:
             raise Problem(
                 503,
                 "too many event streams",
-                f"all {self.total} places for event streams are taken",
-                hint="ask again after the seconds in Retry-After",
+                f"the service has {self.total} event streams open, the most that it may have",
+                hint="try again after the seconds in Retry-After",
                 headers=headers,
             )
         return EventClient(key, caller)
 
     def join(self, client: EventClient) -> None:
-        """An admitted client's answer begins."""
+        """Begin the response of an admitted client."""
         self._clients[client] = None
         self._of_key[client.key] += 1
         if self._timer is None:
-            self._timer = asyncio.get_running_loop().call_later(self._pause, self._look)
+            self._timer = asyncio.get_running_loop().call_later(self._interval, self._check_all)
 
     def leave(self, client: EventClient, reason: str) -> None:
-        """Its answer has ended."""
+        """Note the end of a client's response."""
         self.ends[reason] += 1
         del self._clients[client]
         self._of_key[client.key] -= 1
@@ -240,32 +241,32 @@ class EventClients:
             del self._of_key[client.key]
 
     def revoke(self) -> int:
-        """Cut those off whose token is not accepted any more, or does not read; how many."""
+        """Cut off the clients whose token was removed or may not read; return their number."""
         gone = [one for one in self._clients if not self._tokens.allows(one.caller, Scope.READ)]
         for client in gone:
             client.cut("revoked")
         return len(gone)
 
     def check(self, client: EventClient) -> None:
-        """The same of one whose answer begins: its token may have gone since it asked."""
+        """Do the same for one client: its token may have been removed since its request."""
         if not self._tokens.allows(client.caller, Scope.READ):
             client.cut("revoked")
 
     def close(self) -> None:
-        """Let all go: the service stops. Each gets the end of its answer, if it takes it soon."""
+        """End all responses: the service stops. Clients have `LEAVE_SECONDS` to read the rest."""
         self.is_closing = True
         for client in self._clients:
             client.wake()
-            client.cut("shutdown", LEAVE)
+            client.cut("shutdown", LEAVE_SECONDS)
 
     @property
-    def _pause(self) -> float:
-        """Seconds between two looks at all clients."""
+    def _interval(self) -> float:
+        """Seconds between two checks of all clients."""
         limits = [1.0, self._timeout / 4, *([self._heartbeat / 4] if self._heartbeat else [])]
         return min(limits)
 
-    def _look(self) -> None:
-        """Cut those off that take nothing; a heartbeat for those that have heard nothing."""
+    def _check_all(self) -> None:
+        """Cut off stalled clients, and send heartbeats to idle ones."""
         self._timer = None
         if not self._clients:
             return
@@ -276,6 +277,6 @@ class EventClients:
             if since is not None:
                 if now - since >= self._timeout:
                     client.cut("stalled")
-            elif self._heartbeat and now - client.quiet_since >= self._heartbeat:
-                client.beat()
-        self._timer = loop.call_later(self._pause, self._look)
+            elif self._heartbeat and now - client.idle_since >= self._heartbeat:
+                client.request_heartbeat()
+        self._timer = loop.call_later(self._interval, self._check_all)

@@ -1,14 +1,14 @@
-"""Streams as server-sent events: one ring a stream, a cursor a client (docs/reference/streams.md,
-DESIGN §3).
+"""Streams as server-sent events: a feed for each stream, a cursor for each client
+(docs/reference/streams.md, DESIGN §3).
 
-The ring is the stream's own history; a client is the number of the next sample it wants. Samples
-are encoded when somebody listens, once for all clients, and kept in a bounded cache
-(event_messages). A client that comes back after a gap in the history is told the gap. Of an
-adaptive subscription the switches stand between the samples (`switch_markers`): what is sent in one
-go ends there. Who is woken when, and how an answer is sent, is event_clients and event_response.
+A feed sends from the stream's own history, so no client needs a queue. A cursor is the number of
+the next sample for its client. A feed encodes samples when a client needs them, once for all
+clients, into a bounded cache (`message_cache`). A client that resumes after evicted samples gets a
+``gap``. The switches of an adaptive subscription are messages between its samples
+(`switch_markers`). `clients` decides when to wake which client, and `response` sends.
 
-Cost: a publish O(1), then a look of each client; encoding is per sample, once. Memory: the cache's
-limit, and what a client has not taken (`EventStream`). There is no queue a client.
+Cost: a publish O(1), then O(1) for each client; encoding is per sample, once. Memory: the cache's
+limit, and the unsent part of each response (`EventStream`).
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from ..models import RematchModel
 from .clients import EventClient, EventClients
 from .message_cache import PIECE_BYTES, Block, Blocks, MessageCache
 from .response import EventStream, Messages
-from .switch_markers import Marks
+from .switch_markers import SwitchMarkers
 
 LONGEST_EPOCH = 64
-"""Characters of an epoch in an id that a client says; the service's own have eight."""
+"""The greatest length of an epoch in a client's id; the service's own have eight characters."""
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """Of one stream: the number of the newest sample, whether it has ended, when (ns) the last
-    switch of its subscription was, and why what feeds it has failed."""
+class Visible:
+    """The part of a stream that clients may see: the number of the newest sample, whether the
+    stream has ended, the time (ns) of the last switch, and the failure of its source."""
 
     newest: int
     is_ended: bool
@@ -56,9 +56,9 @@ class Shown:
 
 
 class Feed:
-    """A stream that somebody listens to: wakes its clients when its generator has more.
+    """A stream with clients, which it wakes when its generator publishes.
 
-    Of one that is recorded they see what is kept: up to `Shown`, which `Feeds` moves on.
+    With a data directory, clients see the durable part only: `Feeds.release` advances it.
     """
 
     def __init__(
@@ -67,100 +67,100 @@ class Feed:
         generator: StreamGenerator,
         cache: MessageCache,
         clients: EventClients,
-        unseen: dict[Feed, None] | None,
+        pending: dict[Feed, None] | None,
     ) -> None:
         self.generator = generator
         self.name = generator.name
         self.clients: dict[EventClient, None] = {}
         self.is_removed = False
         self.switches: Sequence[Rematch] = ()
-        """Those of the subscription whose stream this is."""
+        """The switches of the adaptive subscription that publishes the stream."""
         self.failure = engine.failure_of(generator)
-        """Why what feeds the stream has failed, as of the last `look`."""
-        self._told: Rematch | None = None
+        """The failure of the stream's source, as of the last `check`."""
+        self._last_switch: Rematch | None = None
         self._engine = engine
         self._all = clients
         self._blocks = Blocks(cache)
         self._encoder = msgspec.json.Encoder()
-        self._unseen = unseen
-        self.shown: Shown | None = None
-        """What clients may see; None: all there is."""
+        self._pending = pending
+        self.visible: Visible | None = None
+        """The part that clients may see; None: all."""
 
     @property
     def newest(self) -> int:
-        """The number of the newest sample that clients may see: so far cursors may read."""
+        """The number of the newest sample that clients may see."""
         last = self.generator.stream.last_number
-        return last if self.shown is None else min(last, self.shown.newest)
+        return last if self.visible is None else min(last, self.visible.newest)
 
-    def look_now(self) -> Shown:
-        """What there is to be seen, kept or not."""
+    def state(self) -> Visible:
+        """Return the stream's present state, durable or not."""
         generator = self.generator
         latest = self.switches[-1].time if self.switches else None
         last = generator.stream.last_number
-        return Shown(last, generator.is_ended, latest, self.failure)
+        return Visible(last, generator.is_ended, latest, self.failure)
 
     @property
     def oldest(self) -> int:
-        """The number of the oldest sample that is kept."""
+        """The number of the oldest sample in the history."""
         return self.generator.stream.first_number
 
     @property
-    def over(self) -> str | None:
-        """Why nothing comes after `newest`; None while something may."""
+    def end_reason(self) -> str | None:
+        """The reason why no sample follows `newest`; None while one may follow."""
         if self.is_removed:
             return "removed"
         if self.newest != self.generator.stream.last_number:
             return None
-        shown = self.shown or self.look_now()
-        if shown.failure is not None and self.failure is not None:
+        visible = self.visible or self.state()
+        if visible.failure is not None and self.failure is not None:
             return "failed"
-        return "ended" if self.generator.is_ended and shown.is_ended else None
+        return "ended" if self.generator.is_ended and visible.is_ended else None
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self._news()
+        self._mark_changed()
 
     def ended(self, source: StreamGenerator) -> None:
         self.failure = self._engine.failure_of(self.generator)
-        self._news()
+        self._mark_changed()
 
-    def _news(self) -> None:
-        if self._unseen is None:
+    def _mark_changed(self) -> None:
+        if self._pending is None:
             self.wake()
         else:
-            self._unseen[self] = None
+            self._pending[self] = None
 
-    def show(self, shown: Shown) -> None:
-        """Clients may see so much from now on."""
-        self.shown = shown
+    def show(self, visible: Visible) -> None:
+        """Let clients see the stream up to ``visible``."""
+        self.visible = visible
         self.wake()
 
     def wake(self) -> None:
-        """Let every client look again. Several wakes before they do are one."""
+        """Let every client check for messages. Several wakes before it does so count as one."""
         self._all.rounds.add(self)
 
-    def look(self, *, failures: bool = True) -> None:
-        """Wake the clients where there is a switch that they may not have heard of, or a failure of
-        what feeds the stream (if there are new ``failures``): it need not come with a sample."""
+    def check(self, *, failures: bool = True) -> None:
+        """Wake the clients for a new switch, or for a new failure of the source (looked up if
+        ``failures``). These need not come with a sample."""
         if failures and self.failure != (failure := self._engine.failure_of(self.generator)):
             self.failure = failure
-            self._news()
-        if self.switches and self.switches[-1] is not self._told:
-            self._told = self.switches[-1]
-            self._news()
+            self._mark_changed()
+        if self.switches and self.switches[-1] is not self._last_switch:
+            self._last_switch = self.switches[-1]
+            self._mark_changed()
 
     def messages(self, number: int, until: int) -> tuple[int, bytes]:
-        """Messages from sample ``number`` on, as many as are sent in one go, none of a sample after
-        ``until``: the last one's number, and the bytes. Contract: ``number`` is kept."""
-        block = self._blocks.find(number) or self._encoded(number)
+        """Return the messages of one piece, from sample ``number`` to at most ``until``: the last
+        sample's number, and the bytes. Contract: the history has ``number``."""
+        block = self._blocks.find(number) or self._fill_block(number)
         return block.part(number, until)
 
     def close(self) -> None:
-        """The last client has left."""
+        """Stop listening to the generator: the last client has left."""
         self.generator.leave(self)
         self._blocks.clear()
 
-    def _encoded(self, number: int) -> Block:
-        """The block that has sample ``number`` from now on, and some that follow it."""
+    def _fill_block(self, number: int) -> Block:
+        """Encode sample ``number`` and some that follow it into a block, and return the block."""
         block, room = self._blocks.place(number)
         room = min(room, self.newest + 1 - number)
         batch = self.generator.stream.since(number, room)[0].batch
@@ -168,7 +168,7 @@ class Feed:
         return block
 
     def _encode(self, first: int, batch: SampleBatch) -> list[bytes]:
-        """The messages of the samples ``first`` …, at least one, as many as are sent in one go."""
+        """Return the messages of at least one sample from ``first`` on, and of at most a piece."""
         rows: list[tuple[int, int, msgspec.Raw]] = []
         size = 0
         for available, valid, values in batch.rows():
@@ -197,33 +197,33 @@ class Feed:
         try:
             return self._engine.rdf_of(self.name, batch)
         except UnknownStream:
-            # The stream is gone, its last samples still go out; what they meant is gone with it.
+            # The stream was removed, and its annotation with it; its last samples still go out.
             return [""] * len(batch)
 
 
 @dataclass(slots=True)
 class Start:
-    """Where a cursor begins: the next sample's number, and what to say first about a loss.
+    """The start of a cursor: the next sample's number, and an ``opening`` message about a loss.
 
-    ``seen`` is the number of the newest sample there was then: whoever sends it, waits until what
-    was done by then is kept.
+    ``last`` is the number of the newest sample at that time. The route awaits a commit after it
+    finds the start, so clients may see samples up to ``last``.
     """
 
     number: int
     opening: bytes = b""
-    seen: int = 0
+    last: int = 0
 
 
-def _is_shown(feed: Feed, switch: Rematch) -> bool:
-    shown = feed.shown
-    return shown is None or (shown.switched is not None and switch.time <= shown.switched)
+def _is_visible(feed: Feed, switch: Rematch) -> bool:
+    visible = feed.visible
+    return visible is None or (visible.switched is not None and switch.time <= visible.switched)
 
 
 class Cursor:
-    """How far one client has got in one stream; `Messages`, which it `take`s one after the other.
+    """The position of one client in one stream, and its `Messages` from there on.
 
-    Law (tests/laws): what is taken from a start on, cut anywhere and taken up again after the last
-    whole sample, is every sample once and in order, and before what is not kept a ``gap``.
+    Law (tests/laws): cut the messages of a cursor anywhere, and resume after the last complete
+    sample. The client gets every sample once and in order, and a ``gap`` for evicted samples.
     """
 
     def __init__(
@@ -231,37 +231,39 @@ class Cursor:
     ) -> None:
         self.name = name
         self.number = start.number
-        """The next sample's."""
-        self.over: str | None = None
+        """The next sample's number."""
+        self.end_reason: str | None = None
         self._feeds = feeds
         self._feed: Feed | None = None
         self._opening = start.opening
-        self._seen = start.seen
+        self._last = start.last
         self._switches = switches
-        self._marks = Marks((), 0)
-        self._begins = start.number
+        self._markers = SwitchMarkers((), 0)
+        self._start = start.number
 
     def join(self, client: EventClient) -> None:
-        """``client`` is to be woken when there is something. Raises `UnknownStream`."""
-        feed = self._feed = self._feeds.join(self.name, self._seen, client)
+        """Wake ``client`` when there are new messages. Raises `UnknownStream`."""
+        feed = self._feed = self._feeds.join(self.name, self._last, client)
         if self._switches is not None:
             feed.switches = self._switches
-            # Not a method of this: in a circle it would stay when its client has gone.
-            self._marks = Marks(self._switches, self._begins - 1, partial(_is_shown, feed))
+            # Not a bound method: a reference cycle would outlive the client until a collection.
+            self._markers = SwitchMarkers(
+                self._switches, self._start - 1, partial(_is_visible, feed)
+            )
 
     def leave(self, client: EventClient) -> None:
-        """It is not there any more."""
+        """Wake ``client`` no more."""
         if self._feed is not None:
             self._feeds.leave(self._feed, client)
 
     def take(self) -> bytes | None:
-        """What comes next; None while there is nothing. Contract: after `join`."""
+        """Return the next messages; None while there are none. Contract: after `join`."""
         feed, number = self._feed, self.number
         assert feed is not None
         if self._opening:
             opening, self._opening = self._opening, b""
             return opening
-        switch = next(self._marks.before(number), None)
+        switch = next(self._markers.before(number), None)
         if switch is not None:
             return message("rematched", RematchModel.of(switch).model_dump())
         oldest = feed.oldest
@@ -270,109 +272,107 @@ class Cursor:
             return _gap(feed.name, number, oldest - 1)
         newest = feed.newest
         if number <= newest:
-            mark = self._marks.next
+            mark = self._markers.next
             until = newest if mark is None else min(newest, mark)
             last, data = feed.messages(number, until)
             self.number = last + 1
-            self.over = None  # it may have ended and gone on since
+            self.end_reason = None  # a stream that ended may have gone on
             return data
-        if self.over is None and feed.over is not None:
-            self.over = feed.over
-            end = {"stream": feed.name, "sequence": number - 1, "reason": self.over}
-            if self.over == "failed":
+        if self.end_reason is None and feed.end_reason is not None:
+            self.end_reason = feed.end_reason
+            end = {"stream": feed.name, "sequence": number - 1, "reason": self.end_reason}
+            if self.end_reason == "failed":
                 end["failure"] = feed.failure
             return message("end", end)
         return None
 
 
 class Feeds:
-    """All streams that clients listen to."""
+    """All feeds, and the gate that shows clients durable output only (`GatedOutput`)."""
 
     def __init__(
         self,
         engine: Engine,
         cache_limit: int,
         clients: EventClients,
-        is_kept: Callable[[], bool] | None = None,
+        is_durable: Callable[[], bool] | None = None,
     ) -> None:
-        """``is_kept`` says whether all that was done is kept, of an engine that is recorded."""
+        """``is_durable`` returns whether the log has all commands on disk; None: there is none."""
         self.all = clients
-        """All clients, whatever they listen to."""
+        """The clients of all feeds."""
         self._engine = engine
         self._cache = MessageCache(cache_limit)
         self._feeds: dict[str, Feed] = {}
-        self._is_kept = is_kept
+        self._is_durable = is_durable
         self._failures = 0
-        """So many failures the feeds have looked for."""
-        self._unseen: dict[Feed, None] | None = None if is_kept is None else {}
+        """The engine's count of failures at the last `review`."""
+        self._pending: dict[Feed, None] | None = None if is_durable is None else {}
 
     @property
     def epoch(self) -> str:
-        """The life of the service that ids speak of."""
+        """The epoch of the service, the first part of an event's id."""
         return self._engine.epoch
 
     @property
     def clients(self) -> int:
-        """How many clients listen."""
+        """The number of clients."""
         return len(self.all)
 
     def start(self, name: str, since: str | None) -> Start:
-        """Where a client begins: now, at the ``start`` of what is kept, at a time or a duration
-        before the newest sample (`Moment`), or after an id.
+        """Return the start of a client: now, at the ``start`` of the history, at a time or a
+        duration before the newest sample (`Moment`), or after an id.
 
-        Raises `UnknownStream`, `Forgotten`, or a 400 `Problem` for a text that is none of these.
+        Raises `UnknownStream`, `Forgotten`, or a 400 `Problem` for any other text.
         """
         stream = self._engine.generator(name).stream
         if since is None:
-            return Start(self._newest(name) + 1, seen=stream.last_number)
+            return Start(self._newest(name) + 1, last=stream.last_number)
         if since == "start":
-            return Start(stream.first_number, seen=stream.last_number)
+            return Start(stream.first_number, last=stream.last_number)
         moment = Moment.parse(since)
         if moment is not None:
-            return Start(past_queries.number_since(stream, moment), seen=stream.last_number)
+            return Start(past_queries.number_since(stream, moment), last=stream.last_number)
         epoch, _, digits = since.rpartition("-")
         if not 0 < len(epoch) <= LONGEST_EPOCH or not is_number(digits):
             raise bad_id(since)
         return self.after(name, epoch, int(digits))
 
     def after(self, name: str, epoch: str, number: int) -> Start:
-        """Where a client begins that has had sample ``number`` of the life ``epoch``.
-
-        Raises `UnknownStream`.
-        """
+        """Return the start of a client that has had sample ``number`` of ``epoch``. Raises
+        `UnknownStream`."""
         number += 1
-        # Not what is shown: a client may have seen more than one that has just come.
+        # Not the newest visible sample: other clients of the feed may have seen more.
         last = self._engine.generator(name).stream.last_number
         if epoch == self._engine.epoch and number <= last + 1:
-            return Start(number, seen=last)
+            return Start(number, last=last)
         if epoch != self._engine.epoch:
             reason = "the service has begun anew since: numbers count from 1 again"
         else:
             reason = "the stream has begun anew since: numbers count from 1 again"
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
-        return Start(1, message("gap", lost), seen=last)
+        return Start(1, message("gap", lost), last=last)
 
-    def join(self, name: str, seen: int, client: EventClient) -> Feed:
-        """``client`` listens to a stream, of which all up to sample ``seen`` is kept. Raises
+    def join(self, name: str, last: int, client: EventClient) -> Feed:
+        """Add ``client`` to the feed of a stream that is durable up to sample ``last``. Raises
         `UnknownStream`."""
         generator = self._engine.generator(name)
-        # A stream may have several names; all who follow it are woken together.
+        # A stream may have several names, and has one feed.
         feed = self._feeds.get(generator.name)
         if feed is None or feed.generator is not generator:
-            feed = Feed(self._engine, generator, self._cache, self.all, self._unseen)
-            if self._is_kept is not None and self._unseen is not None:
-                feed.shown = feed.look_now()
-                if not self._is_kept():
-                    # The next mark shows what has come since the client looked where to begin.
-                    feed.shown = Shown(seen, False, None)
-                    self._unseen[feed] = None
+            feed = Feed(self._engine, generator, self._cache, self.all, self._pending)
+            if self._is_durable is not None and self._pending is not None:
+                feed.visible = feed.state()
+                if not self._is_durable():
+                    # The next commit releases the samples since the client's start was found.
+                    feed.visible = Visible(last, False, None)
+                    self._pending[feed] = None
             generator.listen(feed)
             self._feeds[generator.name] = feed
         feed.clients[client] = None
         return feed
 
     def leave(self, feed: Feed, client: EventClient) -> None:
-        """It does so no longer."""
+        """Remove ``client`` from ``feed``, and close a feed without clients."""
         del feed.clients[client]
         if feed.clients:
             return
@@ -381,12 +381,12 @@ class Feeds:
             del self._feeds[feed.name]
 
     def review(self) -> None:
-        """Wake the clients of streams that were removed, have failed or switched. Called at each
-        tick."""
+        """Wake the clients of streams that were removed, have failed or switched. Each tick calls
+        this."""
         failures, self._failures = self._failures, self._engine.failures
         for feed in tuple(self._feeds.values()):
             if not self._is_removed(feed):
-                feed.look(failures=self._failures != failures)
+                feed.check(failures=self._failures != failures)
             elif not feed.is_removed:
                 del self._feeds[feed.name]
                 feed.is_removed = True
@@ -399,34 +399,34 @@ class Feeds:
             return True
 
     def close(self) -> None:
-        """Let all clients go: the service stops. They resume when it is back."""
+        """End all responses: the service stops. Clients resume at its next start."""
         self.all.close()
 
-    # -- what is kept (`Audience`) -----------------------------------------------------------
+    # -- `GatedOutput` ---------------------------------------------------------------------------
 
     @property
-    def has_news(self) -> bool:
-        """Whether there is more to be seen than is shown."""
-        return bool(self._unseen)
+    def has_pending(self) -> bool:
+        """Whether there is output that clients do not see yet."""
+        return bool(self._pending)
 
-    def mark(self) -> Sequence[tuple[Feed, Shown]]:
-        """What there is to be seen of what has changed since the last mark."""
-        assert self._unseen is not None
-        marked = [(feed, feed.look_now()) for feed in self._unseen]
-        self._unseen.clear()
-        return marked
+    def take_pending(self) -> Sequence[tuple[Feed, Visible]]:
+        """Return the state of each feed that has changed since the last call."""
+        assert self._pending is not None
+        pending = [(feed, feed.state()) for feed in self._pending]
+        self._pending.clear()
+        return pending
 
-    def show(self, mark: Sequence[tuple[Feed, Shown]]) -> None:
-        """Let clients see it: it is kept."""
-        for feed, shown in mark:
-            # A stream that is removed ends before: its clients are told the one reason.
+    def release(self, pending: Sequence[tuple[Feed, Visible]]) -> None:
+        """Let clients see the feeds up to these states: the log has them on disk."""
+        for feed, visible in pending:
+            # A removed stream has ended, too: "removed" must be the reason that clients get.
             feed.is_removed = feed.is_removed or self._is_removed(feed)
-            feed.show(shown)
+            feed.show(visible)
 
-    def keep_unseen(self, mark: Sequence[tuple[Feed, Shown]]) -> None:
-        """It is not kept yet: it is for the next mark."""
-        assert self._unseen is not None
-        self._unseen.update((feed, None) for feed, _ in mark)
+    def requeue(self, pending: Sequence[tuple[Feed, Visible]]) -> None:
+        """Return these feeds with the next `take_pending`: the commit failed."""
+        assert self._pending is not None
+        self._pending.update((feed, None) for feed, _ in pending)
 
     def _newest(self, name: str) -> int:
         generator = self._engine.generator(name)
@@ -442,9 +442,9 @@ def event_stream(
     since: str | None,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
-    """The response that is a stream's events, with ``switches`` between them if it is an adaptive
-    subscription's; ``Last-Event-ID`` goes before ``since``. Clients of one ``key`` are counted
-    together (`EventClients.admit`)."""
+    """Return the response that sends a stream's events, with ``switches`` between them for an
+    adaptive subscription. ``Last-Event-ID`` goes before ``since``: a browser that reconnects
+    repeats the URL. Clients of one ``key`` count together (`EventClients.admit`)."""
     accepted(request, [EVENT_STREAM])
     start = feeds.start(name, request.headers.get("last-event-id") or since)
     position = f"{feeds.epoch}-{start.number - 1}"
@@ -454,8 +454,8 @@ def event_stream(
 def respond(
     feeds: Feeds, request: Request, key: str, messages: Messages, position: str
 ) -> Response:
-    """The response that sends ``messages`` after the id ``position``. Raises `Problem` 429 and 503
-    when there is no place."""
+    """Return the response that sends ``messages`` after the id ``position``. Raises `Problem` 429
+    and 503 if there are too many clients."""
     headers = {POSITION: position}
     if request.scope.get(HEAD):
         return Response(headers=headers, media_type=EVENT_STREAM)
@@ -464,17 +464,17 @@ def respond(
 
 
 def message(event: str, data: dict[str, object]) -> bytes:
-    """A message that is no sample: it has no id, a client that resumes does so after a sample."""
+    """Return a message that is no sample. It has no id, so clients resume after samples only."""
     return b"event: %s\ndata: %s\n\n" % (event.encode(), msgspec.json.encode(data))
 
 
 def is_number(digits: str) -> bool:
-    """Whether it is the number of a sample, or 0."""
+    """Whether ``digits`` is the number of a sample, or 0."""
     return digits.isascii() and digits.isdigit() and len(digits) <= 18
 
 
 def bad_id(since: str) -> Problem:
-    """The refusal of what is no id."""
+    """Return the error for a text that is no id."""
     return Problem(
         400,
         "bad event id",

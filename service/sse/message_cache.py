@@ -1,8 +1,7 @@
-"""Samples as messages of server-sent events, each encoded once for all clients
-(docs/reference/streams.md).
+"""A cache of samples encoded as messages of server-sent events (docs/reference/streams.md).
 
-A `Block` has the messages of consecutive samples and grows at its end; `Blocks` are those of one
-stream, `MessageCache` bounds the bytes of all. Used by sse, which says what to encode.
+A `Block` has the messages of consecutive samples. Whole blocks are evicted, so that the cache needs
+no entry for each sample. `Blocks` are those of one stream; `MessageCache` bounds the bytes of all.
 """
 
 from __future__ import annotations
@@ -12,14 +11,14 @@ from collections import OrderedDict
 from collections.abc import Sequence
 
 PIECE_BYTES = 32 * 1024
-"""At most so many bytes are sent in one go, but for a message that is longer: what a client that
-takes nothing has waiting, and how long the others wait for one that takes much."""
+"""The greatest size of one send, unless one message is longer. It bounds the memory of a stalled
+client, and the time that the others wait for a fast one."""
 BLOCK_SAMPLES = 256
-"""At most so many messages are kept, and forgotten, together."""
+"""The greatest number of messages in a block."""
 
 
 class Block:
-    """Messages of the samples from ``first`` on, up to before ``end``."""
+    """Messages of the samples from ``first`` until before ``end``."""
 
     __slots__ = ("_ends", "first", "messages", "owner")
 
@@ -45,14 +44,14 @@ class Block:
         return len(self.messages) >= BLOCK_SAMPLES or self.size >= PIECE_BYTES
 
     def extend(self, messages: Sequence[bytes]) -> None:
-        """Continue with ``messages``."""
+        """Append ``messages``."""
         for message in messages:
             self.messages.append(message)
             self._ends.append(self._ends[-1] + len(message))
 
     def part(self, number: int, until: int) -> tuple[int, bytes]:
-        """From sample ``number`` on at most `PIECE_BYTES`, nothing after sample ``until``: the last
-        sample's number, and the messages. At least one message. Cost: O(what is given)."""
+        """Return at most `PIECE_BYTES` of messages from sample ``number`` to at most ``until``, but
+        at least one message: the last sample's number, and the bytes. Cost: O(bytes)."""
         begin = number - self.first
         most = bisect_right(self._ends, self._ends[begin] + PIECE_BYTES) - 1
         stop = max(begin + 1, min(most, until + 1 - self.first, len(self.messages)))
@@ -62,7 +61,7 @@ class Block:
 
 
 class Blocks:
-    """The blocks of one stream that are kept, by the numbers of their first samples."""
+    """The cached blocks of one stream, ordered by the numbers of their first samples."""
 
     def __init__(self, cache: MessageCache) -> None:
         self._cache = cache
@@ -70,7 +69,7 @@ class Blocks:
         self._blocks: list[Block] = []
 
     def find(self, number: int) -> Block | None:
-        """The block that has the message of sample ``number``. Cost: O(log blocks)."""
+        """Return the block with sample ``number``, or None. Cost: O(log blocks)."""
         i = bisect_right(self._firsts, number) - 1
         if i < 0 or number >= self._blocks[i].end:
             return None
@@ -79,8 +78,8 @@ class Blocks:
         return block
 
     def place(self, number: int) -> tuple[Block, int]:
-        """Where the message of sample ``number``, which is not kept, belongs: a block that ends
-        right before it, a new one otherwise; and how many messages it has room for."""
+        """Return the block for sample ``number``, which is not cached, and the number of messages
+        that fit: the block that ends right before it, or else a new one."""
         i = bisect_right(self._firsts, number)
         if i and self._blocks[i - 1].end == number and not self._blocks[i - 1].is_full:
             block = self._blocks[i - 1]
@@ -95,25 +94,24 @@ class Blocks:
         return block, room
 
     def extend(self, block: Block, messages: Sequence[bytes]) -> None:
-        """Continue ``block``; others are forgotten where there is no room for it."""
+        """Append to ``block``, and evict others if there is no room."""
         block.extend(messages)
-        self._cache.grown(block, sum(map(len, messages)))
+        self._cache.grow(block, sum(map(len, messages)))
 
     def forget(self, block: Block) -> None:
-        """``block`` is not kept any more; who has it may still read it."""
+        """Forget an evicted block. A caller that has it may still read it."""
         i = bisect_right(self._firsts, block.first) - 1
         del self._firsts[i]
         del self._blocks[i]
 
     def clear(self) -> None:
-        """Nobody listens to the stream any more."""
+        """Drop all blocks: the stream has no clients."""
         for block in list(self._blocks):
             self._cache.drop(block)
 
 
 class MessageCache:
-    """All blocks that are kept; the least recently read go when there are more than ``limit``
-    bytes."""
+    """The cached blocks of all streams: an LRU cache of at most ``limit`` bytes."""
 
     def __init__(self, limit: int) -> None:
         self.size = 0
@@ -121,11 +119,11 @@ class MessageCache:
         self._blocks: OrderedDict[Block, None] = OrderedDict()
 
     def use(self, block: Block) -> None:
-        """``block`` is read."""
+        """Note that ``block`` was read."""
         self._blocks.move_to_end(block)
 
-    def grown(self, block: Block, count: int) -> None:
-        """``block``, new or known, has so many bytes more."""
+    def grow(self, block: Block, count: int) -> None:
+        """Note that ``block``, new or old, has ``count`` bytes more, and evict others."""
         self._blocks[block] = None
         self._blocks.move_to_end(block)
         self.size += count
@@ -133,7 +131,7 @@ class MessageCache:
             self.drop(next(iter(self._blocks)))
 
     def drop(self, block: Block) -> None:
-        """Keep ``block`` no longer."""
+        """Remove ``block`` from the cache."""
         del self._blocks[block]
         self.size -= block.size
         block.owner.forget(block)

@@ -1,8 +1,8 @@
-"""Several streams on one connection, resumed by one id (docs/reference/streams.md).
+"""Several streams on one connection, with one id to resume all (docs/reference/streams.md).
 
-Each stream has a cursor of its own; a sample's message gets an id that says how far the client has
-got in all of them: ``<epoch>-<names>-<position>.<position>…``, the positions in the order of the
-names, ``<names>`` a digest of these. To clients it is opaque.
+Each stream has its own cursor. The id of a sample's message has the client's position in each
+stream: ``<epoch>-<names>-<position>.<position>…``. The positions are in the order of the names, and
+``<names>`` is a digest of the names. The id is opaque to clients.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .clients import EventClient
 from .feeds import Cursor, Feeds, bad_id, is_number, message, respond
 
 MOST_STREAMS = 50
-"""On one connection: an id has at most 19 bytes a stream, and each message has one."""
+"""On one connection: each message has an id, which takes up to 19 bytes for each stream."""
 _END = b"\n\n"
 
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """How far a client has got: the number of the last sample it had, by stream."""
+    """A client's position in each stream: the number of its last sample."""
 
     epoch: str
     numbers: dict[str, int] = field(default_factory=dict)
@@ -41,8 +41,8 @@ class Position:
 
     @classmethod
     def parse(cls, text: str, names: Sequence[str]) -> Position:
-        """The position in the streams ``names``. Raises a 400 `Problem` for an id that is none, or
-        one of other streams."""
+        """Parse an id of the streams ``names``. Raises a 400 `Problem` for a malformed id, or an id
+        of other streams."""
         parts = text.rsplit("-", 2)
         digits = parts[-1].split(".")
         if len(parts) != 3 or not parts[0] or not all(is_number(each) for each in digits):
@@ -53,57 +53,56 @@ class Position:
                 400,
                 "bad event id",
                 f"{text!r} is an id of other streams than {', '.join(names)}",
-                hint="resume with the streams that the id is of, or begin anew without an id",
+                hint="resume with the streams of the id, or begin anew without an id",
             )
         return cls(parts[0], dict(zip(names, map(int, digits), strict=True)))
 
 
-class Followed:
-    """The messages of several streams for one client, each stream's in order; they alternate.
+class MultiCursor:
+    """The messages of several streams for one client: pieces of the streams in turn.
 
-    A stream that has ended leaves the others, and goes on when it does. All is over when all have
-    ended or were removed. ``gone`` tells how far the client had got in streams that were removed
-    since it had the id that it resumes with.
+    The others go on when a stream ends; the response ends when all have ended or were removed.
+    ``removed`` has the client's positions in streams that were removed since it got its id.
 
-    Law (tests/laws): of each stream it is what a `Cursor` gives; after any id all go on where they
-    were. Cost: O(streams) a look, and O(streams) bytes a message.
+    Law (tests/laws): each stream's messages are those of a `Cursor`; after any id, all streams
+    resume at their positions. Cost: O(streams) for each `take`, and O(streams) bytes per message.
     """
 
-    def __init__(self, epoch: str, cursors: Sequence[Cursor], gone: dict[str, int]) -> None:
+    def __init__(self, epoch: str, cursors: Sequence[Cursor], removed: dict[str, int]) -> None:
         self._epoch = epoch
-        self._numbers = gone | {cursor.name: cursor.number - 1 for cursor in cursors}
+        self._numbers = removed | {cursor.name: cursor.number - 1 for cursor in cursors}
         self._cursors = list(cursors)
         self._turn = 0
         self._opening = b"".join(
             message("end", {"stream": name, "sequence": number, "reason": "removed"})
-            for name, number in gone.items()
+            for name, number in removed.items()
         )
 
     @property
     def position(self) -> Position:
-        """How far the client has got with what was taken."""
+        """The client's position after the messages that `take` has returned."""
         return Position(self._epoch, dict(self._numbers))
 
     @property
-    def over(self) -> str | None:
-        """Why nothing comes any more, of the streams that went last; None while something may."""
-        reasons = [cursor.over for cursor in self._cursors]
+    def end_reason(self) -> str | None:
+        """The reason why no messages follow; None while some may follow."""
+        reasons = [cursor.end_reason for cursor in self._cursors]
         if None in reasons:
             return None
         return next(one for one in ("failed", "ended", "removed") if one in reasons)
 
     def join(self, client: EventClient) -> None:
-        """``client`` is to be woken when there is something."""
+        """Wake ``client`` when there are new messages."""
         for cursor in self._cursors:
             cursor.join(client)
 
     def leave(self, client: EventClient) -> None:
-        """It is not there any more."""
+        """Wake ``client`` no more."""
         for cursor in self._cursors:
             cursor.leave(client)
 
     def take(self) -> bytes | None:
-        """What comes next: some messages of the stream whose turn it is."""
+        """Return the next messages, of the stream whose turn it is; None while there are none."""
         if self._opening:
             opening, self._opening = self._opening, b""
             return opening
@@ -116,7 +115,7 @@ class Followed:
         return None
 
     def _with_ids(self, cursor: Cursor, data: bytes) -> bytes:
-        """Each sample with an id of all streams: what came before it the client has, too."""
+        """Replace the id of each sample by the position in all streams up to this sample."""
         messages = []
         for text in data.split(_END)[:-1]:
             if text.startswith(b"id: "):
@@ -131,34 +130,34 @@ class Followed:
 def follow_many(
     feeds: Feeds, request: Request, key: str, names: Sequence[str], since: str | None
 ) -> Response:
-    """The response that is the events of all streams ``names``; as `event_stream` for one.
+    """Return the response that sends the events of all streams ``names`` (cf. `event_stream`).
 
-    Raises `UnknownStream` where the client has not had it before.
+    Raises `UnknownStream`, unless the client had the stream and it was removed since.
     """
     accepted(request, [EVENT_STREAM])
-    followed = begin(feeds, names, request.headers.get("last-event-id") or since)
-    return respond(feeds, request, key, followed, str(followed.position))
+    cursor = open_cursor(feeds, names, request.headers.get("last-event-id") or since)
+    return respond(feeds, request, key, cursor, str(cursor.position))
 
 
-def begin(feeds: Feeds, names: Sequence[str], since: str | None) -> Followed:
-    """What a client gets of the streams ``names``: from now on, from the ``start`` of what is kept,
-    from a `Moment`, or after an id. Raises `UnknownStream`, `Forgotten`, and a 400 `Problem` for an
-    id that is none of theirs."""
+def open_cursor(feeds: Feeds, names: Sequence[str], since: str | None) -> MultiCursor:
+    """Return the cursor of a client in the streams ``names``: from now on, from the ``start`` of
+    the histories, from a `Moment`, or after an id. Raises `UnknownStream`, `Forgotten`, and a 400
+    `Problem` for a malformed id or one of other streams."""
     names = sorted(set(names))
     if since is None or since == "start" or Moment.parse(since) is not None:
         starts = {name: feeds.start(name, since) for name in names}
         cursors = [Cursor(feeds, name, start) for name, start in starts.items()]
-        return Followed(feeds.epoch, cursors, {})
-    had = Position.parse(since, names)
-    cursors, gone = [], {}
-    for name, number in had.numbers.items():
+        return MultiCursor(feeds.epoch, cursors, {})
+    position = Position.parse(since, names)
+    cursors, removed = [], {}
+    for name, number in position.numbers.items():
         try:
-            cursors.append(Cursor(feeds, name, feeds.after(name, had.epoch, number)))
+            cursors.append(Cursor(feeds, name, feeds.after(name, position.epoch, number)))
         except UnknownStream:
-            if had.epoch != feeds.epoch:
-                raise  # nobody knows whether it was removed, or is not there yet
-            gone[name] = number
-    return Followed(feeds.epoch, cursors, gone)
+            if position.epoch != feeds.epoch:
+                raise  # in this epoch the stream may not exist yet, so it may not have been removed
+            removed[name] = number
+    return MultiCursor(feeds.epoch, cursors, removed)
 
 
 def _digest(names: Sequence[str]) -> str:

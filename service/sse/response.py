@@ -1,9 +1,9 @@
-"""The answer that is server-sent events: sse-starlette's, with less machinery a client.
+"""The HTTP response that sends server-sent events, a lighter version of sse-starlette's.
 
-The library's own response runs four tasks a client in a task group and a timer a send, and writes
-a traceback for each client that is cut off; with thousands of clients that is most of the work
-(bench/sse.py). Here one task sends, one waits for the client to leave, and all share the timer of
-`EventClients`. Headers and status are the library's.
+The library's response runs a task group of four tasks for each client and a timer for each send,
+and logs a traceback for each client that is cut off. With thousands of clients that is most of the
+work (bench/sse.py). Here one task sends, one waits for a disconnect, and all clients share the
+timer of `EventClients`. Headers and status are the library's.
 """
 
 from __future__ import annotations
@@ -20,72 +20,72 @@ from ..http.connection_limits import EVENTS, TRANSPORT, drop
 from .clients import EventClient, EventClients
 
 SEND_BUFFER = 64 * 1024
-"""Bytes that the kernel holds of what a client does not take (it reckons with twice that)."""
+"""Bytes of unread data that the kernel buffers for a client (Linux allocates twice that)."""
 OPENING = b": dyknow\n"
-"""Sent at once, so that a client knows that it is connected."""
+"""A comment that is sent at once, so that a client knows that it is connected."""
 HEARTBEAT = b": ping\n"
-"""A comment without an empty line: a reader that dispatches empty messages stays quiet."""
+"""A comment without an empty line, since some readers dispatch an empty message at one."""
 DROPPED = 1.0
-"""Seconds in which a connection that was closed is known to be."""
+"""Seconds within which the server notices a closed connection."""
 
 
 class Messages(Protocol):
-    """What a client is to get: a stream's messages, or those of several."""
+    """The messages for a client, of one stream (`Cursor`) or several (`MultiCursor`)."""
 
     @property
-    def over(self) -> str | None:
-        """Why nothing comes any more; None while something may."""
+    def end_reason(self) -> str | None:
+        """The reason why no messages follow; None while some may follow."""
 
     def take(self) -> bytes | None:
-        """What comes next; None while there is nothing."""
+        """Return the next messages; None while there are none."""
 
     def join(self, client: EventClient) -> None:
-        """``client`` is to be woken when there is something."""
+        """Wake ``client`` when there are new messages."""
 
     def leave(self, client: EventClient) -> None:
-        """It is not there any more."""
+        """Wake ``client`` no more."""
 
 
 class _Body:
-    """The bytes of an answer, with heartbeats, until there are no more, or the service stops."""
+    """The body of a response: messages and heartbeats, until the end or the service's stop."""
 
     def __init__(self, clients: EventClients, client: EventClient, messages: Messages) -> None:
         self._clients = clients
         self._client = client
         self._messages = messages
-        self._goes_on = False
-        self._begun = False
+        self._is_sending = False
+        self._has_begun = False
 
     def __aiter__(self) -> AsyncIterator[bytes]:
         return self
 
     async def __anext__(self) -> bytes:
-        if not self._begun:
-            self._begun = self._goes_on = True
+        if not self._has_begun:
+            self._has_begun = self._is_sending = True
             return OPENING + (self._messages.take() or b"")
         while True:
             data = self._messages.take()
             if data is not None:
-                if self._goes_on:
-                    # A fast client must not keep the loop from everybody else.
+                if self._is_sending:
+                    # Yield: a fast client must not starve the other tasks of the event loop.
                     await asyncio.sleep(0)
-                self._goes_on = True
+                self._is_sending = True
                 self._clients.sent += len(data)
                 return data
-            # When the service stops, everybody gets what there is.
-            if self._messages.over is not None or self._clients.is_closing:
+            # A stop ends the response only here, after all pending messages.
+            if self._messages.end_reason is not None or self._clients.is_closing:
                 break
-            self._goes_on = False
+            self._is_sending = False
             if not await self._client.wait():
                 return HEARTBEAT
         raise StopAsyncIteration
 
 
 class EventStream(EventSourceResponse):
-    """Sends ``messages`` to an admitted ``client`` until they are over, it leaves or is cut off.
+    """Sends ``messages`` to an admitted ``client`` until their end, a disconnect or a cut.
 
-    A client that takes nothing costs at most `SEND_BUFFER` of the kernel's memory and two pieces
-    (`message_cache.PIECE_BYTES`): one that the transport has, one that waits for it.
+    A stalled client costs at most `SEND_BUFFER` of the kernel's memory and two pieces
+    (`message_cache.PIECE_BYTES`): one in the transport, one that waits for it.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class EventStream(EventSourceResponse):
         state = scope.get("state", {})
         state[EVENTS] = True
         transport: asyncio.Transport | None = state.get(TRANSPORT)
-        _bound(transport)
+        _limit_buffer(transport)
         self._clients.join(client)
         leaving = asyncio.create_task(_cut_when_gone(client, receive))
         try:
@@ -118,15 +118,15 @@ class EventStream(EventSourceResponse):
                 async for data in self.body_iterator:
                     await client.send(send, {"type": body, "body": data, "more_body": True})
                 await client.send(send, {"type": body, "body": b"", "more_body": False})
-            reason = self._messages.over or "shutdown"
-            _unbound(transport)
+            reason = self._messages.end_reason or "shutdown"
+            _restore_buffer(transport)
         except TimeoutError:
             if client.reason is None:
                 raise
             reason = client.reason
             if transport is not None:
                 drop(transport)
-                # The server, too, is to know that nobody waits for the end of the answer.
+                # uvicorn must see the disconnect, or it logs a response without an end.
                 await asyncio.wait([leaving], timeout=DROPPED)
         except asyncio.CancelledError:
             reason = "shutdown"
@@ -143,8 +143,8 @@ async def _cut_when_gone(client: EventClient, receive: Receive) -> None:
     client.cut("left")
 
 
-def _bound(transport: asyncio.Transport | None) -> None:
-    """Of what the client does not take hold little: nothing is added until all is gone."""
+def _limit_buffer(transport: asyncio.Transport | None) -> None:
+    """Limit the unsent bytes: accept the next piece only when the transport's buffer is empty."""
     if transport is not None and not transport.is_closing():
         transport.set_write_buffer_limits(high=0)
         peer: socket.socket | None = transport.get_extra_info("socket")
@@ -152,7 +152,7 @@ def _bound(transport: asyncio.Transport | None) -> None:
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
 
 
-def _unbound(transport: asyncio.Transport | None) -> None:
-    """The connection's next answer may be of another kind."""
+def _restore_buffer(transport: asyncio.Transport | None) -> None:
+    """Restore the default for the connection's next response."""
     if transport is not None and not transport.is_closing():
         transport.set_write_buffer_limits()

@@ -74,7 +74,7 @@ class BacklogTask:
     def after_command(self) -> None:
         """Close for a moment what a command made due, and leave the rest to the task."""
         if self._backlog.has_new and not self._holding:
-            with suppress(JournalError):  # `Keeper` reports it, and the task tries again
+            with suppress(JournalError):  # `CommandQueue` reports it, and the task tries again
                 self._work_for(FIRST, new=True)
         if self._backlog and self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._catch_up(), context=Context())

@@ -1,9 +1,9 @@
-"""Work of which nobody knows how long it takes, in processes that can be ended.
+"""Work of unknown duration, in worker processes that can be killed.
 
-docs/explanation/isolation.md says what is limited and what is told.
+docs/explanation/isolation.md lists the limits and the errors.
 
-`worker_main` is what runs there, `worker` one such process as its parent has it, `pool` several of
-them. What is asked of them is in `sparql` (queries), `rdf_documents` (RDF and what it entails),
-`specifications` (XML) and `oxigraph_client` (Oxigraph, for continuous queries); `messages` is what
-both sides say to each other, `xml_elements` how they say a specification.
+A worker runs `worker_main`, which executes `jobs`. `worker` is its handle in the service; `pool`
+has several. `sparql` (queries), `rdf_documents` (RDF and its entailments), `specifications` (XML)
+and `oxigraph_client` (Oxigraph, for continuous queries) send jobs. `messages` is the protocol
+between both sides, with `xml_elements` for specifications.
 """

@@ -1,7 +1,7 @@
-"""What a worker does: queries over a copy of the ontology, SPARQL over quads, RDF texts, closures,
-specifications in XML.
+"""The jobs of a worker: queries over a copy of the ontology, SPARQL over quads, RDF texts,
+closures, specifications in XML.
 
-Nothing here is bounded but sizes of results: time and memory are the process's (`worker_main`).
+This module limits only the sizes of results; `worker_main` limits time and memory of the process.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _EMPTY_SPECIFICATION = f'<specification xmlns="{NAMESPACE}"/>'
 
 
 class Worker:
-    """The state of a worker: its copy of the ontology, and quads that it keeps for `Ask`."""
+    """The state of a worker: its copy of the ontology, and the cached quads for `Ask`."""
 
     def __init__(self) -> None:
         self._store = Store()
@@ -75,8 +75,8 @@ class Worker:
         self._kept: dict[str, list[Quad]] = {}
 
     def warm(self) -> None:
-        """Do each kind of work once: what is imported or opened when it is first needed is there
-        before files cannot be opened any more."""
+        """Do each kind of job once. It imports modules and opens files, which is impossible after
+        `worker_main.restrict`."""
         self.answer(Query("SELECT * { ?s ?p ?o }", "text/csv", 1, 1000))
         text = "<urn:a> a owl:Class ; rdfs:label 'a'@en, '1'^^xsd:integer ."
         read = self.answer(Read(text, "turtle", "urn:b", 10))
@@ -87,7 +87,7 @@ class Worker:
         self.answer(ReadSpecification(_EMPTY_SPECIFICATION, 1, 1))
 
     def answer(self, work: Work) -> Answer:
-        """The answer to a job; errors that it may have are answers too."""
+        """Execute a job and return its answer; expected errors are answers, too."""
         try:
             match work:
                 case Follow():
@@ -102,8 +102,8 @@ class Worker:
                     return _entail(work)
                 case ReadSpecification():
                     return _read_specification(work)
-        except _Enough as enough:
-            return TooMuch(enough.what, enough.limit)
+        except _LimitExceeded as exceeded:
+            return TooMuch(exceeded.what, exceeded.limit)
         except (QueryRefused, OntologyError) as error:
             return Refused(error.message, error.hint, error.line, error.column)
         except LanguageError as error:
@@ -113,7 +113,7 @@ class Worker:
         except RecursionError:
             return Failed("it is nested too deeply")
         except (SyntaxError, ValueError, RuntimeError, OSError) as error:
-            # What the store finds while it evaluates, after the text has passed the check.
+            # Errors of the store during the evaluation of a valid text.
             return Failed(str(error))
 
     def _follow(self, work: Follow) -> Answer:
@@ -134,11 +134,11 @@ class Worker:
             return Truth(True)
         found = answer(self._store, work.text)
         if isinstance(found, QueryTriples):
-            wanted = _counted(found, work.rows, "triples")
+            wanted = _limited(found, work.rows, "triples")
             sink = _Sink(work.size)
             serialize(wanted, sink, format=GRAPHS[work.format])  # type: ignore[arg-type]
-            return Written(sink.taken())
-        body = _written(found, TABLES[work.format], work.size)
+            return Written(sink.content())
+        body = _serialize(found, TABLES[work.format], work.size)
         # A row has at least three bytes in each format.
         if isinstance(found, QuerySolutions) and len(body) > 3 * work.rows:
             _check_rows(body, TABLES[work.format], work.rows)
@@ -196,7 +196,7 @@ def _read_specification(work: ReadSpecification) -> Answer:
     return Elements(rows)
 
 
-class _Enough(Exception):
+class _LimitExceeded(Exception):
     def __init__(self, what: str, limit: int) -> None:
         super().__init__(what)
         self.what = what
@@ -212,14 +212,14 @@ class _Budget:
         self._rows += 1
         self._bytes += sum(len(cell[1]) for cell in row if cell is not None)
         if self._rows > self._most_rows:
-            raise _Enough("rows", self._most_rows)
+            raise _LimitExceeded("rows", self._most_rows)
         if self._bytes > self._most_bytes:
-            raise _Enough("bytes", self._most_bytes)
+            raise _LimitExceeded("bytes", self._most_bytes)
         return row
 
 
 class _Sink:
-    """A file that takes so many bytes."""
+    """A file-like object that accepts at most ``most`` bytes."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -229,27 +229,27 @@ class _Sink:
     def write(self, data: bytes) -> int:
         self._size += len(data)
         if self._size > self._most:
-            raise _Enough("bytes", self._most)
+            raise _LimitExceeded("bytes", self._most)
         self._parts.append(bytes(data))
         return len(data)
 
     def flush(self) -> None:
-        """Nothing waits."""
+        """Do nothing: there is no buffer."""
 
-    def taken(self) -> bytes:
+    def content(self) -> bytes:
         return b"".join(self._parts)
 
 
-def _written(found: Any, format: QueryResultsFormat, most: int) -> bytes:
+def _serialize(found: Any, format: QueryResultsFormat, most: int) -> bytes:
     sink = _Sink(most)
     found.serialize(sink, format=format)
-    return sink.taken()
+    return sink.content()
 
 
-def _counted(items: Iterable[Any], most: int, what: str) -> Iterator[Any]:
+def _limited(items: Iterable[Any], most: int, what: str) -> Iterator[Any]:
     for number, item in enumerate(items):
         if number == most:
-            raise _Enough(what, most)
+            raise _LimitExceeded(what, most)
         yield item
 
 
@@ -262,7 +262,7 @@ class _Results(msgspec.Struct):
 
 
 def _check_rows(body: bytes, format: QueryResultsFormat, most: int) -> None:
-    """Raises `_Enough` for a table of more rows. Bytes are bounded by now."""
+    """Raises `_LimitExceeded` for a table of more rows. The caller has bounded the bytes."""
     if format is QueryResultsFormat.JSON:
         rows = len(msgspec.json.decode(body, type=_Results).results.bindings)
     elif format is QueryResultsFormat.XML:
@@ -273,7 +273,7 @@ def _check_rows(body: bytes, format: QueryResultsFormat, most: int) -> None:
         csv.field_size_limit(len(body))
         rows = sum(1 for _ in csv.reader(io.StringIO(body.decode(), newline=""))) - 1
     if rows > most:
-        raise _Enough("rows", most)
+        raise _LimitExceeded("rows", most)
 
 
 def _quads(data: bytes) -> Iterable[Quad]:

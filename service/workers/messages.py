@@ -1,7 +1,7 @@
-"""What a parent and a worker say to each other: msgpack of typed structs, nothing that is executed.
+"""The messages between the service and a worker: msgpack of typed structs, no pickles.
 
-A worker may have been taken over by what it was given, so that its answers are data of a stranger:
-decoding checks their types, and makes no objects but these.
+A malicious text may have taken over a worker, so its answers are untrusted. Decoding checks their
+types, and makes no other objects.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, TypeAlias
 import msgspec
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-if TYPE_CHECKING:  # it brings numpy, which no worker needs
+if TYPE_CHECKING:  # it imports numpy, which no worker needs
     from ...rdf.dictionary import Term
 
 Cell: TypeAlias = tuple[int, str, str]
-"""A term: what it is, its text, the datatype or language of a literal."""
+"""A term: its kind, its text, and the datatype or language of a literal."""
 Row: TypeAlias = list[Cell | None]
 ElementRow: TypeAlias = tuple[int, int, str, str | None, int, int]
-"""An element of a specification (`xml_elements`): what it is, the row that it stands in, the type
-or the value, the name, where its tag begins and ends."""
+"""An element of a specification (`xml_elements`): its kind, the row of its parent, the type or the
+value, the name, start and end of its tag."""
 PREFIX = 8
-"""Bytes of a message's length before it, big-endian."""
+"""Bytes of the message length that precedes a message, big-endian."""
 _IRI, _BLANK, _TYPED, _TAGGED = range(4)
 
 
 class Follow(msgspec.Struct, tag="follow", frozen=True):
-    """What the copy of the ontology lacks, as N-Quads: all of it, or what came and what went."""
+    """A change of the copy of the ontology, as N-Quads: a dump, or additions and removals."""
 
     dump: bytes | None
     added: bytes
@@ -37,7 +37,7 @@ class Follow(msgspec.Struct, tag="follow", frozen=True):
 class Query(msgspec.Struct, tag="query", frozen=True):
     """A user's SPARQL text over the copy of the ontology.
 
-    ``format`` is a media type of `sparql_formats`, empty if the text is to be checked only.
+    ``format`` is a media type of `sparql_formats`; empty: only check the text.
     """
 
     text: str
@@ -47,9 +47,10 @@ class Query(msgspec.Struct, tag="query", frozen=True):
 
 
 class Ask(msgspec.Struct, tag="ask", frozen=True):
-    """A SPARQL text over quads (N-Quads): those kept as ``key``, and ``content``.
+    """A SPARQL text over quads (N-Quads): the cached ones of ``key``, and ``content``.
 
-    ``kept`` are the quads of ``key`` where they are not there yet; ``forget`` are keys of others.
+    ``kept`` has the quads of ``key`` if the worker does not cache them yet; ``forget`` are keys to
+    evict.
     """
 
     text: str
@@ -62,7 +63,7 @@ class Ask(msgspec.Struct, tag="ask", frozen=True):
 
 
 class Read(msgspec.Struct, tag="read", frozen=True):
-    """An ontology text, as `ontology.reading.read_triples` takes it."""
+    """An ontology text for `ontology.reading.read_triples`."""
 
     text: str
     format: str
@@ -71,15 +72,15 @@ class Read(msgspec.Struct, tag="read", frozen=True):
 
 
 class Entail(msgspec.Struct, tag="entail", frozen=True):
-    """Triples of which the closure is wanted."""
+    """Triples whose closure the worker computes."""
 
     triples: list[Row]
     most: int
 
 
 class ReadSpecification(msgspec.Struct, tag="read specification", frozen=True):
-    """A specification in XML, decoded; of at most so many insertions, as many removals, and
-    ``elements`` of all kinds."""
+    """A specification in XML, decoded, with at most ``parts`` insertions, as many removals, and
+    ``elements`` elements."""
 
     text: str
     parts: int
@@ -90,14 +91,14 @@ Work: TypeAlias = Follow | Query | Ask | Read | Entail | ReadSpecification
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What is to be done, and how many seconds of a processor it may take."""
+    """A job, with its limit of processor time in seconds."""
 
     work: Work
     seconds: float
 
 
 class Written(msgspec.Struct, tag="written", frozen=True):
-    """An answer as a client gets it."""
+    """A serialized answer for the client."""
 
     body: bytes
 
@@ -116,7 +117,7 @@ class Truth(msgspec.Struct, tag="truth", frozen=True):
 
 
 class Refused(msgspec.Struct, tag="refused", frozen=True):
-    """The text is to blame."""
+    """An error in the text."""
 
     message: str
     hint: str = ""
@@ -131,7 +132,7 @@ class Elements(msgspec.Struct, tag="elements", frozen=True):
 
 
 class Misread(msgspec.Struct, tag="misread", frozen=True):
-    """The text is to blame, between the characters ``start`` and ``end``."""
+    """An error in the text between the characters ``start`` and ``end``."""
 
     message: str
     hint: str
@@ -140,13 +141,13 @@ class Misread(msgspec.Struct, tag="misread", frozen=True):
 
 
 class Failed(msgspec.Struct, tag="failed", frozen=True):
-    """The evaluation of a right text found an error."""
+    """An error in the evaluation of a valid text."""
 
     message: str
 
 
 class TooMuch(msgspec.Struct, tag="too-much", frozen=True):
-    """A result of more than ``limit`` of ``what``."""
+    """A result with more than ``limit`` of ``what``."""
 
     what: str
     limit: int
@@ -156,7 +157,7 @@ Answer: TypeAlias = Written | Table | Truth | Refused | Elements | Misread | Fai
 
 
 def tag_of(message: msgspec.Struct) -> str:
-    """What kind of job or answer it is, as it is sent."""
+    """Return the tag of a job or answer in the protocol."""
     return str(message.__struct_config__.tag)
 
 
@@ -166,20 +167,20 @@ _decode_answer = msgspec.msgpack.Decoder(Answer).decode
 
 
 class BadAnswer(Exception):
-    """A worker said what none says."""
+    """A worker's answer violates the protocol."""
 
 
 def decode_answer(data: bytes) -> Answer:
-    """Raises `BadAnswer` for anything else."""
+    """Decode an answer. Raises `BadAnswer`."""
     try:
-        found: Answer = _decode_answer(data)
+        answer: Answer = _decode_answer(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise BadAnswer(str(error)) from error
-    return found
+    return answer
 
 
 def cell_of(term: object) -> Cell:
-    """The term as data; raises ``ValueError`` for what RDF 1.1 does not have."""
+    """Convert a term to a cell. Raises ``ValueError`` for a term outside RDF 1.1."""
     match term:
         case NamedNode():
             return _IRI, term.value, ""
@@ -193,7 +194,7 @@ def cell_of(term: object) -> Cell:
 
 
 def term_of(cell: Cell) -> Term:
-    """Raises `BadAnswer` for what is no term."""
+    """Convert a cell to a term. Raises `BadAnswer`."""
     kind, value, extra = cell
     try:
         if kind == _IRI:
@@ -210,25 +211,25 @@ def term_of(cell: Cell) -> Term:
 
 
 def rows_of(triples: Iterable[Triple]) -> Iterator[Row]:
-    """Triples as rows."""
+    """Convert triples to rows."""
     for triple in triples:
         yield [cell_of(triple.subject), cell_of(triple.predicate), cell_of(triple.object)]
 
 
 def triples_of(rows: Iterable[Row]) -> Iterator[Triple]:
-    """The triples that rows are; raises `BadAnswer` for others."""
+    """Convert rows to triples. Raises `BadAnswer`."""
     terms: dict[Cell, Term] = {}
     for row in rows:
         if len(row) != 3 or None in row:
             raise BadAnswer("a triple has three terms")
-        found = []
+        terms_of_row = []
         for cell in row:
             assert cell is not None
             term = terms.get(cell)
             if term is None:
                 term = terms[cell] = term_of(cell)
-            found.append(term)
-        subject, predicate, object = found
+            terms_of_row.append(term)
+        subject, predicate, object = terms_of_row
         if isinstance(subject, Literal) or not isinstance(predicate, NamedNode):
-            raise BadAnswer("a triple has terms that cannot stand there")
+            raise BadAnswer("a triple has a term in a wrong place")
         yield Triple(subject, predicate, object)

@@ -1,4 +1,4 @@
-"""Metrics of worker processes: how many there are, what they do, and how they end."""
+"""Metrics of worker processes: their number, their jobs and their ends."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from .pool import Pool
 
 
 class WorkerMetrics(Collector):
-    """Reads what the pools count themselves. Labels are bounded by the program: pools, kinds of
-    jobs, outcomes and reasons."""
+    """Reads the pools' counters. Labels are pools, kinds of jobs, outcomes, reasons."""
 
     def __init__(self, pools: Mapping[str, Pool]) -> None:
         self._pools = pools
@@ -22,14 +21,14 @@ class WorkerMetrics(Collector):
 
     def collect(self) -> Iterable[Metric]:
         workers = GaugeMetricFamily(
-            "dyknow_workers", "Worker processes, by what they are for", labels=["pool", "state"]
+            "dyknow_workers", "Worker processes, by pool and state", labels=["pool", "state"]
         )
         waiting = GaugeMetricFamily(
-            "dyknow_workers_waiting", "Callers who wait for a worker", labels=["pool"]
+            "dyknow_workers_waiting", "Callers that wait for a worker", labels=["pool"]
         )
         ends = CounterMetricFamily(
             "dyknow_worker_ends",
-            "Workers that came to their end in the middle of a job, by reason",
+            "Workers that ended during a job, by reason",
             labels=["pool", "reason"],
         )
         for name, pool in self._pools.items():
@@ -38,7 +37,7 @@ class WorkerMetrics(Collector):
             waiting.add_metric([name], pool.waiting)
             for reason, count in pool.ends.items():
                 ends.add_metric([name, reason], count)
-        # Each pool has kinds of jobs of its own, so that no line is there twice.
+        # Pools have different kinds of jobs, so no two samples have the same labels.
         (jobs, *others) = (next(iter(pool.jobs.collect())) for pool in self._pools.values())
         for other in others:
             jobs.samples.extend(other.samples)

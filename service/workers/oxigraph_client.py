@@ -1,7 +1,7 @@
-"""Oxigraph for continuous queries, in a worker: see `continuous.columns.oxigraph_port`.
+"""Oxigraph for continuous queries, in workers: see `continuous.columns.oxigraph_port`.
 
-Whoever closes the window waits for the answer, on a thread of its own where others go on meanwhile
-(`pausing`).
+The thread that closes the window waits for the answer. With turns that is a fiber, and other work
+goes on meanwhile (`window_turns`).
 """
 
 from __future__ import annotations
@@ -30,42 +30,42 @@ from .messages import Table as Cells
 from .pool import Pool
 from .worker import Died, Worker, WorkerError
 
-MOST_KEPT: Final = 32
-"""So many sets of quads a worker keeps; the one that was not asked about for longest goes first."""
+MOST_CACHED: Final = 32
+"""Sets of quads that a worker caches; it evicts the least recently used one."""
 _OVERHEAD: Final = 1 << 20
 
 
 class IsolatedAsking:
-    """Asks the workers of ``pool``: ``seconds`` for each answer, which has at most ``rows`` rows
-    with ``size`` bytes of text."""
+    """Sends queries to the workers of ``pool``, with limits for each answer: ``seconds``, ``rows``,
+    and ``size`` bytes of text."""
 
     def __init__(self, pool: Pool, seconds: float, rows: int, size: int) -> None:
         self._pool = pool
         self.seconds = seconds
-        self._places = BoundedSemaphore(pool.count)
+        self._slots = BoundedSemaphore(pool.count)
         self._rows = rows
         self._size = size
 
     def ask(self, sparql: str, kept: StoredQuads, content: Sequence[Quad]) -> SparqlResult:
-        """See `OxigraphPort`."""
+        """Implement `OxigraphPort.ask`."""
         try:
-            with self._places:
-                answer = self._pool.call(lambda worker: self._asked(worker, sparql, kept, content))
-            return _found(answer)
+            with self._slots:
+                answer = self._pool.call(lambda worker: self._send(worker, sparql, kept, content))
+            return _result(answer)
         except (WorkerError, BadAnswer) as error:
             raise Stopped(f"Oxigraph was stopped: {error}") from error
 
-    def _asked(
+    def _send(
         self, worker: Worker, sparql: str, kept: StoredQuads, content: Sequence[Quad]
     ) -> Answer:
         key = str(kept.number)
         is_new = bool(kept.quads) and not worker.kept.get(key)
         forget = []
-        # Known again, it is the one that was asked about last.
+        # Reinserted at the end: the order is that of the last use.
         worker.kept.pop(key, None)
         if kept.quads:
             worker.kept[key] = len(kept.quads)
-        while len(worker.kept) > MOST_KEPT:
+        while len(worker.kept) > MOST_CACHED:
             oldest = next(iter(worker.kept))
             del worker.kept[oldest]
             forget.append(oldest)
@@ -80,12 +80,12 @@ class IsolatedAsking:
         )
         answer = worker.call(Job(ask, self.seconds), 16 * self._size + _OVERHEAD)
         if is_new and isinstance(answer, Failed):
-            # Nobody knows how much of them it has: they are sent again, or it is told to forget.
+            # The worker may have cached a part of them: send them again with the next query.
             worker.kept[key] = 0
         return answer
 
 
-def _found(answer: Answer) -> SparqlResult:
+def _result(answer: Answer) -> SparqlResult:
     match answer:
         case Truth(yes):
             return yes
@@ -93,7 +93,7 @@ def _found(answer: Answer) -> SparqlResult:
             return list(triples_of(rows))
         case Cells(names, rows):
             if any(len(row) != len(names) for row in rows):
-                raise Died("a worker answered nonsense")
+                raise Died("a worker sent an invalid answer")
             return Table(
                 tuple(names),
                 [[None if cell is None else term_of(cell) for cell in row] for row in rows],
@@ -102,4 +102,4 @@ def _found(answer: Answer) -> SparqlResult:
             raise BudgetExceeded(f"a result of more than {limit} {what}")
         case Failed(message):
             raise ValueError(message)
-    raise Died("a worker answered nonsense")
+    raise Died("a worker sent an invalid answer")

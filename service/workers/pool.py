@@ -1,4 +1,4 @@
-"""Workers of one kind: so many at once, a bounded number of callers waiting for one."""
+"""A pool of workers of one kind, with a bounded number of waiting callers."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ from .messages import Answer
 from .worker import End, Worker, WorkerError
 
 MOST_JOBS: Final = 20_000
-"""A worker is replaced after so many: a store that is changed for long leaks."""
+"""Jobs after which a worker is replaced: a store leaks memory over many changes."""
 _SECONDS: Final = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10)
 
 
 class Busy(Exception):
-    """All workers are taken, and as many callers are waiting as may."""
+    """All workers are busy, and too many callers wait already."""
 
 
 class Pool:
-    """``count`` workers with ``memory`` bytes each, and ``waiting`` callers more than that.
+    """``count`` workers with ``memory`` bytes each; at most ``waiting`` callers wait for one.
 
-    Workers are started when they are first needed, or by `warm`, and replaced when they were
-    ended. `run` is for the event loop, `call` for a thread that waits itself. Senders take turns:
-    none has all workers of several, and who waits comes before those of whom more are at work.
+    Workers start at the first need or by `warm`; a dead one is replaced. `run` is for the event
+    loop, `call` for a thread that may block. Senders take turns: none has all workers if there are
+    several, and of those who wait, the sender with the fewest jobs comes first.
     """
 
     def __init__(self, count: int, memory: int, waiting: int = 0) -> None:
         self.count = count
         self.ends: Counter[End] = Counter(dict.fromkeys(End, 0))
-        """How many workers came to their end in the middle of a job, by reason."""
+        """The number of workers that ended during a job, by reason."""
         self.jobs = Histogram(
             "dyknow_worker_job_seconds",
-            "How long jobs of workers took",
+            "Duration of the jobs of workers",
             ["kind", "outcome"],
             registry=None,
             buckets=_SECONDS,
         )
-        """By the kind of job and what became of it (`worker.Tell`)."""
+        """By kind of job and outcome (`worker.JobObserver`)."""
         self.failure: str | None = None
-        """Why no worker could be started at the last try."""
+        """Why the last start of a worker failed; None: it succeeded."""
         self._memory = memory
-        self._most_waiting = waiting
-        self._most_of_one = max(1, count - 1)
+        self._waiting_limit = waiting
+        self._limit_per_sender = max(1, count - 1)
         self._waiting: list[_Place] = []
         self._running: Counter[str] = Counter()
-        """How many callers have a worker, by their sender."""
+        """The number of callers that have a worker, by sender."""
         self._threads = anyio.CapacityLimiter(2 * count)
         self._idle: list[Worker] = []
         self._working: set[Worker] = set()
@@ -60,36 +60,36 @@ class Pool:
         self._closed = False
 
     async def run(
-        self, job: Callable[[Worker], Answer], patience: float, sender: str = ""
+        self, job: Callable[[Worker], Answer], timeout: float, sender: str = ""
     ) -> Answer:
-        """What ``job`` of ``sender`` gives, which is called with a worker on a thread of its own.
+        """Call ``job`` of ``sender`` with a worker in another thread, and return its answer.
 
-        Whoever cancels this ends the worker. Raises `Busy` when no worker is free for ``patience``
+        Cancelling this kills the worker. Raises `Busy` if no worker is free within ``timeout``
         seconds or too many callers wait already, and `WorkerError`.
         """
-        await self._admitted(sender, patience)
-        errand = _Errand(self, job)
+        await self._wait_turn(sender, timeout)
+        call = _Call(self, job)
         try:
             return await anyio.to_thread.run_sync(
-                errand.run, limiter=self._threads, abandon_on_cancel=True
+                call.run, limiter=self._threads, abandon_on_cancel=True
             )
         except anyio.get_cancelled_exc_class():
-            errand.give_up()
+            call.cancel()
             raise
         finally:
             self._leave(sender)
 
-    async def _admitted(self, sender: str, patience: float) -> None:
-        """Return when it is the turn of ``sender``; raises `Busy`."""
+    async def _wait_turn(self, sender: str, timeout: float) -> None:
+        """Return when ``sender`` gets a worker. Raises `Busy`."""
         place = _Place(sender)
         self._waiting.append(place)
         self._admit()
-        if place in self._waiting and self.waiting > self._most_waiting:
+        if place in self._waiting and self.waiting > self._waiting_limit:
             self._waiting.remove(place)
             raise Busy
         try:
-            with anyio.fail_after(patience):
-                await place.comes.wait()
+            with anyio.fail_after(timeout):
+                await place.turn.wait()
         except BaseException as error:
             if place in self._waiting:
                 self._waiting.remove(place)
@@ -100,17 +100,19 @@ class Pool:
             raise
 
     def _admit(self) -> None:
-        """Let callers go on for whom there is a worker."""
+        """Give free workers to callers that wait."""
         while self._running.total() < self.count:
-            able = [one for one in self._waiting if self._running[one.sender] < self._most_of_one]
-            if not able:
+            eligible = [
+                one for one in self._waiting if self._running[one.sender] < self._limit_per_sender
+            ]
+            if not eligible:
                 return
-            first = min(able, key=lambda one: self._running[one.sender])
+            first = min(eligible, key=lambda one: self._running[one.sender])
             self._waiting.remove(first)
-            # Its sender's others come after those of other senders: they take turns.
+            # Its sender's other callers now come after those of other senders.
             self._waiting.sort(key=lambda one: one.sender == first.sender)
             self._running[first.sender] += 1
-            first.comes.set()
+            first.turn.set()
 
     def _leave(self, sender: str) -> None:
         self._running[sender] -= 1
@@ -119,28 +121,28 @@ class Pool:
 
     @property
     def waiting(self) -> int:
-        """How many callers wait for a worker."""
+        """The number of callers that wait for a worker."""
         return len(self._waiting)
 
     def call(self, job: Callable[[Worker], Answer]) -> Answer:
-        """The same in the thread of the caller, which waits. Raises `WorkerError`."""
-        return _Errand(self, job).run()
+        """Do the same in the caller's thread, which blocks. Raises `WorkerError`."""
+        return _Call(self, job).run()
 
     def warm(self) -> None:
-        """Start all workers now; none where the service stops meanwhile."""
-        taken: list[Worker] = []
+        """Start all workers now, unless the service stops meanwhile."""
+        workers: list[Worker] = []
         try:
-            while len(taken) < self.count:
-                taken.append(self.take())
+            while len(workers) < self.count:
+                workers.append(self.acquire())
         except WorkerError:
             if not self._closed:
                 raise
         finally:
-            for worker in taken:
-                self.give(worker)
+            for worker in workers:
+                self.release(worker)
 
-    def take(self) -> Worker:
-        """A worker that does nothing, started if there is none. Raises `WorkerError`."""
+    def acquire(self) -> Worker:
+        """Return an idle worker, or a new one. Raises `WorkerError`."""
         with self._lock:
             if self._closed:
                 raise WorkerError("the service stops")
@@ -149,31 +151,31 @@ class Pool:
             worker.close()
             worker = None
         if worker is None:
-            worker = self._started()
+            worker = self._start()
         with self._lock:
             self._working.add(worker)
         return worker
 
-    def _started(self) -> Worker:
+    def _start(self) -> Worker:
         try:
-            worker = Worker.start(self._memory, self._tell)
+            worker = Worker.start(self._memory, self._observe)
         except WorkerError as error:
             self.failure = str(error)
             raise
         self.failure = None
         return worker
 
-    def _tell(self, kind: str, outcome: str, seconds: float) -> None:
+    def _observe(self, kind: str, outcome: str, seconds: float) -> None:
         self.jobs.labels(kind, outcome).observe(seconds)
 
-    def give(self, worker: Worker) -> None:
-        """``worker`` has done what it was taken for, or has come to its end."""
+    def release(self, worker: Worker) -> None:
+        """Return a worker to the pool, idle or dead."""
         with self._lock:
             self._working.discard(worker)
             is_alive = worker.is_alive
             if not is_alive:
                 self.ends[worker.end or End.CRASH] += 1
-            # While all were started beside those who asked, there may be more than there are to be.
+            # `warm` and callers may have started more than ``count`` together.
             is_wanted = len(self._idle) + len(self._working) < self.count
             stays = is_alive and is_wanted and not self._closed and worker.jobs < MOST_JOBS
             if stays:
@@ -183,37 +185,37 @@ class Pool:
 
     @property
     def ended(self) -> int:
-        """How many workers came to their end in the middle of a job."""
+        """The number of workers that ended during a job."""
         return self.ends.total()
 
     @property
     def busy(self) -> int:
-        """How many workers are at work."""
+        """The number of busy workers."""
         return len(self._working)
 
     @property
     def idle(self) -> int:
-        """How many wait for work."""
+        """The number of idle workers."""
         return len(self._idle)
 
     @property
     def is_down(self) -> bool:
-        """Whether there is no worker, and none could be started when one was needed."""
+        """Whether there is no worker, and the last start failed."""
         return self.failure is not None and not self._idle and not self._working
 
-    def mend(self) -> None:
-        """Try again to start a worker where there is none. Waits for it."""
+    def restart(self) -> None:
+        """Try again to start a worker if there is none. Blocks."""
         if self.is_down:
             with suppress(WorkerError):
-                self.give(self.take())
+                self.release(self.acquire())
 
     def open(self) -> None:
-        """There are workers again, after `close`."""
+        """Allow workers again after `close`."""
         with self._lock:
             self._closed = False
 
     def close(self) -> None:
-        """End all workers; who waits for one gets `WorkerError`."""
+        """Kill all workers; waiting callers get `WorkerError`."""
         with self._lock:
             self._closed = True
             idle, self._idle = self._idle, []
@@ -226,38 +228,38 @@ class Pool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    """A caller that waits until its turn ``comes``."""
+    """A caller that waits; ``turn`` is set when it gets a worker."""
 
     sender: str
-    comes: anyio.Event = field(default_factory=anyio.Event)
+    turn: anyio.Event = field(default_factory=anyio.Event)
 
 
-class _Errand:
-    """One job on its way: it may be given up from another thread."""
+class _Call:
+    """One job under way, which another thread may cancel."""
 
     def __init__(self, pool: Pool, job: Callable[[Worker], Answer]) -> None:
         self._pool = pool
         self._job = job
         self._lock = threading.Lock()
         self._worker: Worker | None = None
-        self._given_up = False
+        self._is_cancelled = False
 
     def run(self) -> Answer:
-        worker = self._pool.take()
+        worker = self._pool.acquire()
         try:
             with self._lock:
                 self._worker = worker
-                if self._given_up:
+                if self._is_cancelled:
                     worker.kill(End.LEFT)
             return self._job(worker)
         finally:
             with self._lock:
                 self._worker = None
-            self._pool.give(worker)
+            self._pool.release(worker)
 
-    def give_up(self) -> None:
-        """End the worker, and with it the wait for it."""
+    def cancel(self) -> None:
+        """Kill the worker, so that `run` returns."""
         with self._lock:
-            self._given_up = True
+            self._is_cancelled = True
             if self._worker is not None:
                 self._worker.kill(End.LEFT)

@@ -1,4 +1,4 @@
-"""RDF texts of clients, and what they entail, in a worker: see `ontology.reasoning`."""
+"""RDF texts of clients and their entailments, in a worker: see `ontology.reasoning`."""
 
 from __future__ import annotations
 
@@ -30,38 +30,40 @@ from .worker import WorkerError
 
 T = TypeVar("T")
 WAITING: Final = 16
-"""So many texts may wait for their turn."""
+"""Texts that may wait for the worker."""
 _BYTES: Final = 1 << 30
-"""More than the triples that are allowed can have, with texts of the longest request."""
+"""Beyond the size of the allowed triples, with the texts of the longest request."""
 
 
 class IsolatedReasoning:
-    """A `Reasoning` whose worker has ``seconds`` for each step, and gives ``triples`` at most."""
+    """A `Reasoning` in a worker, with ``seconds`` for each step and at most ``triples`` triples."""
 
     def __init__(self, pool: Pool, seconds: float, triples: int) -> None:
         self._pool = pool
         self._seconds = seconds
         self._triples = triples
-        self._turn = anyio.CapacityLimiter(1)
+        self._limiter = anyio.CapacityLimiter(1)
 
     async def run(self, work: Callable[[], T]) -> T:
-        """What ``work`` gives, which reasons on a thread of its own, one at a time; raises `Busy`
-        when too many wait."""
-        if self._turn.statistics().tasks_waiting >= WAITING:
+        """Call ``work`` in a thread, one at a time, and return its result. Raises `Busy` if too
+        many wait."""
+        if self._limiter.statistics().tasks_waiting >= WAITING:
             raise Busy
-        return await anyio.to_thread.run_sync(work, limiter=self._turn, abandon_on_cancel=True)
+        return await anyio.to_thread.run_sync(work, limiter=self._limiter, abandon_on_cancel=True)
 
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
-        """Raises `OntologyError`, also for a text that needs too much."""
+        """Parse a text. Raises `OntologyError`, also if the text exceeds a limit."""
         work = Read(text, format, base.value, self._triples)
-        return _renamed(self._table(work, "reading the text"))
+        return _with_fresh_nodes(self._table(work, "reading the text"))
 
     def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
-        """Raises `OntologyError`, also for triples that entail too much."""
+        """Return the entailments. Raises `OntologyError`, also if they exceed a limit."""
         if len(asserted) > self._triples:
             raise _too_many(self._triples)
         work = Entail(list(rows_of(asserted)), self._triples)
-        return frozenset(triples_of(self._table(work, "computing what the ontologies entail")))
+        return frozenset(
+            triples_of(self._table(work, "computing the entailments of the ontologies"))
+        )
 
     def _table(self, work: Read | Entail, doing: str) -> list[Row]:
         try:
@@ -69,7 +71,7 @@ class IsolatedReasoning:
             return _rows(answer)
         except (WorkerError, BadAnswer) as error:
             raise OntologyError(
-                f"{doing} was stopped: {error}", hint="load it in parts, or make it simpler"
+                f"{doing} was stopped: {error}", hint="load it in parts, or simplify it"
             ) from error
 
 
@@ -83,18 +85,18 @@ def _rows(answer: Answer) -> list[Row]:
             raise _too_many(limit)
         case Failed(message):
             raise OntologyError(message)
-    raise BadAnswer("another answer than was asked for")
+    raise BadAnswer("an answer of another kind than the job")
 
 
 def _too_many(limit: int) -> OntologyError:
     return OntologyError(
-        f"the ontologies, or what they entail, have more than {limit} triples",
-        hint="load less of them: what describes sorts, features and objects is enough",
+        f"the ontologies and their entailments have more than {limit} triples",
+        hint="load fewer triples: descriptions of sorts, features and objects suffice",
     )
 
 
-def _renamed(rows: list[Row]) -> frozenset[Triple]:
-    """The triples with fresh blank nodes: those of a worker mean nothing here."""
+def _with_fresh_nodes(rows: list[Row]) -> frozenset[Triple]:
+    """Return the triples with fresh blank nodes: names from two texts must not coincide."""
     fresh: dict[str, BlankNode] = {}
 
     def node(term: object) -> object:

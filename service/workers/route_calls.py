@@ -1,4 +1,4 @@
-"""Isolated work for a request: what became of it as a `Problem`; its end when the client goes."""
+"""Isolated work for a request: it ends when the client disconnects; errors become a `Problem`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ _RETRY = {"Retry-After": "10"}
 
 
 async def while_connected(request: Request, work: Callable[[], Awaitable[T]]) -> T:
-    """What ``work`` gives; it is cancelled when the client goes. Its body has been read.
+    """Return the result of ``work``, and cancel it if the client disconnects. Contract: the body
+    has been read.
 
-    Raises `Problem`: 503 when there is no worker or it takes too long, 422 when it needs too much.
+    Raises `Problem`: 503 if there is no worker or the time is over, 422 if the work exceeds another
+    limit.
     """
-    found: list[T] = []
+    results: list[T] = []
     errors: list[Exception] = []
 
     async with anyio.create_task_group() as tasks:
@@ -34,13 +36,17 @@ async def while_connected(request: Request, work: Callable[[], Awaitable[T]]) ->
 
         tasks.start_soon(watch)
         try:
-            found.append(await work())
-        except Exception as error:  # noqa: BLE001  raised below, alone and not in a group
+            results.append(await work())
+        except Exception as error:  # noqa: BLE001  raised below, not in an exception group
             errors.append(error)
         tasks.cancel_scope.cancel()
-    if found:
-        return found[0]
-    raise _problem(errors[0]) if errors else Problem(503, "client gone", "nobody waits any more")
+    if results:
+        return results[0]
+    raise (
+        _problem(errors[0])
+        if errors
+        else Problem(503, "client gone", "the client has disconnected")
+    )
 
 
 def _problem(error: Exception) -> Exception:
@@ -49,24 +55,24 @@ def _problem(error: Exception) -> Exception:
             return Problem(
                 503,
                 "too many queries",
-                "all workers are busy, and many wait for them",
-                hint="send it again after the seconds in Retry-After",
+                "all workers are busy, and many requests wait for them",
+                hint="send the request again after the seconds in Retry-After",
                 headers=_RETRY,
             )
         case TookTooLong():
             return Problem(
                 503,
                 "query too slow",
-                "no answer within the time that one may take",
-                hint="ask for less: name the graph patterns that join, add a LIMIT",
+                "there was no answer within the time limit",
+                hint="reduce the result: join the graph patterns, add a LIMIT",
                 headers=_RETRY,
             )
         case Died():
             return Problem(
                 422,
                 "query needs too much",
-                f"it was stopped: {error}",
-                hint="ask for less: name the graph patterns that join, add a LIMIT",
+                f"the service stopped it: {error}",
+                hint="reduce the result: join the graph patterns, add a LIMIT",
             )
         case NotUpToDate():
             return Problem(

@@ -1,4 +1,4 @@
-"""All isolated work of one service: made with the application, ended with it."""
+"""The worker pools of one service."""
 
 from __future__ import annotations
 
@@ -19,46 +19,45 @@ from .sparql import IsolatedQueries
 from .specifications import IsolatedSpecifications
 
 WORKERS: Final = 2
-"""So many questions about windows are answered at once."""
-SLOWER: Final = 10
-"""So many times as long a question may take while what was answered once is done again."""
+"""Workers for windows of continuous queries."""
+REPLAY_FACTOR: Final = 10
+"""The factor on the deadline during replay: the same query was in time before, but the machine may
+be slower now."""
 WINDOW_BYTES: Final = 8 * MEBIBYTE
-"""Text that Oxigraph may answer about a window, and that GROUP_CONCAT may put together."""
-_AGAIN: Final = 5.0
-"""Seconds until workers that could not be started are tried again."""
+"""The most text in the answer of Oxigraph for a window, and in a GROUP_CONCAT."""
+_RETRY_INTERVAL: Final = 5.0
+"""Seconds between tries to start workers."""
 
 
 class Windows:
-    """The workers for continuous queries, and the time for them.
+    """The workers and limits for windows of continuous queries.
 
-    ``budget`` and ``turns`` are for the engine, which has to have them before there is an
-    application.
+    The engine needs ``budget`` and ``turns`` at its creation, before the application exists.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.pool = Pool(WORKERS, settings.worker_memory)
         self._deadline = settings.query_deadline
-        # What was done once was done in time: while it is done again the machine may be slower.
         self._asking = IsolatedAsking(
-            self.pool, SLOWER * self._deadline, settings.query_results, WINDOW_BYTES
+            self.pool, REPLAY_FACTOR * self._deadline, settings.query_results, WINDOW_BYTES
         )
         self.turns = WindowTurns(settings.query_seconds, settings.query_behind)
         self.budget = Budget(
             settings.query_rows, settings.query_results, WINDOW_BYTES, self._asking, self.turns
         )
 
-    def begin(self) -> None:
-        """What was done before is done again: from now on deadlines hold."""
+    def end_replay(self) -> None:
+        """Apply the normal deadline: the replay is over."""
         self._asking.seconds = self._deadline
 
     def close(self) -> None:
-        """End it."""
+        """Kill the workers."""
         self.pool.close()
 
 
 class Isolation:
-    """The workers of a service, by what they do. ``windows`` are the engine's, where it has some:
-    they are told of, and ended by whoever made them."""
+    """The worker pools of a service, by purpose. The metrics include those of ``windows``; their
+    maker closes them."""
 
     def __init__(
         self, settings: Settings, ontology: Ontology, windows: Windows | None = None
@@ -77,7 +76,7 @@ class Isolation:
         self.documents = IsolatedReasoning(
             self._documents, settings.ontology_deadline, settings.ontology_triples
         )
-        # A pool of their own: an ontology takes its worker for many seconds.
+        # A separate pool: an ontology occupies its worker for many seconds.
         self._specifications = Pool(1, settings.worker_memory, WAITING)
         self.specifications = IsolatedSpecifications(self._specifications)
         self._own: Mapping[str, Pool] = {
@@ -86,30 +85,30 @@ class Isolation:
             "specifications": self._specifications,
         }
         self.pools = {**self._own, **({} if windows is None else {"windows": windows.pool})}
-        """All workers, by what they do."""
+        """All pools, by purpose."""
 
     def reasons(self) -> list[str]:
-        """Why some of that cannot be done at present: nothing if all can."""
+        """Return the reasons why some pools do not work; none if all do."""
         return [
             f"workers: none for {name}: {pool.failure}"
             for name, pool in self.pools.items()
             if pool.is_down
         ]
 
-    async def tend(self) -> None:
-        """For as long as the service runs: start workers again that could not be started."""
+    async def restart_workers(self) -> None:
+        """Retry failed starts of workers, as long as the service runs."""
         while True:
-            await anyio.sleep(_AGAIN)
+            await anyio.sleep(_RETRY_INTERVAL)
             for pool in self.pools.values():
                 if pool.is_down:
-                    await anyio.to_thread.run_sync(pool.mend, abandon_on_cancel=True)
+                    await anyio.to_thread.run_sync(pool.restart, abandon_on_cancel=True)
 
     def open(self) -> None:
-        """There are workers from now on: an application may start again after it has ended."""
+        """Allow workers: an application may start again after its end."""
         for pool in self._own.values():
             pool.open()
 
     def close(self) -> None:
-        """End all workers."""
+        """Kill all workers."""
         for pool in self._own.values():
             pool.close()

@@ -1,4 +1,4 @@
-"""Users' queries, each in a worker with a copy of the ontology that is brought up to date first."""
+"""Users' SPARQL queries, each in a worker whose copy of the ontology is updated first."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from .pool import Pool
 from .worker import End, NoWorker, Worker, WorkerError
 
 OVERHEAD: Final = 1 << 16
-"""Bytes of an answer beside what it tells."""
-CATCHING_UP: Final = 30.0
-"""Seconds that a worker has for what it lacks of the ontology, beside those of the query."""
-_TOO_LARGE: Final = "a worker cannot take all that is known with its memory and in its time"
+"""Bytes of an answer in addition to its content."""
+UPDATE_SECONDS: Final = 30.0
+"""Seconds for the update of a worker's copy, in addition to those of the query."""
+_TOO_LARGE: Final = "the ontology exceeds the memory or the time of a worker"
 
 
 class NotUpToDate(NoWorker):
-    """A worker could not take what has changed, and is gone: nothing is wrong with the query.
+    """The update of a worker's copy failed and killed the worker: the query is not the cause.
 
-    ``was_new``: it had all of its memory for that.
+    ``was_new``: the worker was new, so that it had all its memory for the copy.
     """
 
     def __init__(self, message: str, was_new: bool) -> None:
@@ -28,7 +28,7 @@ class NotUpToDate(NoWorker):
 
 
 class IsolatedQueries:
-    """Answers queries of at most ``seconds``, with ``rows`` rows or triples and ``size`` bytes."""
+    """Answers queries within ``seconds``, ``rows`` rows or triples, and ``size`` bytes."""
 
     def __init__(
         self, ontology: Ontology, pool: Pool, seconds: float, rows: int, size: int
@@ -40,14 +40,14 @@ class IsolatedQueries:
         self._size = size
 
     async def answer(self, text: str, format: str, sender: str = "") -> Answer:
-        """The answer to a query of ``sender``, written as ``format`` (`sparql_formats`); with none
-        its text is checked.
+        """Answer a query of ``sender`` in ``format`` (`sparql_formats`); with an empty format only
+        check it.
 
         Raises `Busy` and `WorkerError`.
         """
 
         def work(worker: Worker) -> Answer:
-            self._bring_up_to_date(worker)
+            self._update(worker)
             query = Query(text, format, self._rows, self._size)
             return worker.call(Job(query, self._seconds), self._size + OVERHEAD)
 
@@ -55,25 +55,25 @@ class IsolatedQueries:
             try:
                 return await self._pool.run(work, self._seconds, sender)
             except NotUpToDate as error:
-                # What earlier queries have left of its memory was not enough. Each try ends one
-                # that is like that: after the last one comes a new one, which has all of it.
+                # Earlier queries left the worker too little memory. Each try kills one such worker,
+                # so at last a new worker tries, with all its memory.
                 if error.was_new:
                     raise
 
-    def _bring_up_to_date(self, worker: Worker) -> None:
-        lacks = self._ontology.changes_since(worker.position)
-        if worker.position == lacks.position:
+    def _update(self, worker: Worker) -> None:
+        changes = self._ontology.changes_since(worker.position)
+        if worker.position == changes.position:
             return
         was_new = worker.position is None
-        follow = Follow(lacks.dump, lacks.added, lacks.removed)
+        follow = Follow(changes.dump, changes.added, changes.removed)
         try:
-            answer = worker.call(Job(follow, CATCHING_UP), OVERHEAD)
+            answer = worker.call(Job(follow, UPDATE_SECONDS), OVERHEAD)
         except WorkerError as error:
             if error.end in (End.MEMORY, End.DEADLINE):
                 raise NotUpToDate(_TOO_LARGE, was_new) from error
             raise
         if answer != Truth(True):
-            # It may have some of it: what it says of anything is not to be trusted.
+            # The copy may be half updated, so all answers of this worker would be wrong.
             worker.kill(End.MEMORY)
             raise NotUpToDate(f"{_TOO_LARGE}: {answer}", was_new)
-        worker.position = lacks.position
+        worker.position = changes.position

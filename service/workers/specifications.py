@@ -1,7 +1,7 @@
-"""Specifications in XML (`languages.specification`), read in a worker, with their schema.
+"""Parses specifications in XML (`languages.specification`) in a worker.
 
-The longest text takes half a second, and libxml2 is C that strangers have broken before: neither is
-for the process in which everybody else waits.
+The longest text takes half a second, which would block the event loop. And libxml2 is C code with a
+history of exploits, which must not run in the service's own process.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from .worker import NoWorker, TookTooLong, WorkerError
 from .xml_elements import specification_of
 
 SECONDS: Final = 5.0
-"""Ten times what the longest text takes."""
+"""Ten times the duration for the longest text."""
 _BYTES: Final = 4 << 20
 
 
 class IsolatedSpecifications:
-    """Reads specifications by workers of ``pool``."""
+    """Parses specifications in workers of ``pool``."""
 
     def __init__(self, pool: Pool) -> None:
         self._pool = pool
 
     async def read(self, text: bytes) -> Specification:
-        """As `parse_specification` does, with bounds; raises `LanguageError`, also for a text that
-        needs too much, and `Busy`."""
+        """Parse a text within limits (`parse_specification`). Raises `LanguageError`, also if the
+        text exceeds a limit, and `Busy`."""
         source = decode(text)
         work = Job(ReadSpecification(source, MOST_PARTS, MOST_ELEMENTS), SECONDS)
         try:
@@ -62,16 +62,16 @@ def _read(answer: Answer, source: str) -> Specification:
             return specification_of(rows, source)
         case Misread(message, hint, start, end):
             if not 0 <= start <= end <= len(source):
-                raise BadAnswer("a place that is not in the text")
+                raise BadAnswer("a position outside of the text")
             raise LanguageError(message, source, Span(start, end), hint)
         case TooMuch(what, limit):
             raise LanguageError(
                 f"the text has more than {limit} {what}",
                 source,
                 Span(0, 0),
-                "send it in several parts: what one inserts, the next can read by `stream` "
-                "(dyknow.Client and `dyknow specification apply` do so by themselves)",
+                "send it in several parts: a `stream` element can read insertions of earlier parts "
+                "(dyknow.Client and `dyknow specification apply` split texts automatically)",
             )
         case Failed(message):
             raise LanguageError(message, source, Span(0, 0))
-    raise BadAnswer("another answer than was asked for")
+    raise BadAnswer("an answer of another kind than the job")

@@ -1,4 +1,4 @@
-"""One worker process as its parent has it: jobs in, answers out, killed when one takes too long."""
+"""The handle of a worker process: it sends jobs, receives answers, and kills a slow process."""
 
 from __future__ import annotations
 
@@ -23,72 +23,72 @@ from .messages import (
 )
 
 START_DEADLINE: Final = 60.0
-"""Seconds in which a worker is ready: it only imports, but a machine may be busy."""
+"""Seconds for the start of a worker: it only imports, but the machine may be busy."""
 _CHUNK: Final = 1 << 20
 _MEMORY_SIGNALS: Final = (signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS)
 
 
 class End(StrEnum):
-    """Why a worker came to its end in the middle of a job."""
+    """Why a worker ended during a job."""
 
     DEADLINE = "deadline"
-    """It took more time, or more of a processor, than it may."""
+    """The job exceeded its time or processor time."""
     MEMORY = "memory"
-    """It needed more memory or stack."""
+    """The job exceeded memory or stack."""
     CRASH = "crash"
-    """Anything else, also an answer that is none."""
+    """Any other cause, such as an invalid answer."""
     LEFT = "left"
-    """Who had asked has gone."""
+    """The caller was cancelled: its client disconnected."""
     SHUTDOWN = "shutdown"
     """The service stops."""
 
 
 class WorkerError(Exception):
-    """A job that has no answer; its worker is gone. The message says why, for people."""
+    """A job without an answer; its worker is dead. The message is the reason, for users."""
 
     end = End.CRASH
 
 
 class NoWorker(WorkerError):
-    """None starts: nothing is wrong with the job."""
+    """No worker starts; the job is not the cause."""
 
 
 class TookTooLong(WorkerError):
-    """No answer within the deadline."""
+    """There was no answer within the deadline."""
 
     end = End.DEADLINE
 
 
 class Died(WorkerError):
-    """The process ended: out of memory or of stack, most likely."""
+    """The process died, mostly for lack of memory or stack."""
 
     def __init__(self, message: str, end: End = End.CRASH) -> None:
         super().__init__(message)
         self.end = end
 
 
-Tell = Callable[[str, str, float], None]
-"""Told of each job: its kind, what became of it (the answer's tag, or an `End`), the seconds."""
+JobObserver = Callable[[str, str, float], None]
+"""Receives the kind of each job, its outcome (the answer's tag, or an `End`), and its seconds."""
 
 
-def _unheard(_kind: str, _outcome: str, _seconds: float) -> None:
-    """Nobody counts."""
+def _ignore(_kind: str, _outcome: str, _seconds: float) -> None:
+    """Ignore a job."""
 
 
 class Worker:
-    """A process that does one job at a time (`worker_main`); made by `start`.
+    """A process that does one job at a time (`worker_main`); `start` makes it.
 
-    ``position`` and ``kept`` are for who asks: what the process has by now (`sparql`,
-    `oxigraph_client`). Calls wait in the thread that makes them; `kill` may be called from any.
+    ``position`` and ``kept`` describe the process's state for its users (`sparql`,
+    `oxigraph_client`). `call` blocks its thread; any thread may call `kill`.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], tell: Tell = _unheard) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], observe: JobObserver = _ignore) -> None:
         self.position: int | None = None
         self.kept: dict[str, int] = {}
         self.jobs = 0
         self.end: End | None = None
-        """Why it came to its end; None while it has not, or where nobody waited for it."""
-        self._tell = tell
+        """Why it ended during a job; None while it has not."""
+        self._observe = observe
         self._process = process
         assert process.stdin is not None
         assert process.stdout is not None
@@ -97,11 +97,11 @@ class Worker:
         os.set_blocking(self._out, False)
 
     @classmethod
-    def start(cls, memory: int, tell: Tell = _unheard) -> Worker:
-        """A new process, with ``memory`` bytes for what it is given; ready when this returns.
+    def start(cls, memory: int, observe: JobObserver = _ignore) -> Worker:
+        """Start a process with ``memory`` bytes for its jobs, and return it when it is ready.
 
-        It starts anew (no fork: this process has threads), and of the environment it gets where
-        modules are found and nothing else. Raises `NoWorker` if it does not come up.
+        It is no fork, since this process has threads. Of the environment it gets the module path
+        only: no secrets. Raises `NoWorker` if it does not start.
         """
         environment = {
             "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
@@ -110,18 +110,20 @@ class Worker:
             "LC_ALL": "C.UTF-8",
         }
         try:
-            process = cls._process_of(memory, environment)
-        except OSError as error:  # no memory, no room for a process
+            process = cls._start_process(memory, environment)
+        except OSError as error:  # no memory, or too many processes
             raise NoWorker(f"a worker does not start: {error}") from error
-        worker = cls(process, tell)
-        ready = worker._guarded(lambda: worker._receive(time.monotonic() + START_DEADLINE, 16))
+        worker = cls(process, observe)
+        ready = worker._kill_on_error(
+            lambda: worker._receive(time.monotonic() + START_DEADLINE, 16)
+        )
         if ready != b"ready":
             worker.kill()
             raise NoWorker("a worker does not start")
         return worker
 
     @staticmethod
-    def _process_of(memory: int, environment: dict[str, str]) -> subprocess.Popen[bytes]:
+    def _start_process(memory: int, environment: dict[str, str]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", f"{__package__}.worker_main", str(memory)],
             stdin=subprocess.PIPE,
@@ -129,7 +131,7 @@ class Worker:
             stderr=subprocess.DEVNULL,
             env=environment,
             close_fds=True,
-            # What a terminal sends to the service is not for its workers.
+            # Ctrl-C in the terminal must reach the service only, which ends its workers.
             start_new_session=True,
         )
 
@@ -142,9 +144,9 @@ class Worker:
         return self._process.poll() is None
 
     def call(self, job: Job, most: int) -> Answer:
-        """The answer to ``job``, of at most ``most`` bytes.
+        """Send ``job``, and return its answer of at most ``most`` bytes.
 
-        Raises `WorkerError`; then the process is gone.
+        Raises `WorkerError`; then the process is dead.
         """
         self.jobs += 1
         begun = time.monotonic()
@@ -153,11 +155,11 @@ class Worker:
             answer = self._answer(job, begun + job.seconds, most)
             outcome = tag_of(answer)
         except WorkerError as error:
-            # Who ended it knows better than who found it so.
+            # The reason that `kill` got goes before the one that is guessed from the exit.
             outcome = self.end = self.end or error.end
             raise
         finally:
-            self._tell(tag_of(job.work), outcome, time.monotonic() - begun)
+            self._observe(tag_of(job.work), outcome, time.monotonic() - begun)
         return answer
 
     def _answer(self, job: Job, until: float, most: int) -> Answer:
@@ -168,75 +170,75 @@ class Worker:
             self._send(message, until)
             return self._receive(until, most)
 
-        data = self._guarded(exchange)
+        data = self._kill_on_error(exchange)
         try:
             return decode_answer(data)
         except BadAnswer as error:
             self.kill()
-            raise Died(f"a worker answered nonsense: {error}") from error
+            raise Died(f"a worker sent an invalid answer: {error}") from error
 
     def kill(self, end: End | None = None) -> None:
-        """End the process, whatever it does, and say why if nobody else will."""
+        """Kill the process; ``end`` is the reason unless there is one already."""
         self.end = self.end or end
         self._process.kill()
         self._process.wait()
 
     def close(self) -> None:
-        """End the process and give its pipes back; nobody waits for it."""
+        """Kill the process and close its pipes. Contract: no call is under way."""
         self.kill()
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
             pipe.close()
 
-    def _guarded(self, work: Callable[[], bytes]) -> bytes:
+    def _kill_on_error(self, work: Callable[[], bytes]) -> bytes:
         try:
             return work()
         except WorkerError:
             self.kill()
             raise
-        except OSError as error:  # a pipe without anybody at its other end
+        except OSError as error:  # a broken pipe: the process died
             self.kill()
-            raise self._last_words() from error
+            raise self._exit_error() from error
 
     def _send(self, data: bytes, until: float) -> None:
         left = memoryview(data)
         while left:
-            _await(self._in, select.POLLOUT, until)
+            _wait_ready(self._in, select.POLLOUT, until)
             left = left[os.write(self._in, left[:_CHUNK]) :]
 
     def _receive(self, until: float, most: int) -> bytes:
         size = int.from_bytes(self._receive_exactly(PREFIX, until), "big")
         if size > most:
-            raise Died(f"an answer of {size} bytes")
+            raise Died(f"its answer has {size} bytes, more than allowed")
         return self._receive_exactly(size, until)
 
     def _receive_exactly(self, size: int, until: float) -> bytes:
         data = bytearray()
         while len(data) < size:
-            _await(self._out, select.POLLIN, until)
+            _wait_ready(self._out, select.POLLIN, until)
             part = os.read(self._out, min(size - len(data), _CHUNK))
             if not part:
                 self._process.wait()
-                raise self._last_words()
+                raise self._exit_error()
             data += part
         return bytes(data)
 
-    def _last_words(self) -> Died:
+    def _exit_error(self) -> Died:
         status = self._process.poll()
         if status is None or status >= 0:
             return Died("its process ended")
         number = signal.Signals(-status)
         if number in _MEMORY_SIGNALS:
-            return Died("it needed more memory or stack than it may have", End.MEMORY)
+            return Died("it needed more memory or stack than allowed", End.MEMORY)
         if number is signal.SIGXCPU:
-            return Died("it needed more processor time than it may have", End.DEADLINE)
-        return Died(f"its process was ended by {number.name}")
+            return Died("it needed more processor time than allowed", End.DEADLINE)
+        return Died(f"signal {number.name} ended its process")
 
 
-def _await(descriptor: int, event: int, until: float) -> None:
+def _wait_ready(descriptor: int, event: int, until: float) -> None:
     """Wait until the descriptor is ready. Raises `TookTooLong`."""
     left = until - time.monotonic()
     poll = select.poll()
     poll.register(descriptor, event)
     if left <= 0 or not poll.poll(left * 1000):
-        raise TookTooLong("no answer within its time")
+        raise TookTooLong("there was no answer within the time limit")

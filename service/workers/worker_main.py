@@ -1,9 +1,10 @@
-"""The process of a worker: one job after the other from standard input, answers to standard output.
+"""The main program of a worker process: it reads jobs from standard input, and writes answers to
+standard output.
 
-Started as ``python -m dyknow.service.workers.worker_main MEMORY`` by `worker`. Before the first job
-it takes from itself what no job needs: files and sockets (no descriptor beyond the three pipes can
-be opened, so that SERVICE and LOAD reach nobody), memory beyond MEMORY bytes more than it has, core
-dumps. Each job has its own allowance of processor time. What ends the process ends nothing else.
+`worker` starts it as ``python -m dyknow.service.workers.worker_main MEMORY``. Before the first job
+it gives up the rights that no job needs. It can open no files and sockets beyond its three pipes,
+so SERVICE and LOAD cannot reach the network. It can allocate at most MEMORY more bytes, and dumps
+no core. Each job has its own limit of processor time. Exceeding a limit kills this process only.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from .messages import PREFIX, decode_job, encode
 
 
 def main() -> None:
-    """Serve until standard input ends."""
+    """Serve jobs until standard input ends."""
     worker = Worker()
     worker.warm()
     be_dispensable()
@@ -28,7 +29,7 @@ def main() -> None:
     try:
         _serve(worker)
     except MemoryError:
-        # For a job's text or its answer: as it ends where the store needs more.
+        # Reading a job or writing its answer failed: abort, as the store does without memory.
         os.abort()
 
 
@@ -39,12 +40,12 @@ def _serve(worker: Worker) -> None:
             return
         job = decode_job(message)
         del message
-        _allow(job.seconds)
+        _limit_processor_time(job.seconds)
         _write(encode(worker.answer(job.work)))
 
 
 def restrict(memory: int) -> None:
-    """From now on: ``memory`` more bytes of address space, no new descriptors, no core dumps."""
+    """Limit the process to ``memory`` more bytes, no new descriptors and no core dumps."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     most = _address_space() + memory
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -56,8 +57,8 @@ def _address_space() -> int:
         return int(file.read().split()[0]) * resource.getpagesize()
 
 
-def _allow(seconds: float) -> None:
-    """So much processor time from now on; beyond it the system ends the process."""
+def _limit_processor_time(seconds: float) -> None:
+    """Allow ``seconds`` more processor time; beyond it the system kills the process."""
     soft = int(time.process_time() + seconds) + 2
     resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.RLIM_INFINITY))
 

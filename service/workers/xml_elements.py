@@ -1,7 +1,7 @@
-"""Specifications between a worker and its parent: a flat row an element, in the order of the text.
+"""The form of a specification in a worker's answer: one flat row per element, in text order.
 
-Flat, because a worker's answer is a stranger's: nothing in it is nested, and each row may only name
-one before it as what it stands in, so that what is made of it is a tree.
+A worker's answer is untrusted. Rows are not nested, and the parent of a row must be an earlier row,
+so the rows always form a tree.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ...languages.specification import (
 from .messages import BadAnswer, ElementRow
 
 UNIT, _STREAM, _PARAMETER, _REMOVAL = range(4)
-"""What a row is."""
+"""The kinds of rows."""
 _TOP: Final = -1
 _Part: TypeAlias = Input | Parameter
 
 
 def rows_of(specification: Specification) -> list[ElementRow]:
-    """The elements as rows, each behind what it stands in. Contract: it was read from a text."""
+    """Convert elements to rows, each after its parent. Contract: a text was parsed."""
     rows: list[ElementRow] = []
     waiting: list[tuple[_Part, int]] = [(unit, _TOP) for unit in specification.insertions[::-1]]
     while waiting:
@@ -49,40 +49,40 @@ def rows_of(specification: Specification) -> list[ElementRow]:
 
 
 def specification_of(rows: list[ElementRow], source: str) -> Specification:
-    """The specification that rows are, of the text ``source``; raises `BadAnswer` for others."""
-    held: list[tuple[list[Parameter], list[Input]]] = [([], []) for _ in rows]
+    """Convert rows to a specification of the text ``source``. Raises `BadAnswer`."""
+    children: list[tuple[list[Parameter], list[Input]]] = [([], []) for _ in rows]
     insertions: list[UnitSpecification] = []
     removals: list[Removal] = []
-    # Children first: a unit is made of what it holds, which comes last first.
+    # Backwards, so that a unit's children exist before the unit.
     for number in range(len(rows) - 1, -1, -1):
         kind, parent, text, name, start, end = rows[number]
         if not (0 <= start <= end <= len(source) and _TOP <= parent < number):
-            raise BadAnswer("an element out of its place")
+            raise BadAnswer("an element with a wrong position or parent")
         span = Span(start, end)
         if parent == _TOP:
             if kind == UNIT:
-                insertions.append(_unit(text, name, held[number], span))
+                insertions.append(_unit(text, name, children[number], span))
             elif kind == _REMOVAL and (name is None) == bool(text):
                 removals.append(Removal(name, text or None, span))
             else:
-                raise BadAnswer("an element that cannot stand there")
+                raise BadAnswer("an element in a wrong place")
             continue
         if rows[parent][0] != UNIT:
-            raise BadAnswer("an element in one that holds none")
-        parameters, inputs = held[parent]
+            raise BadAnswer("an element whose parent is no unit")
+        parameters, inputs = children[parent]
         if kind == UNIT:
-            inputs.append(_unit(text, name, held[number], span))
+            inputs.append(_unit(text, name, children[number], span))
         elif kind == _STREAM and name is not None:
             inputs.append(StreamReference(name, span))
         elif kind == _PARAMETER and name is not None:
             parameters.append(Parameter(name, text, span))
         else:
-            raise BadAnswer("an element that cannot stand there")
+            raise BadAnswer("an element in a wrong place")
     return Specification(tuple(insertions[::-1]), tuple(removals[::-1]), source)
 
 
 def _unit(
-    type: str, name: str | None, held: tuple[list[Parameter], list[Input]], span: Span
+    type: str, name: str | None, children: tuple[list[Parameter], list[Input]], span: Span
 ) -> UnitSpecification:
-    parameters, inputs = held
+    parameters, inputs = children
     return UnitSpecification(type, name, tuple(parameters[::-1]), tuple(inputs[::-1]), span)

@@ -1,1 +1,1 @@
-"""Commands that look into a data directory."""
+"""Commands that read a data directory."""

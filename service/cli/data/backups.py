@@ -1,5 +1,4 @@
-"""What ``dyknow backup, restore`` do: copies of a data directory
-(docs/reference/data-directory.md)."""
+"""The work of ``dyknow backup`` and ``restore`` (docs/reference/data-directory.md)."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ def backup(directory: Path, target: Path, *, json: bool) -> None:
 
 
 def restore(source: Path, directory: Path, *, json: bool) -> None:
-    """Make a data directory out of a backup; its next start begins new ids of events."""
+    """Make a data directory from a backup; its next start begins new ids of events."""
     try:
         manifest = restore_directory(source, directory, program())
     except JournalError as error:

@@ -1,4 +1,4 @@
-"""``dyknow check, repair, backup, restore, log``: what a data directory holds
+"""``dyknow check, repair, backup, restore, log``: commands for data directories
 (docs/reference/data-directory.md)."""
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ def check(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Look at a data directory, also of a running service: status 1 if it is damaged.
+    """Check a data directory, also of a running service; status 1 if it is damaged.
 
-    With --processes (or DYKNOW_PROCESSES) it tells what a start with these modules would miss.
+    With --processes (or DYKNOW_PROCESSES) it reports what a start with these modules would miss.
     """
     from . import data_directory
 
@@ -31,7 +31,7 @@ def check(
 
 
 def repair(directory: Directory, json: Json = False) -> None:
-    """Keep what is good of a damaged data directory, and set the rest aside as *.damaged."""
+    """Repair a damaged data directory, and set the damaged files aside as *.damaged."""
     from . import data_directory
 
     data_directory.repair(directory, json=json)
@@ -39,11 +39,13 @@ def repair(directory: Directory, json: Json = False) -> None:
 
 def log(
     directory: Directory,
-    after: Annotated[int, typer.Option(help="Only what follows this position.", min=0)] = 0,
-    count: Annotated[int | None, typer.Option("-n", help="So many, no more.", min=1)] = None,
-    full: Annotated[bool, typer.Option("--full", help="Texts and bodies whole.")] = False,
+    after: Annotated[int, typer.Option(help="Print only commands after this position.", min=0)] = 0,
+    count: Annotated[
+        int | None, typer.Option("-n", help="Print at most this number.", min=1)
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="Print texts and bodies in full.")] = False,
 ) -> None:
-    """Print the commands of a data directory's log, a line of JSON each, up to what is damaged."""
+    """Print the commands of a data directory's log as lines of JSON, up to any damage."""
     from . import data_directory
 
     data_directory.log(directory, after, count, full=full)
@@ -51,7 +53,7 @@ def log(
 
 def backup(
     directory: Directory,
-    target: Annotated[Path, typer.Argument(help="A folder to be made, or a .tar file.")],
+    target: Annotated[Path, typer.Argument(help="A new folder, or a .tar file.")],
     json: Json = False,
 ) -> None:
     """Copy a data directory, also of a running service, and verify the copy."""
@@ -61,13 +63,13 @@ def backup(
 
 
 def restore(
-    source: Annotated[Path, typer.Argument(help="What dyknow backup has made.")],
+    source: Annotated[Path, typer.Argument(help="A backup of dyknow backup.")],
     directory: Annotated[
-        Path, typer.Argument(help="The data directory to be made; empty, if there.", metavar="DIR")
+        Path, typer.Argument(help="The data directory: new, or empty.", metavar="DIR")
     ],
     json: Json = False,
 ) -> None:
-    """Make a data directory out of a backup; its next start begins new ids of events."""
+    """Make a data directory from a backup; its next start begins new ids of events."""
     from . import backups
 
     backups.restore(source, directory, json=json)

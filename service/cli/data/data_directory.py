@@ -1,5 +1,4 @@
-"""What ``dyknow check, repair, log`` do: what a data directory holds
-(docs/reference/data-directory.md)."""
+"""The work of ``dyknow check``, ``repair`` and ``log`` (docs/reference/data-directory.md)."""
 
 from __future__ import annotations
 
@@ -27,17 +26,17 @@ from ..output import err, fail, out, show_json, show_table
 from .process_state import found_processes, writer_of
 
 _BRIEF = 60
-"""Characters of a text or body that are shown."""
+"""Characters that are shown of a text or body."""
 
 
 def check(directory: Path, processes: list[str] | None, *, json: bool) -> None:
-    """Tell what a data directory holds, and what a start with these modules would miss; status 1
-    if it is damaged."""
+    """Report the content of a data directory, and what a start with these modules would miss;
+    status 1 if it is damaged."""
     modules = processes or Settings().processes
     errors = [each.error for each in load_processes(modules) if each.error is not None]
     found, needed = _checked(directory, modules_are_known=bool(modules))
     if json:
-        show_json({**_told(found), "processes": needed, "not_loaded": errors})
+        show_json({**_as_json(found), "processes": needed, "not_loaded": errors})
     else:
         _show(found)
         for line in (*(f"not loaded: {each}" for each in errors), *needed):
@@ -47,7 +46,7 @@ def check(directory: Path, processes: list[str] | None, *, json: bool) -> None:
 
 
 def repair(directory: Path, *, json: bool) -> None:
-    """Keep what is good of a damaged data directory, and set the rest aside as *.damaged."""
+    """Repair a damaged data directory, and set the damaged files aside as *.damaged."""
     try:
         if not lacks_format(directory) and format_of(directory) is None:
             raise fail(f"{directory} has no format.json: there is nothing to repair")
@@ -78,7 +77,7 @@ def repair(directory: Path, *, json: bool) -> None:
 
 
 def log(directory: Path, after: int, count: int | None, *, full: bool) -> None:
-    """Print the commands of the log after a position, so many, up to what is damaged."""
+    """Print at most ``count`` commands of the log after a position, up to any damage."""
     if not (directory / "journal").is_dir():
         raise fail(f"{directory} has no log")
     with log_of(directory) as (found, files):
@@ -89,13 +88,13 @@ def log(directory: Path, after: int, count: int | None, *, full: bool) -> None:
     if fault is not None:
         raise fail(fault, "see dyknow check")
     if found.torn is not None:
-        err().print(f"an unfinished write, that a start cuts off: {found.torn}", markup=False)
+        err().print(f"an unfinished write, which a start cuts off: {found.torn}", markup=False)
 
 
 def _records(
     scans: Sequence[Scan], files: Mapping[Path, BinaryIO], after: int
 ) -> Iterator[tuple[int, bytes]]:
-    """Those that are good, from one to the next, beginning with the first that there is."""
+    """Yield the valid records after a position, up to the first gap or damage."""
     position = None
     for each in scans:
         if position not in (None, each.last - each.count):
@@ -136,7 +135,7 @@ def _checked(directory: Path, *, modules_are_known: bool) -> tuple[Inspection, l
         try:
             return found, found_processes(found, modules_are_known=modules_are_known)
         except FileNotFoundError:
-            # Forgotten by the process that has it, after it was inspected.
+            # The running service deleted a file after the inspection.
             if found.holder is None:
                 raise
     raise fail(f"{directory} changes too quickly", "try again")
@@ -150,7 +149,7 @@ def _inspected(
         found = inspect(directory, own, _begun_by, is_held=is_held)
         writer = writer_of(found)
         if not needs_modules and writer is not None and writer.startswith(f"{program()}, "):
-            # By this program, with user-written processes that a start is going to have, too.
+            # This program wrote it, with user-written processes that the next start has, too.
             found = inspect(directory, writer, _begun_by, is_held=is_held)
     except JournalError as error:
         raise fail(error.message, error.hint) from error
@@ -162,7 +161,7 @@ def _begun_by(data: bytes) -> str | None:
     return first.program if isinstance(first, Begin) else None
 
 
-def _told(found: Inspection) -> dict[str, Any]:
+def _as_json(found: Inspection) -> dict[str, Any]:
     log_, mark = found.log, found.log.mark
     return {
         "directory": str(found.path),
@@ -221,11 +220,13 @@ def _show(found: Inspection) -> None:
             ],
         )
     if found.log.torn is not None and found.log.damage is None and found.holder is None:
-        console.print(f"an unfinished write, that a start cuts off: {found.log.torn}", markup=False)
+        console.print(
+            f"an unfinished write, which a start cuts off: {found.log.torn}", markup=False
+        )
     for each in found.damage:
         console.print(f"damage: {each}", markup=False)
     for each in found.strays:
-        console.print(f"not known, and not looked at: {each}", markup=False)
+        console.print(f"unknown, not checked: {each}", markup=False)
     console.print(f"a start {found.start}", markup=False)
 
 

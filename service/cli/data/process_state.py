@@ -1,4 +1,4 @@
-"""What a data directory remembers of user-written processes, for ``dyknow check``."""
+"""User-written processes in a data directory, for ``dyknow check``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ....journal.segment import walk
 
 
 def writer_of(found: Inspection) -> str | None:
-    """The program that wrote what a start begins with; None where nobody has."""
+    """Return the program that wrote the newest checkpoint, or else the log; None without both."""
     newest = _newest(found)
     if newest is not None:
         return newest.program
@@ -25,8 +25,8 @@ def writer_of(found: Inspection) -> str | None:
 
 
 def found_processes(found: Inspection, *, modules_are_known: bool) -> list[str]:
-    """What people should know of the processes that a start needs: which they are, or, where its
-    ``modules_are_known`` and loaded, which are missing; and what is not in the checkpoint."""
+    """Return notes on the processes that a start needs: the missing ones if ``modules_are_known``
+    and loaded, else all; and those whose state is not in the checkpoint."""
     newest, begin = _newest(found), _begin(found)
     head, quads = PortableHead(), b""
     if newest is not None:
@@ -54,7 +54,7 @@ def _newest(found: Inspection) -> KnownCheckpoint | None:
 
 
 def _begin(found: Inspection) -> Begin | None:
-    """The first record of the log."""
+    """Return the first record of the log, if it is intact."""
     if not found.log.whole or found.log.first != 1 or not found.log.scans[0].count:
         return None
     data = Path(found.log.scans[0].path).read_bytes()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def demo() -> None:
-    """Replay five minutes of recorded flights and find events in them; ends by itself."""
+    """Replay five minutes of recorded flights, and find events in them."""
     from .demonstration import show
 
     show()

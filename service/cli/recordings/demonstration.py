@@ -1,4 +1,4 @@
-"""What ``dyknow demo`` shows: [Events14 §V.C] on recorded flights, from nothing to events.
+"""The work of ``dyknow demo``: [Events14 §V.C] on recorded flights, from nothing to events.
 
 It starts a service of its own in memory and talks to it over HTTP as any client would. The same
 recording, played again and again in the present, is what ``dyknow serve --flights`` offers.
@@ -38,10 +38,10 @@ from .recording_replay import PAUSE, play, span
 
 STREAM = "adsb"
 SPEED = 25.0
-"""How many times faster than flown the demonstration runs."""
+"""The speed of the demonstration, as a multiple of the recorded one."""
 THRESHOLD = 800
 SHOWN = 12
-"""How many of the latest events are on the screen."""
+"""The number of latest events on the screen."""
 
 WHO_FEEDS = """\
 SELECT ?stream ?transformation ?input WHERE {
@@ -53,7 +53,7 @@ SELECT ?stream ?transformation ?input WHERE {
 
 
 @dataclass(slots=True)
-class _Seen:
+class _EventCounts:
     """Events as they arrive, counted by request."""
 
     counts: dict[str, int] = field(default_factory=dict)
@@ -65,7 +65,7 @@ class _Seen:
 
 @contextmanager
 def demo_files() -> Iterator[tuple[Path, str, str]]:
-    """The recording that ships with the package, its annotation, and the template."""
+    """Yield the shipped recording, its annotation, and the template."""
     package = files("dyknow")
     template = package.joinpath("templates", "library", "high_speed.rq").read_text()
     annotation = package.joinpath("examples", "adsb.ssl").read_text()
@@ -74,10 +74,10 @@ def demo_files() -> Iterator[tuple[Path, str, str]]:
 
 
 def show() -> None:
-    """Replay five minutes of recorded flights and find events in them."""
+    """Replay five minutes of recorded flights, and find events in them."""
     console = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 100)
     began = time.perf_counter()
-    # Of this machine, for this process: whatever the environment says of the service.
+    # Only for this machine and process: ignore the environment's settings of a service.
     settings = Settings(host="127.0.0.1", port=0)
     with (
         demo_files() as (path, annotation, template),
@@ -96,9 +96,9 @@ def show() -> None:
         every = _request(
             console, client, f"dyknow:HighSpeedEvent(?o, dyknow:Aircraft, {THRESHOLD})"
         )
-        seen, spent = _replay_and_follow(console, client, url, recording, [one, every])
+        counts, spent = _replay_and_follow(console, client, url, recording, [one, every])
         _introspect(console, client)
-        _summary(console, client, seen, spent, began, [one, every])
+        _summary(console, client, counts, spent, began, [one, every])
 
 
 def _application(settings: Settings) -> FastAPI:
@@ -117,7 +117,7 @@ def flights(url: str, stopping: Callable[[], bool], token: str = "") -> None:
         assert extent is not None
         begin, now = time.monotonic_ns(), time.time_ns()
         last = client.stream(STREAM)["last_available"]
-        # After a restart the aircraft jump as well, from where they were.
+        # After a restart the recording begins again: the pause keeps speeds from spanning the jump.
         start = now if last is None else max(now, read_time(last) + PAUSE)
         shift, begin = start - extent.first, begin + start - now
         while not stopping():
@@ -158,7 +158,7 @@ def _request(console: Console, client: Client, text: str) -> dict[str, Any]:
 
 
 def _why(client: Client, request: str) -> str:
-    """The matching part of the explanation: what was chosen and what was not possible."""
+    """Return the matching part of the explanation: the choices and the failed alternatives."""
     text = client.explain(event=request)
     start = text.index("semantic matching")
     end = text.index("\n\nquery", start)
@@ -171,14 +171,16 @@ def _replay_and_follow(
     url: str,
     recording: Recording,
     requests: list[dict[str, Any]],
-) -> tuple[_Seen, float]:
-    """Publish the recording at its pace; each request is followed on a connection of its own."""
+) -> tuple[_EventCounts, float]:
+    """Publish the recording at its pace, and follow each request on its own connection."""
     extent = span(recording)
     assert extent is not None
-    seen = _Seen()
+    counts = _EventCounts()
     begin = time.perf_counter()
     followers = [
-        threading.Thread(target=_follow, args=(console, url, answer["stream"], label, seen, begin))
+        threading.Thread(
+            target=_follow, args=(console, url, answer["stream"], label, counts, begin)
+        )
         for label, answer in zip(("one", "all"), requests, strict=True)
     ]
     console.print(f"\nNow the flights of five minutes, {SPEED:.0f} times faster:")
@@ -205,41 +207,43 @@ def _replay_and_follow(
             flown = f"{time.strftime('%H:%M:%S', time.gmtime(moment / 1e9))} UTC, ×{SPEED:.0f}"
             progress.update(task, completed=moment - extent.first, description=flown)
             if live is not None:
-                live.update(Group(_events_table(seen), progress))
+                live.update(Group(_events_table(counts), progress))
         client.end(STREAM)
         for follower in followers:
             follower.join(timeout=10)
         if live is not None:
-            live.update(Group(_events_table(seen), progress))
-    return seen, time.perf_counter() - begin
+            live.update(Group(_events_table(counts), progress))
+    return counts, time.perf_counter() - begin
 
 
-def _follow(console: Console, url: str, stream: str, label: str, seen: _Seen, begin: float) -> None:
-    """Take in the events of one request until its stream ends."""
+def _follow(
+    console: Console, url: str, stream: str, label: str, counts: _EventCounts, begin: float
+) -> None:
+    """Show the events of one request until its stream ends."""
     with Client(url) as client:
         for event in client.events(stream, since="start"):
             if event.kind != "sample":
                 continue
             moment = clock_of(event.data["valid"]).split("T")[-1]
             line = (moment, label, str(event.values["id"]), float(event.values["speed"]))
-            with seen.lock:
-                if seen.first_after is None:
-                    seen.first_after = time.perf_counter() - begin
-                seen.counts[label] = seen.counts.get(label, 0) + 1
-                seen.objects.add(line[2])
-                seen.latest = [*seen.latest, line][-SHOWN:]
-                if not console.is_terminal and sum(seen.counts.values()) <= SHOWN:
+            with counts.lock:
+                if counts.first_after is None:
+                    counts.first_after = time.perf_counter() - begin
+                counts.counts[label] = counts.counts.get(label, 0) + 1
+                counts.objects.add(line[2])
+                counts.latest = [*counts.latest, line][-SHOWN:]
+                if not console.is_terminal and sum(counts.counts.values()) <= SHOWN:
                     console.print(f"  {moment}  {label}  {line[2]}  {line[3]:.1f} km/h")
 
 
-def _events_table(seen: _Seen) -> Table:
+def _events_table(counts: _EventCounts) -> Table:
     table = Table(box=None, header_style="bold", title=None)
     table.add_column("window end (UTC)")
     table.add_column("request")
     table.add_column("aircraft")
     table.add_column("average speed", justify="right")
-    with seen.lock:
-        latest = list(seen.latest)
+    with counts.lock:
+        latest = list(counts.latest)
     for moment, label, aircraft, speed in latest:
         table.add_row(moment, label, aircraft, f"{speed:.1f} km/h")
     return table
@@ -261,7 +265,7 @@ def _introspect(console: Console, client: Client) -> None:
 def _summary(
     console: Console,
     client: Client,
-    seen: _Seen,
+    counts: _EventCounts,
     spent: float,
     began: float,
     requests: list[dict[str, Any]],
@@ -274,15 +278,15 @@ def _summary(
         f"{counters['accepted'] / spent:.0f} samples/s at this pace."
     )
     console.print(
-        f"{seen.counts.get('one', 0)} events for the one aircraft, "
-        f"{seen.counts.get('all', 0)} for all ({len(seen.objects)} aircraft); "
-        f"the first {seen.first_after or 0:.1f} s into the replay."
+        f"{counts.counts.get('one', 0)} events for the one aircraft, "
+        f"{counts.counts.get('all', 0)} for all ({len(counts.objects)} aircraft); "
+        f"the first {counts.first_after or 0:.1f} s into the replay."
     )
     for answer in requests:
         client.cancel_event(answer["id"])
     left = [s["name"] for s in client.streams() if s["name"].startswith("dyknow_reserved")]
     console.print(
-        "Requests cancelled; units and streams that nobody uses any more are gone"
+        "Requests cancelled; units and streams without users were removed"
         + (f" but for {', '.join(left)}" if left else "")
         + f". {_since(began)} in all."
     )
@@ -296,7 +300,7 @@ def _summary(
         f"'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, {THRESHOLD})' --since start[/]",
         soft_wrap=True,
     )
-    if not seen.counts:
+    if not counts.counts:
         raise SystemExit(1)
 
 

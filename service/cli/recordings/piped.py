@@ -1,4 +1,4 @@
-"""What ``dyknow replay`` does otherwise with a pipe: it is read once, as it comes."""
+"""The differences of ``dyknow replay`` for a pipe, which can be read only once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def is_pipe(file: Path) -> bool:
 
 
 def existing(file: Path) -> Path:
-    """Raise ``typer.BadParameter`` for a file that is not there. Typer takes ``-`` for one."""
+    """Raise ``typer.BadParameter`` for a missing file. Typer treats ``-`` as one."""
     if not is_pipe(file) and not file.exists():
         raise typer.BadParameter(f"file {str(file)!r} does not exist.")
     return file
@@ -32,7 +32,7 @@ def existing(file: Path) -> Path:
 
 @contextmanager
 def reading(file: Path) -> Iterator[Readable]:
-    """The bytes of a pipe."""
+    """Open a pipe for reading bytes."""
     if file == Path("-"):
         yield typer.get_binary_stream("stdin")  # type: ignore[misc]
         return
@@ -41,8 +41,8 @@ def reading(file: Path) -> Iterator[Readable]:
 
 
 def check_once(file: Path, *, sort: bool | None, loop: bool) -> None:
-    """Raise ``typer.BadParameter`` for what needs all rows of a pipe before the first is sent, or
-    again."""
+    """Raise ``typer.BadParameter`` for options that need all rows of a pipe before the first is
+    sent, or a second time."""
     if not is_pipe(file):
         return
     if sort:
@@ -52,7 +52,7 @@ def check_once(file: Path, *, sort: bool | None, loop: bool) -> None:
 
 
 def show_piped(name: str, piped: Piped) -> TimeOrder:
-    """Report the rows that were out of order, when all have come."""
+    """Report the rows that were out of order, after the last row."""
     from ....converters.recordings.time_order import TimeOrder
 
     if piped.note is not None:

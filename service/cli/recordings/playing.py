@@ -1,4 +1,4 @@
-"""What ``dyknow replay`` does: recordings are opened, declared, published, and waited for."""
+"""The work of ``dyknow replay``: open, declare and publish recordings, and await the readers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from .piped import check_once, is_pipe, reading, show_piped
 from .recording_replay import PAUSE, Span, play_all, span
 
 _LOOK = 0.2
-"""Seconds between two looks whether all has been evaluated."""
+"""Seconds between two checks whether all samples have been evaluated."""
 _FATES = ("accepted", "used", "late", "duplicate", "expired", "pending")
 
 
@@ -90,8 +90,8 @@ def _bound(text: str | None) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """The options of the command, as they are written."""
+class ReplayOptions:
+    """The options of the command, unparsed."""
 
     file: Path
     stream: list[str] | None
@@ -110,27 +110,27 @@ class Asked:
     as_json: bool
 
 
-def play(asked: Asked) -> None:
-    """Declare the streams of a recording, publish it, say when it has ended."""
-    factor, begin, bound = _speed(asked.speed), _begin(asked.rebase), _bound(asked.ahead)
-    check_once(asked.file, sort=asked.sort, loop=asked.loop)
+def play(options: ReplayOptions) -> None:
+    """Declare the streams of a recording, publish it, and report the end."""
+    factor, begin, bound = _speed(options.speed), _begin(options.rebase), _bound(options.ahead)
+    check_once(options.file, sort=options.sort, loop=options.loop)
     with ExitStack() as open_files:
-        client = open_files.enter_context(connect(asked.url))
-        pipe = open_files.enter_context(reading(asked.file)) if is_pipe(asked.file) else None
-        # All that can be wrong with tables and text is found before anything is made.
-        meaning = None if asked.ssl is None else text_or_file(asked.ssl)
+        client = open_files.enter_context(connect(options.url))
+        pipe = open_files.enter_context(reading(options.file)) if is_pipe(options.file) else None
+        # Find errors in tables and texts before any declaration.
+        meaning = None if options.ssl is None else text_or_file(options.ssl)
         declared = () if meaning is None else _declared(meaning)
-        wanted = asked.stream or []
+        wanted = options.stream or []
         opened = (
-            _open(client, asked.file, wanted, asked.time_column, asked.time_unit, asked.utc)
+            _open(client, options.file, wanted, options.time_column, options.time_unit, options.utc)
             if pipe is None
-            else _open_pipe(client, pipe, wanted, asked.time_column, asked.time_unit)
+            else _open_pipe(client, pipe, wanted, options.time_column, options.time_unit)
         )
         piped = opened.piped
         _warn_of_others(declared, opened.tracks)
         tracks = opened.tracks
         if piped is None:
-            tracks = {name: track.in_time_order(asked.sort) for name, track in tracks.items()}
+            tracks = {name: track.in_time_order(options.sort) for name, track in tracks.items()}
             for name, track in tracks.items():
                 show_order(name, track.order)
         latest = min(time.time_ns() + _ahead(bound, tracks.values()), TIME_MAX)
@@ -151,7 +151,7 @@ def play(asked: Asked) -> None:
         shift = 0 if begin is None else begin - extent.first
         if begin is not None and factor != 1:
             # By itself it gets as far ahead as it is long, each round anew.
-            is_endless = asked.loop or piped is not None
+            is_endless = options.loop or piped is not None
             length = FOREVER if is_endless else extent.last - extent.first
             bound = min(_ahead(bound, tracks.values()) + length, FOREVER)
         recordings = {name: track.recording for name, track in tracks.items()}
@@ -161,12 +161,12 @@ def play(asked: Asked) -> None:
         before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
             for name, track in tracks.items():
-                _declare(client, name, track, asked.lateness, asked.idle, bound)
+                _declare(client, name, track, options.lateness, options.idle, bound)
             if meaning is not None:
                 client.annotate(meaning)
             before = {name: client.stream(name)["counters"] for name in tracks}
             readers.begin(tracks)
-            player.run(loop=asked.loop, quiet=asked.as_json)
+            player.run(loop=options.loop, quiet=options.as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         except Exception:
@@ -195,53 +195,53 @@ def play(asked: Asked) -> None:
                 counts,
                 its,
                 seconds,
-                asked.rebase is not None,
-                asked.as_json,
+                options.rebase is not None,
+                options.as_json,
                 opened.dropouts,
                 order,
                 tracks[name].recording.rounding.rounded,
             )
         failed = readers.failed()
-    if not asked.as_json:
-        _tell(opened)
+    if not options.as_json:
+        _show_losses(opened)
     for each in failed:
-        whom = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
+        whom = ", ".join(each["options"]) or f"what makes stream {each['stream']}"
         err().print(f"failed: {whom}: {each['failure']}", markup=False, highlight=False)
     if failed:
         raise typer.Exit(1)
 
 
 class _Readers:
-    """The units that read the played streams: how far they are, and which fail meanwhile."""
+    """The readers of the played streams: their progress, and new failures."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
         self._begun: dict[str, int] = {}
-        """The number of the last sample of each stream before it is played."""
+        """The number of each stream's last sample before the replay."""
         self._before: set[str] = set()
-        """Units that had failed before."""
+        """Units that failed before the replay."""
 
     def begin(self, streams: Iterable[str]) -> None:
-        """``streams`` are played from now on."""
+        """Note the state of ``streams`` before the replay."""
         for name in streams:
             found = self._client.evaluation(name)
             self._begun[name] = found["last"]
             self._before.update(each["unit"] for each in found["failed"])
 
     def wait(self) -> None:
-        """Return when all that reads the streams is through with what is in them now."""
+        """Return when all readers have evaluated all present samples of the streams."""
         for name in self._begun:
             last = self._client.evaluation(name)["last"]
             while self._client.evaluation(name)["evaluated"] < last:
                 time.sleep(_LOOK)
 
     def evaluated(self, name: str) -> int:
-        """So many samples that were played into the stream all are through with."""
+        """Return the number of replayed samples that all readers have evaluated."""
         found: int = self._client.evaluation(name)["evaluated"]
         return max(0, found - self._begun.get(name, found))
 
     def failed(self) -> list[dict[str, Any]]:
-        """What has failed since `begin`, each once."""
+        """Return the units that have failed since `begin`, each once."""
         found = {
             each["unit"]: each
             for name in self._begun
@@ -252,20 +252,20 @@ class _Readers:
 
 @dataclass(frozen=True, slots=True)
 class _Track:
-    """A recording that is published to a stream; ``there``: the stream as it is already."""
+    """A recording for a stream; ``there``: the stream if it exists already."""
 
     recording: Recording
     there: Mapping[str, Any] | None
     order: TimeOrder | None = None
 
     def in_time_order(self, sort: bool | None) -> _Track:
-        """The same with its rows sorted as ``sort`` says."""
+        """Return the track with its rows sorted according to ``sort``."""
         order = in_time_order(self.recording, sort)
         return _Track(order.recording, self.there, order)
 
 
 def _ahead(bound: int | None, tracks: Iterable[_Track]) -> int:
-    """How far ahead of the clock (ns) rows are taken, at most: as asked for, or as streams say."""
+    """Return how far ahead of the clock (ns) rows may be: by the option, or by the streams."""
     if bound is not None:
         return bound
     said = [_bound(track.there["ahead"]) for track in tracks if track.there is not None]
@@ -274,18 +274,18 @@ def _ahead(bound: int | None, tracks: Iterable[_Track]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Opened:
-    """The tracks by stream, and what the recorder lost (None: it does not tell)."""
+    """The tracks by stream, and the recorder's losses (None: unknown)."""
 
     tracks: Mapping[str, _Track]
     dropouts: int | None = None
     lost: int = 0
     notes: tuple[str, ...] = ()
     piped: Piped | None = None
-    """What is read of a pipe."""
+    """The rows of a pipe."""
 
 
 def _existing(client: Client, stream: str) -> dict[str, Any] | None:
-    """The stream as the service has it; None if there is no such stream."""
+    """Return the stream from the service; None if it does not exist."""
     try:
         return client.stream(stream)
     except ServiceError as error:
@@ -295,7 +295,7 @@ def _existing(client: Client, stream: str) -> dict[str, Any] | None:
 
 
 def _types(there: Mapping[str, Any] | None, names: Sequence[str]) -> dict[str, FieldType]:
-    """The types that a stream has already for fields of these ``names``."""
+    """Return the types of the existing stream's fields with these ``names``."""
     fields = () if there is None else there["fields"]
     return {f["name"]: FieldType(f["type"]) for f in fields if f["name"] in names}
 
@@ -308,7 +308,7 @@ def _open(
     time_unit: str | None,
     utc: bool,
 ) -> _Opened:
-    """The streams of the file; fields that a stream has already keep their types."""
+    """Open the streams of the file; fields of existing streams keep their types."""
     is_log = file.name.lower().endswith(".ulg")
     if not is_log and not has_many_streams(file):
         there = _existing(client, _only(wanted))
@@ -337,7 +337,7 @@ def _open_pipe(
     time_column: str | None,
     time_unit: str | None,
 ) -> _Opened:
-    """The stream of a pipe, by its head."""
+    """Open the stream of a pipe by reading its head."""
     there = _existing(client, _only(wanted))
     types = {} if there is None else {f["name"]: FieldType(f["type"]) for f in there["fields"]}
     piped = open_pipe(pipe, time_column, time_unit, types)
@@ -351,7 +351,7 @@ def _only(wanted: list[str]) -> str:
 
 
 def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
-    """The stream to publish to, by the name in the recording."""
+    """Return the stream to publish to, by the name in the recording."""
     names: dict[str, str] = {}
     for text in wanted:
         topic, _, name = text.partition("=")
@@ -372,8 +372,8 @@ def _declare(
     idle: str | None,
     ahead: int | None,
 ) -> None:
-    """Declare the stream with the recording's fields, and what the options say; all else stays as
-    a stream that is there has it."""
+    """Declare the stream with the recording's fields and the options; the rest stays as in an
+    existing stream."""
     fields = [{"name": f.name, "type": f.type.value} for f in track.recording.schema.fields]
     there = track.there
     if there is None:
@@ -413,7 +413,7 @@ class _Player:
     """Samples of each stream that were accepted so far."""
 
     def run(self, *, loop: bool, quiet: bool) -> None:
-        """Once, or again and again: then each round continues where the one before ended."""
+        """Play once, or in a loop: then each round continues where the last one ended."""
         progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -454,7 +454,7 @@ class _Player:
 
     def _publish(self, name: str, batch: SampleBatch) -> int:
         """Publish a part without the samples that are ahead of the clock, and report these; return
-        how many were accepted."""
+        the number of accepted samples."""
         try:
             return self.client.publish(name, batch)
         except ServiceError as error:
@@ -476,8 +476,8 @@ class _Player:
         return self.client.publish(name, kept) if len(kept) else 0
 
 
-def _tell(opened: _Opened) -> None:
-    """What the recorder lost, for people."""
+def _show_losses(opened: _Opened) -> None:
+    """Print the losses of the recorder."""
     if opened.dropouts:
         show_text(f"dropouts: {opened.dropouts:,}, {opened.lost / SECOND:.3f} s were not logged")
     elif opened.dropouts == 0:
@@ -487,7 +487,7 @@ def _tell(opened: _Opened) -> None:
 
 
 def _declared(meaning: str) -> tuple[str, ...]:
-    """The streams of which an SSL text says something."""
+    """Return the streams that an SSL text annotates."""
     from ....languages.ssl import parse_ssl
     from ....languages.ssl.ast import StreamDeclaration
 
@@ -495,7 +495,7 @@ def _declared(meaning: str) -> tuple[str, ...]:
 
 
 def _warn_of_others(declared: Sequence[str], tracks: Mapping[str, _Track]) -> None:
-    """Say which streams an SSL text annotates that are not played: their names may be wrong."""
+    """Warn of annotated streams that are not played: their names may be wrong."""
     for name in declared:
         if name not in tracks:
             played = ", ".join(tracks)
@@ -541,7 +541,7 @@ def _summary(
             f"the first in line {rounded.line}, field {rounded.field!r}"
         )
     if counts["accepted"] and counts["late"] + counts["duplicate"] == counts["accepted"]:
-        # The usual cause: a stream's available times only grow, and these were there before.
+        # The usual cause: available times only grow, and the stream had later samples before.
         show_text(
             "hint: everything was late: the stream has later samples already, perhaps of the "
             "same recording.\n      "

@@ -1,4 +1,4 @@
-"""What ``dyknow run`` does: files become streams, a query is evaluated over them."""
+"""The work of ``dyknow run``: read files as streams, and evaluate a query over them."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ from .triples_file import (
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """The options of the command, as they are written."""
+class RunOptions:
+    """The options of the command, unparsed."""
 
     query: Path
     stream: list[str]
@@ -68,55 +68,55 @@ class Asked:
     as_json: bool
 
 
-def run_query(asked: Asked) -> None:
+def run_query(options: RunOptions) -> None:
     """Evaluate a continuous query over recorded streams and print each window's result."""
-    behind = _lateness(asked.lateness)
-    begin = origin_of(asked.origin)
-    files = _files(asked.stream)
-    known = _static(asked.static or ())
+    behind = _lateness(options.lateness)
+    begin = origin_of(options.origin)
+    files = _files(options.stream)
+    known = _static(options.static or ())
     paths = list(known.values()) if isinstance(known, dict) else known
-    if asked.late is not None:
-        _check_late(behind, files, asked.ssl)
+    if options.late is not None:
+        _check_late(behind, files, options.ssl)
     inputs: dict[str, Any]
-    if asked.ssl is not None:
-        inputs = _samples(files, text_or_file(asked.ssl), paths, asked.sort)
+    if options.ssl is not None:
+        inputs = _samples(files, text_or_file(options.ssl), paths, options.sort)
     else:
         inputs = _triples(files, in_order=behind is not None)
     traffic = Traffic()
     inputs = {name: traffic.watch(given) for name, given in inputs.items()}
-    text = read_text(asked.query)
-    told = _Late(None if asked.late is None else TripleWriter(asked.late))
+    text = read_text(options.query)
+    late = _Late(None if options.late is None else TripleWriter(options.late))
     explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
             text,
             inputs,
             static=known,
-            semantics=None if asked.semantics is None else asked.semantics.value,
-            bounds=asked.bounds.value,
+            semantics=None if options.semantics is None else options.semantics.value,
+            bounds=options.bounds.value,
             origin=begin,
             lateness=behind,
-            explained=explained if asked.explain else None,
-            report=asked.report.value,
-            late=told.hear,
+            explained=explained if options.explain else None,
+            report=options.report.value,
+            late=late.add,
         )
     except (LanguageError, OntologyError):
-        raise  # told with their place
+        raise  # the command line prints them with their place
     except ValueError as error:
         raise fail(str(error)) from error
-    with told:
-        count = _print(windows, as_json=asked.as_json)
-    if asked.explain:
+    with late:
+        count = _print(windows, as_json=options.as_json)
+    if options.explain:
         err().print(str(explained), markup=False, highlight=False)
-    if not asked.as_json:
-        behind_by = f", {told.count} late" if told.count else ""
+    if not options.as_json:
+        behind_by = f", {late.count} late" if late.count else ""
         show_text(f"({count} {'window' if count == 1 else 'windows'} with a result{behind_by})")
         if not count:
             err().print(f"nothing came: {traffic.why_empty(text, known)}", markup=False)
 
 
 def _print(windows: Iterator[Window], *, as_json: bool) -> int:
-    """Show the windows that have a result; how many these are."""
+    """Show the windows that have a result; return their number."""
     count = 0
     for window in windows:
         if isinstance(window.solutions, list) and not window.solutions:
@@ -130,7 +130,7 @@ def _print(windows: Iterator[Window], *, as_json: bool) -> int:
 
 
 class _Late:
-    """Counts what comes too late, and writes it down if somebody wants it."""
+    """Counts late triples, and writes them to a file if there is one."""
 
     def __init__(self, writer: TripleWriter | None) -> None:
         self.count = 0
@@ -143,17 +143,17 @@ class _Late:
         if self._writer is not None:
             self._writer.close()
 
-    def hear(self, triple: TimedTerm) -> None:
-        """One that came too late."""
+    def add(self, triple: TimedTerm) -> None:
+        """Count and write a late triple."""
         self.count += 1
         if self._writer is not None:
             self._writer.write(triple)
 
 
 def _check_late(lateness: int | None, files: Mapping[str, Path], ssl: str | None) -> None:
-    """Whether anything can be late: only what is taken in the order of its file."""
+    """Check that triples can be late: only files that are read in their own order have such."""
     if lateness is None:
-        raise typer.BadParameter("--late goes with --lateness: of sorted files nothing is late")
+        raise typer.BadParameter("--late requires --lateness: sorted files have no late triples")
     if ssl is not None or any(map(holds_graphs, files.values())):
         raise typer.BadParameter(
             "--late goes with timed triples (.ndjson, .csv): tables of samples and graphs are "
@@ -179,8 +179,8 @@ def _files(pairs: Sequence[str]) -> dict[str, Path]:
 
 
 def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
-    """Files, or graphs by name: not both, for a query reads all of the one, and of the other what
-    its FROM clauses name."""
+    """Return files, or graphs by name, but not both: a query reads all files, but only the graphs
+    that its FROM clauses name."""
     files: list[Path] = []
     named: dict[str, Path] = {}
     for text in given:
@@ -190,12 +190,12 @@ def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
         else:
             files.append(_existing(Path(text)))
     if files and named:
-        raise typer.BadParameter("--static: give every file its IRI=, or none")
+        raise typer.BadParameter("--static: name every file with IRI=, or none")
     return named or files
 
 
 def _name(files: dict[str, Path], option: str, iri: str, path: Path) -> None:
-    """Give a file its IRI, which no other file has."""
+    """Add a file under its IRI, which no other file may have."""
     iri = iri.strip("<>")
     if iri in files:
         raise typer.BadParameter(f"{option}: <{iri}> is {files[iri]} already")
@@ -223,7 +223,7 @@ def _triples(files: Mapping[str, Path], *, in_order: bool) -> dict[str, Any]:
 def _samples(
     files: Mapping[str, Path], ssl: str, static: Sequence[Path], sort: bool | None
 ) -> dict[str, Any]:
-    """Tables of samples as timed triples, by the annotation of the stream's name."""
+    """Convert tables of samples to timed triples, by the annotation of the stream's name."""
     ontology = Ontology.open()
     for path in static:
         text = read_text(path)
@@ -257,7 +257,7 @@ def _samples(
 
 
 def _units(annotation: StreamAnnotation, vocabulary: Vocabulary) -> dict[str, Unit]:
-    """The unit that the ontology has for each feature: what queries speak of."""
+    """Return the ontology's unit of each feature, which queries use."""
     known = {
         content.feature: vocabulary.feature(content.feature) for content in annotation.contents
     }
@@ -293,7 +293,9 @@ def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnno
             return annotation
     if len(annotations) == 1:
         return annotations[0]
-    raise fail(f"--ssl says nothing about stream {name!r}", f"annotate it: stream {name} contains")
+    raise fail(
+        f"--ssl has no annotation of stream {name!r}", f"annotate it: stream {name} contains"
+    )
 
 
 def _show(end: int, solutions: object) -> None:

@@ -1,4 +1,4 @@
-"""A recording as a stream that comes again: cut by time, moved in time, due at its pace.
+"""Replays a recording as a stream: cut by time, moved in time, due at its pace.
 
 No clock and no sleep: `play` says when each part is due, the caller waits. Used by the command
 line and the demonstration.
@@ -20,9 +20,9 @@ from ....streams.time import MILLISECOND, SECOND, TIME_MAX
 from ....streams.time_arithmetic import earlier, later
 
 ROWS = 5_000
-"""A part has at most so many samples: a few hundred kB on the wire."""
+"""The most samples of a part: a few hundred kB."""
 FLUSH = 100 * MILLISECOND
-"""At a pace, samples of one tenth of a second of waiting go out together."""
+"""Samples of one tenth of a second go out together."""
 PAUSE = 31 * SECOND
 """Between two rounds of a recording: longer than the default ``max_gap`` of coordinatesToSpeed.
 Objects jump from where the recording ends to where it begins; no speed spans the jump."""
@@ -45,7 +45,7 @@ class Span:
 
     @property
     def period(self) -> int:
-        """After this time the recording may begin again, a `PAUSE` after its last sample."""
+        """The time after which the recording may repeat: a `PAUSE` after its last sample."""
         return self.last - self.first + PAUSE
 
 

@@ -1,4 +1,4 @@
-"""``dyknow kpl check``, ``prove`` and ``run``: without a server, on what was recorded."""
+"""The work of ``dyknow kpl check``, ``prove`` and ``run``: without a server, on recordings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from ..streams import read_text, text_or_file
 
 
 def check(file: Path, unit: str, *, as_json: bool) -> None:
-    """Print the declarations of ``file`` in their one spelling."""
+    """Print the declarations of ``file`` in canonical form."""
     signature = _signature(file, unit)
     if as_json:
         show_lines({"name": one.key, "text": format_kpl(one)} for one in signature.declarations)
@@ -46,7 +46,7 @@ def check(file: Path, unit: str, *, as_json: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """Declarations, and where what was recorded of their sources is, as the options say it."""
+    """Declarations with the recordings of their sources: the options of the command."""
 
     file: Path
     recording: list[str]
@@ -56,7 +56,7 @@ class Recorded:
     time_unit: str | None
 
     def open(self) -> tuple[Signature, Iterator[tuple[str, Incoming]]]:
-        """What was declared, and what was recorded of its sources."""
+        """Read the declarations and the recordings of their sources."""
         signature = _signature(self.file, self.unit)
         load(self.processes or ())
         types = {
@@ -83,10 +83,10 @@ class Recorded:
 
 
 def prove(recorded: Recorded, *, as_json: bool) -> None:
-    """Print what each policy, join and sync comes to; status 1 unless all hold."""
+    """Print the proof of each policy, join and sync; status 1 unless all hold."""
     signature, samples = recorded.open()
     annotations = _annotations(signature, recorded.ssl)
-    with _watched() as watchdog:
+    with _with_watchdog() as watchdog:
         proofs = prove_specification(signature, PROCESSES, samples, watchdog, annotations)
     if as_json:
         show_lines(_as_json(proof) for proof in proofs)
@@ -105,11 +105,11 @@ def prove(recorded: Recorded, *, as_json: bool) -> None:
 
 
 def run(recorded: Recorded, stream: Sequence[str] | None, *, as_json: bool) -> None:
-    """Print the samples of the streams that were declared, or of those that are named."""
+    """Print the samples of all declared streams, or of those in ``stream``."""
     signature, samples = recorded.open()
     annotations = _annotations(signature, recorded.ssl)
     names = stream or [d.key for d in signature.declarations if isinstance(d, StreamDeclaration)]
-    with _watched() as watchdog:
+    with _with_watchdog() as watchdog:
         rehearsal = rehearse(signature, PROCESSES, samples, watchdog, annotations)
         made = {name: rehearsal.application.samples_of(name) for name in names}
     rows = heapq.merge(
@@ -132,7 +132,7 @@ def run(recorded: Recorded, stream: Sequence[str] | None, *, as_json: bool) -> N
 
 
 def _annotations(signature: Signature, ssl: str | None) -> list[StreamAnnotation]:
-    """What an SSL text says of streams of the specification; others are named in a warning."""
+    """Return the annotations of the specification's streams; warn of other streams."""
     if ssl is None:
         return []
     text = text_or_file(ssl)
@@ -148,8 +148,8 @@ def _annotations(signature: Signature, ssl: str | None) -> list[StreamAnnotation
 
 
 @contextmanager
-def _watched() -> Iterator[Watchdog]:
-    """A runner of user-written code; refusals of the engine become messages."""
+def _with_watchdog() -> Iterator[Watchdog]:
+    """Run user-written code under a watchdog; errors of the engine become messages."""
     watchdog = Watchdog()
     try:
         yield watchdog

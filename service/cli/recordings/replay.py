@@ -1,4 +1,4 @@
-"""``dyknow replay``: a recorded table comes again as a stream, a recording of many as many."""
+"""``dyknow replay``: replay a recorded table as a stream, or a recording of several as several."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def replay(
     stream: Annotated[
         list[str] | None,
         typer.Option(
-            help="The stream to publish to. Of a file of many streams: which ones, and as what; "
-            "without it all. Repeatable.",
+            help="The stream to publish to. For a file of several streams: a selection, with new "
+            "names. Default: all of them. May be repeated.",
             metavar="NAME|TOPIC[=NAME]",
         ),
     ] = None,
     speed: Annotated[
-        str, typer.Option(help="1 is as recorded, 10 ten times faster, max as fast as it goes.")
+        str, typer.Option(help="1: as recorded; 10: ten times faster; max: as fast as possible.")
     ] = "1",
     rebase: Annotated[
         str | None, typer.Option(help="Let the recording begin now, or at a time.", metavar="now")
@@ -40,32 +40,33 @@ def replay(
         bool, typer.Option(help="Begin again half a minute after the end, until stopped.")
     ] = False,
     ssl: Annotated[
-        str | None, typer.Option(help="What the streams are about: SSL text or its file.")
+        str | None, typer.Option(help="The annotation of the streams: SSL text or its file.")
     ] = None,
     lateness: Annotated[
         str | None,
         typer.Option(
-            help="How far behind the newest a sample may be, such as 5s; else as the stream has "
-            "it, or 0s."
+            help="How far behind the newest sample one may arrive, such as 5s. Default: the "
+            "stream's, or 0s."
         ),
     ] = None,
     idle: Annotated[
         str | None,
-        typer.Option(help="After how long without samples nobody waits for a stream, such as 10s."),
+        typer.Option(
+            help="The silence after which readers no longer wait for a stream, such as 10s."
+        ),
     ] = None,
     ahead: Annotated[
         str | None,
         typer.Option(
-            help="How far ahead of the clock a sample may be stamped, such as 1h; oo: any; else as "
-            "the stream has it, or 1h. Of a recording that --rebase plays faster than recorded: as "
-            "far as it gets, and so much."
+            help="How far ahead of the clock a sample may be stamped, such as 1h; oo: any. "
+            "Default: the stream's, or 1h. A faster replay with --rebase adds its own lead."
         ),
     ] = None,
     time_column: Annotated[
-        str | None, typer.Option(help="The column of valid times; else by its name.")
+        str | None, typer.Option(help="The column of valid times. Default: by its name.")
     ] = None,
     time_unit: Annotated[
-        str | None, typer.Option(help="s, ms, us or ns; else by the size of the numbers.")
+        str | None, typer.Option(help="s, ms, us or ns. Default: by the size of the numbers.")
     ] = None,
     utc: Annotated[
         bool, typer.Option("--utc", help="Move a PX4 log from time since boot to UTC by its GPS.")
@@ -74,11 +75,11 @@ def replay(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Play a recording into its streams: declares them, publishes, says when it has ended."""
-    from .playing import Asked, play
+    """Play a recording into its streams: declare them, publish, report the end."""
+    from .playing import ReplayOptions, play
 
     play(
-        Asked(
+        ReplayOptions(
             file=file,
             stream=stream,
             speed=speed,

@@ -24,7 +24,7 @@ def run(
     static: Annotated[
         list[str] | None,
         typer.Option(
-            help="A file of static knowledge, with IRI= the graph that FROM names so. May be "
+            help="A file of static knowledge; with IRI= the graph of this name in FROM. May be "
             "repeated.",
             metavar="[IRI=]FILE",
         ),
@@ -40,33 +40,33 @@ def run(
     lateness: Annotated[
         str | None,
         typer.Option(
-            help="Take timed triples in the order of their files: one may be so far behind, such "
-            "as 5s, else it is dropped and counted. Without it files are sorted."
+            help="Read timed triples in the order of their files, and drop those that are further "
+            "behind than this, such as 5s. Default: sort the files."
         ),
     ] = None,
     late: Annotated[
         Path | None,
         typer.Option(
-            help="With --lateness: write what is dropped as late to this file, as .ndjson of "
+            help="With --lateness: write the dropped triples to this file, as .ndjson of "
             "time,s,p,o.",
             dir_okay=False,
         ),
     ] = None,
     sort: Sort = None,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Tell afterwards how it was computed, and its cost.")
+        bool, typer.Option("--explain", help="Print the plan and its cost afterwards.")
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Evaluate a continuous query over recorded streams and print each window's result.
 
-    A FILE holds timed triples (.ndjson or .csv of time,s,p,o; .nq or .trig whose graphs have a
+    A FILE has timed triples (.ndjson or .csv of time,s,p,o; .nq or .trig whose graphs have a
     prov:generatedAtTime), or with --ssl a table of samples.
     """
-    from .query_run import Asked, run_query
+    from .query_run import RunOptions, run_query
 
     run_query(
-        Asked(
+        RunOptions(
             query=query,
             stream=stream,
             static=static,

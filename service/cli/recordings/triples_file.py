@@ -121,11 +121,11 @@ class TripleWriter:
         self._encoder = msgspec.json.Encoder()
 
     def close(self) -> None:
-        """All has been written."""
+        """Close the file."""
         self._file.close()
 
     def write(self, triple: TimedTriple) -> None:
-        """Append one."""
+        """Append a triple."""
         time, *terms = triple
         row = dict(zip(_COLUMNS, (format_time(time), *map(str, terms)), strict=True))
         self._file.write(self._encoder.encode(row) + b"\n")

@@ -16,7 +16,7 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.service.sse.clients import EventClient, EventClients
 from dyknow.service.sse.feeds import Cursor, Feeds
-from dyknow.service.sse.multi_stream import Position, begin
+from dyknow.service.sse.multi_stream import Position, open_cursor
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 
@@ -187,8 +187,8 @@ def test_every_later_sample_once_and_in_order_or_a_gap(
 def test_several_streams_go_on_after_any_id(
     retention: Retention, steps: list[tuple[str, Any, Any]]
 ) -> None:
-    """Law of `Followed`: of each stream every later sample once and in order, or a gap; after a cut
-    anywhere all go on where they were."""
+    """Law of `MultiCursor`: each stream's later samples once and in order, or a gap; after a cut
+    anywhere all resume at their positions."""
     names = ["a", "b", "c"]
     engine = Engine(epoch="e1")
     for name in names:
@@ -199,7 +199,7 @@ def test_several_streams_go_on_after_any_id(
     """By stream: the last number that was had, or told to be lost."""
     client = EventClient("x")
     id = str(Position("e1", known))
-    followed, text = begin(feeds, names, id), b""
+    followed, text = open_cursor(feeds, names, id), b""
     followed.join(client)
 
     def take(share: float = 1.0) -> bool:
@@ -241,7 +241,7 @@ def test_several_streams_go_on_after_any_id(
             followed.leave(client)
             # Of a gap that was told since the last sample nothing is in its id: it is told again.
             known = Position.parse(id, names).numbers
-            followed, text = begin(feeds, names, id), b""
+            followed, text = open_cursor(feeds, names, id), b""
             followed.join(client)
     while take():
         pass

@@ -17,7 +17,7 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import DyknowError
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.service.durability.command_queue import Keeper
+from dyknow.service.durability.command_queue import CommandQueue
 from dyknow.service.runtime.live_ingest import LiveLines, LiveTables
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -27,7 +27,7 @@ SCHEMA = Schema((Field("id", FieldType.STRING), Field("n", FieldType.INTEGER)))
 
 
 ENGINE = Engine(epoch="e1")
-KEEPER = Keeper(ENGINE, None, {})
+COMMANDS = CommandQueue(ENGINE, None, {})
 LIMITED = BatchLimits(10_000, 1 << 20, 1 << 30)
 NUMBERS = itertools.count()
 """Each example has streams of its own in one engine, which takes longer to make than all else."""
@@ -124,7 +124,7 @@ def cut(data, places):
 
 
 def live(name, parts, make=LiveLines, together=1 << 20):
-    samples = make(ENGINE, KEEPER, name, lambda: 100, LIMITED)
+    samples = make(ENGINE, COMMANDS, name, lambda: 100, LIMITED)
     try:
         with patch("dyknow.service.runtime.live_ingest._TOGETHER", together):
             for part in parts:

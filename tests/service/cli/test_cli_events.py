@@ -59,7 +59,7 @@ def test_joining_a_request_does_not_show_its_past(dyknow: Any, speeds: Client) -
 
 def test_a_request_is_given_up_by_its_id(dyknow: Any, speeds: Client) -> None:
     dyknow("events", REQUEST, "--no-follow")
-    assert dyknow("events", "--cancel", "event1").stdout.strip() == "gave up event1"
+    assert dyknow("events", "--cancel", "event1").stdout.strip() == "cancelled event1"
     assert speeds.requests() == []
     dyknow("events", "--cancel", "event1", status=1)
     dyknow("events", REQUEST, "--cancel", "event1", status=2)
@@ -131,7 +131,7 @@ def test_help_says_what_it_does() -> None:
         result = CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "300"})
         return " ".join(result.stdout.split())
 
-    assert "left running" in help_of("events")
+    assert "leave the request running" in help_of("events")
     assert "weighted:cost=1,quality=10" in help_of("events")
     assert "weighted:cost=1,quality=10" in help_of("match")
     assert help_of("run").count("May be repeated") == 2

@@ -17,7 +17,7 @@ from dyknow.service.app import create_app
 from dyknow.service.client.client import Client, ServiceError
 from dyknow.service.client.parts import (
     kpl_parts,
-    sent,
+    send_parts,
     specification_parts,
     ssl_parts,
 )
@@ -105,7 +105,7 @@ def test_descriptions_go_in_parts(client: Client) -> None:
     assert len(client.describe(many)) == MOST_DECLARATIONS + 1
     large = [{**each, "contents": [content] * (MOST_CONTENTS // 2)} for each in many[:3]]
     assert client.describe([]) == []
-    with pytest.raises(ServiceError, match="part 1 of 2, nothing is done"):
+    with pytest.raises(ServiceError, match="part 1 of 2, nothing took effect"):
         client.describe(large)  # the same feature twice
 
 
@@ -115,7 +115,7 @@ def test_a_part_that_is_refused_says_what_is_done(client: Client) -> None:
     with pytest.raises(ServiceError) as refused:
         client.annotate("\n".join(lines))
     error = refused.value
-    assert "part 2 of 2, 1 before it are done" in str(error)
+    assert "part 2 of 2, 1 before it took effect" in str(error)
     assert "send all of it again" in error.hint
     assert error.problem["hint"] == error.hint
     # The place is that in the whole text.
@@ -173,7 +173,7 @@ def test_one_part_is_answered_as_it_is() -> None:
         raise error
 
     with pytest.raises(ServiceError) as refused:
-        list(sent(["text"], refuse))
+        list(send_parts(["text"], refuse))
     assert refused.value is error
 
 

@@ -19,7 +19,7 @@ from dyknow.journal.checkpoints import Checkpoints
 from dyknow.journal.errors import JournalFull
 from dyknow.journal.log import Log
 from dyknow.service.config.settings import Settings
-from dyknow.service.durability.command_queue import CHECKPOINT, Keeper
+from dyknow.service.durability.command_queue import CHECKPOINT, CommandQueue
 from dyknow.streams.sample import Field, FieldType
 
 
@@ -31,8 +31,8 @@ def run(work: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(patiently())
 
 
-def declare(keeper: Keeper, name: str) -> None:
-    keeper.do(DeclareStream(StreamDeclaration(name, (Field("n", FieldType.INTEGER),))))
+def declare(commands: CommandQueue, name: str) -> None:
+    commands.do(DeclareStream(StreamDeclaration(name, (Field("n", FieldType.INTEGER),))))
 
 
 def left(path: Path) -> list[Path]:
@@ -48,24 +48,24 @@ def test_one_of_a_log_that_cannot_be_kept_leaves_no_copy_and_no_file(
 ) -> None:
     recorded = RecordedEngine(tmp_path, now=0)
     troubles: dict[str, str] = {}
-    keeper = Keeper(recorded.engine, recorded, troubles)
+    commands = CommandQueue(recorded.engine, recorded, troubles)
 
     def full(log: Log) -> int:
         raise JournalFull("no room for the log")
 
     async def work() -> None:
-        declare(keeper, "s")
+        declare(commands, "s")
         before = descriptors()
         with monkeypatch.context() as patched:
             patched.setattr(Log, "commit", full)
-            await keeper._checkpoint(recorded)
+            await commands._checkpoint(recorded)
         assert "no room for the log" in troubles[CHECKPOINT]
-        assert keeper._snapshots._child == 0, "nobody would wait for its end"
+        assert commands._snapshots._child == 0, "nobody would wait for its end"
         assert descriptors() <= before + 1, "the thread of the log may have a file open"
         assert left(tmp_path) == []
-        await keeper._checkpoint(recorded)
+        await commands._checkpoint(recorded)
         assert CHECKPOINT not in troubles
-        keeper.close()
+        commands.close()
 
     run(work)
 
@@ -76,7 +76,7 @@ def test_a_copy_that_is_killed_leaves_no_file(
     """As where memory is short: each of them would take as much of the disk as a state has."""
     recorded = RecordedEngine(tmp_path, now=0)
     troubles: dict[str, str] = {}
-    keeper = Keeper(recorded.engine, recorded, troubles)
+    commands = CommandQueue(recorded.engine, recorded, troubles)
     write = Checkpoints._write_part
 
     def killed(self: Checkpoints, part: Path, checkpoint: object) -> None:
@@ -84,16 +84,16 @@ def test_a_copy_that_is_killed_leaves_no_file(
         os.kill(os.getpid(), signal.SIGKILL)
 
     async def work() -> None:
-        declare(keeper, "s")
+        declare(commands, "s")
         with monkeypatch.context() as patched:
             patched.setattr(Checkpoints, "_write_part", killed)
-            await keeper._checkpoint(recorded)
+            await commands._checkpoint(recorded)
         assert "died (-9)" in troubles[CHECKPOINT]
         assert left(tmp_path) == []
         assert Checkpoints._write_part is write
-        await keeper._checkpoint(recorded)
+        await commands._checkpoint(recorded)
         assert troubles == {}
-        keeper.close()
+        commands.close()
 
     run(work)
 
@@ -103,23 +103,23 @@ def test_one_that_fails_as_nobody_expects_is_not_tried_with_every_tick(
 ) -> None:
     recorded = RecordedEngine(tmp_path, now=0)
     troubles: dict[str, str] = {}
-    keeper = Keeper(recorded.engine, recorded, troubles)
+    commands = CommandQueue(recorded.engine, recorded, troubles)
     often = Settings(checkpoint_bytes=1)
 
     def odd(recorded: RecordedEngine) -> None:
         raise TypeError("something is odd")
 
     async def work() -> None:
-        declare(keeper, "s")
+        declare(commands, "s")
         with monkeypatch.context() as patched:
             patched.setattr(RecordedEngine, "_found", odd)
-            await keeper.tend(often)
-            while keeper._checkpointing is not None:
+            await commands.maintain(often)
+            while commands._checkpoint_task is not None:
                 await asyncio.sleep(0.001)
         assert troubles[CHECKPOINT] == "TypeError: something is odd"
-        await keeper.tend(often)
-        assert keeper._checkpointing is None
-        keeper.close()
+        await commands.maintain(often)
+        assert commands._checkpoint_task is None
+        commands.close()
 
     run(work)
 
@@ -150,15 +150,15 @@ def test_the_last_one_waits_for_the_one_under_way(tmp_path: Path) -> None:
     """Both may be of the same position, and so have the same name."""
     disk = Watched()
     recorded = RecordedEngine(tmp_path, now=0, disk=disk)
-    keeper = Keeper(recorded.engine, recorded, {})
-    keeper._aside = False
+    commands = CommandQueue(recorded.engine, recorded, {})
+    commands._uses_fork = False
 
     async def work() -> None:
-        declare(keeper, "s")
-        keeper._checkpointing = asyncio.create_task(keeper._checkpoint(recorded))
+        declare(commands, "s")
+        commands._checkpoint_task = asyncio.create_task(commands._checkpoint(recorded))
         while not disk.begun.is_set():
             await asyncio.sleep(0)
-        keeper.close()
+        commands.close()
         assert not disk.overlapped
 
     run(work)

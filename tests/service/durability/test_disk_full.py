@@ -236,7 +236,7 @@ def test_after_a_full_disk_and_a_kill_nothing_is_lost_and_nothing_doubled(
 
 
 def test_a_full_disk_is_logged_once(http, disk, caplog, monkeypatch, fill):
-    monkeypatch.setattr(failure_log, "CALM", 0.1)
+    monkeypatch.setattr(failure_log, "QUIET_PERIOD", 0.1)
     declare(http)
     fill()
     until(lambda: http.get("/readyz").status_code == 503)

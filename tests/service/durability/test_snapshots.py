@@ -58,16 +58,16 @@ def test_a_copy_that_dies_is_told():
 
 def test_a_copy_that_takes_for_ever_is_ended():
     with pytest.raises(SnapshotError, match=r"more than 0\.2 s"):
-        Snapshots(patience=0.2).take(lambda: time.sleep(600))()
+        Snapshots(timeout=0.2).take(lambda: time.sleep(600))()
 
 
 def test_it_can_be_given_up():
     snapshots = Snapshots()
     found = snapshots.take(lambda: time.sleep(600))
-    snapshots.end()
+    snapshots.kill()
     with pytest.raises(SnapshotError, match="has died"):
         found()
-    snapshots.end()
+    snapshots.kill()
 
 
 def test_a_service_with_thousands_of_connections_has_copies_too(monkeypatch):
@@ -118,7 +118,7 @@ def test_who_lets_the_system_wait_for_children_has_copies_too():
 def test_a_lock_of_another_thread_is_not_waited_for_for_ever():
     lock = threading.Lock()
     with lock, pytest.raises(SnapshotError):
-        Snapshots(patience=0.2).take(lock.acquire)()
+        Snapshots(timeout=0.2).take(lock.acquire)()
 
 
 def test_what_another_thread_changes_under_a_lock_is_whole_and_free_in_a_copy():
@@ -142,7 +142,7 @@ def test_what_another_thread_changes_under_a_lock_is_whole_and_free_in_a_copy():
     thread = threading.Thread(target=change)
     thread.start()
     begun.wait()
-    assert Snapshots(patience=30).take(look, lock)() == ([True], [2, 2])
+    assert Snapshots(timeout=30).take(look, lock)() == ([True], [2, 2])
     assert lock.acquire(blocking=False), "it is free here, too"
     thread.join()
 
@@ -217,7 +217,7 @@ def test_who_asks_the_ontology_meanwhile_does_not_hold_a_checkpoint_up(tmp_path)
     asking = threading.Thread(target=ask)
     asking.start()
     begun.wait()
-    unwritten = recorded.checkpoint(Snapshots(patience=10).take)
+    unwritten = recorded.checkpoint(Snapshots(timeout=10).take)
     assert unwritten.write() == ()
     asking.join()
     recorded.close(checkpoint=False)

@@ -17,7 +17,7 @@ from dyknow.service.cli import app as commands
 from dyknow.service.client.client import Client, Event
 from dyknow.service.config.settings import Settings
 from dyknow.service.sse.message_cache import BLOCK_SAMPLES
-from dyknow.service.sse.switch_markers import Marks
+from dyknow.service.sse.switch_markers import SwitchMarkers
 from dyknow.streams.time import SECOND
 
 LINES = {"Content-Type": "application/x-ndjson"}
@@ -80,7 +80,7 @@ def switch(position: int, why: str = "") -> Rematch:
 
 def test_each_switch_is_told_once_and_in_order() -> None:
     switches: list[Rematch] = [switch(0, "a"), switch(3, "b")]
-    marks = Marks(switches, 0)
+    marks = SwitchMarkers(switches, 0)
     assert [each.why for each in marks.before(1)] == ["a"]
     assert marks.next == 3
     # Equal to another, and one more nevertheless.
@@ -94,13 +94,13 @@ def test_each_switch_is_told_once_and_in_order() -> None:
 
 
 def test_switches_before_the_beginning_are_past() -> None:
-    marks = Marks([switch(1, "a"), switch(2, "b"), switch(3, "c")], 2)
+    marks = SwitchMarkers([switch(1, "a"), switch(2, "b"), switch(3, "c")], 2)
     assert [each.why for each in marks.before(10)] == ["b", "c"]
 
 
 def test_switches_that_are_no_longer_kept_are_left_out() -> None:
     switches = [switch(1, "a")]
-    marks = Marks(switches, 0)
+    marks = SwitchMarkers(switches, 0)
     assert marks.next == 1
     switches[:] = [switch(2, "c"), switch(3, "d")]
     assert [each.why for each in marks.before(10)] == ["a", "c", "d"]
@@ -163,8 +163,8 @@ def test_what_cannot_be_met_waits(http: httpx.Client) -> None:
 @pytest.mark.parametrize(
     ("wanted", "status", "said"),
     [
-        ({}, 400, "not neither"),
-        (WANT | {"stream": "s1"}, 400, "not both"),
+        ({}, 400, "has neither"),
+        (WANT | {"stream": "s1"}, 400, "has both"),
         ({"stream": "s1", "sort": "UAV"}, 400, "sort: only with a feature"),
         ({"stream": "s1", "staleness": "5s", "hold_off": "1s"}, 400, "hold_off, staleness"),
         ({"feature": "sped", "sort": "UAV"}, 404, "did you mean speed"),

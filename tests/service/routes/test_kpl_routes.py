@@ -128,7 +128,7 @@ def test_the_command_line(url: str, client: Client) -> None:
     assert run("show") == (0, "nothing is declared yet: dyknow kpl add FILE\n")
     status, said = run("add", CARS)
     assert (status, said) == (0, CARS.lstrip())
-    assert run("add", CARS)[1] == "nothing new: all of it was declared before\n"
+    assert run("add", CARS)[1] == "nothing new: an equal declaration exists for each\n"
     assert run("show")[1] == CARS.lstrip()
     assert "used by" in run("show", "pos[car1]")[1]
     status, said = run("remove", "pos_car1")

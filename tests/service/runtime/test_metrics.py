@@ -286,7 +286,7 @@ def test_commits_and_the_log_are_told(
     for n in range(3):
         body = json.dumps({"valid": 0, "n": n})
         http.post("/streams/s5/samples", content=body, headers=LINES).raise_for_status()
-    until(lambda: service.keeper.waiting[0] == 0)
+    until(lambda: service.commands.uncommitted[0] == 0)
     after = scraped(http)
 
     def grown(name: str) -> float:
@@ -296,7 +296,7 @@ def test_commits_and_the_log_are_told(
     assert commits >= 3
     assert grown("dyknow_journal_commit_records_count") == commits
     # Ticks are commands, too; the start has committed one by itself.
-    assert 3 <= grown("dyknow_journal_commit_records_sum") <= service.keeper.position
+    assert 3 <= grown("dyknow_journal_commit_records_sum") <= service.commands.position
     assert grown("dyknow_journal_written_bytes_total") > 3 * len('{"n": 1}')
     assert after["dyknow_journal_segments"][""] == 1
     assert after["dyknow_journal_size_bytes"][""] >= after["dyknow_journal_written_bytes_total"][""]
@@ -331,7 +331,7 @@ def test_checkpoints_are_told(kept: tuple[Service, httpx.Client], disk: Simulate
     assert found["dyknow_checkpoint_size_bytes"][""] > 100
     assert abs(found["dyknow_checkpoint_timestamp_seconds"][""] - time.time()) < 60
     assert found["dyknow_checkpoint_seconds_count"]["step=state"] >= 1
-    assert 0 <= found["dyknow_checkpoint_behind_records"][""] <= service.keeper.position
+    assert 0 <= found["dyknow_checkpoint_behind_records"][""] <= service.commands.position
     disk.broken = {"open"}
     until(lambda: scraped(http)["dyknow_checkpoint_failures_total"][""] >= 1)
     disk.broken = set()

@@ -27,7 +27,7 @@ from dyknow.service.durability.command_queue import (
     ENGINE,
     JOURNAL,
     SOURCES,
-    Keeper,
+    CommandQueue,
 )
 from dyknow.service.runtime.context import LATE, Service
 from dyknow.service.runtime.stream_metrics import escaped
@@ -303,12 +303,12 @@ def test_a_disk_that_does_not_answer_is_told_once(
 ) -> None:
     _, http = service_url
 
-    async def silent(keeper: Keeper) -> None:
+    async def silent(commands: CommandQueue) -> None:
         raise TimeoutError
 
     for _ in range(2):
         with monkeypatch.context() as patched:
-            patched.setattr(Keeper, "disk_use", silent)
+            patched.setattr(CommandQueue, "disk_use", silent)
             for _ in range(3):
                 assert http.get("/metrics").status_code == 200
         assert http.get("/metrics").status_code == 200

@@ -9,13 +9,13 @@ from dyknow.service.sse.clients import SLICE, EventClient, Rounds
 
 
 @dataclass(eq=False)
-class Listened:
+class HasClients:
     clients: dict[EventClient, None] = field(default_factory=dict)
 
 
 def test_who_has_listened_longest_is_woken_first() -> None:
     count = 3 * SLICE
-    feed, rounds = Listened(), Rounds()
+    feed, rounds = HasClients(), Rounds()
     woken: list[str] = []
 
     async def listen(client: EventClient) -> None:

@@ -23,7 +23,7 @@ from dyknow.engine.model.views import StreamDeclaration
 from dyknow.service.app import create_app
 from dyknow.service.config.media_types import NDJSON
 from dyknow.service.config.settings import Settings
-from dyknow.service.durability.command_queue import Keeper
+from dyknow.service.durability.command_queue import CommandQueue
 from dyknow.service.http.body_limit import BODY, Body, BodyLimit
 from dyknow.service.runtime.live_ingest import LiveBodies, LiveLines
 from dyknow.service.turns.batch_decoding import AT_ONCE, THREADS, BatchDecoder
@@ -359,7 +359,7 @@ def test_of_a_live_body_so_much_is_worked_off_at_once(engine: Engine) -> None:
     async def work() -> list[int]:
         request = Request({"type": "http"}, receive)
         request.scope[BODY] = Body(BodyLimit(receive, 1 << 30, 1 << 30), live=True)
-        live = LiveLines(engine, Keeper(engine, None, {}), "s", lambda: START, LIMITS)
+        live = LiveLines(engine, CommandQueue(engine, None, {}), "s", lambda: START, LIMITS)
         publishing = asyncio.create_task(LiveBodies().publish(request, live, 20))
         seen = []
         while not publishing.done():

@@ -43,7 +43,7 @@ from dyknow.service.workers.messages import (
     encode,
     term_of,
 )
-from dyknow.service.workers.oxigraph_client import MOST_KEPT
+from dyknow.service.workers.oxigraph_client import MOST_CACHED
 from dyknow.service.workers.pool import Busy, Pool
 from dyknow.service.workers.services import Windows
 from dyknow.service.workers.sparql import IsolatedQueries, NotUpToDate
@@ -111,7 +111,7 @@ def test_a_worker_that_is_ended_from_outside(worker: Worker) -> None:
 
 
 def test_an_answer_that_is_larger_than_it_may_be(worker: Worker) -> None:
-    with pytest.raises(Died, match="an answer of"):
+    with pytest.raises(Died, match="its answer has"):
         worker.call(job("SELECT ?x { VALUES ?x { 'aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa' } }"), 20)
 
 
@@ -269,7 +269,7 @@ def test_a_closed_pool_gives_no_worker() -> None:
     pool.warm()
     pool.close()
     with pytest.raises(WorkerError, match="stops"):
-        pool.take()
+        pool.acquire()
 
 
 # -- the copy of the ontology --------------------------------------------------------------
@@ -317,7 +317,7 @@ def test_what_no_worker_can_take_is_not_the_fault_of_a_query() -> None:
     async def scenario(queries: Any) -> None:
         assert isinstance(await queries.answer("ASK {}", "application/json"), Written)
         ontology.mirror(many, [])
-        with pytest.raises(NotUpToDate, match="cannot take all"):
+        with pytest.raises(NotUpToDate, match="the ontology exceeds the memory or the time"):
             await queries.answer("ASK {}", "application/json")
         ontology.mirror([], many)
         assert isinstance(await queries.answer("ASK {}", "application/json"), Written)
@@ -369,10 +369,10 @@ def test_when_no_worker_has_memory_left_a_new_one_is_told(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(Worker, "call", worn)
     with queries_of(ontology, 2) as (pool, queries):
-        workers = [pool.take(), pool.take()]
+        workers = [pool.acquire(), pool.acquire()]
         for worker in workers:
-            queries._bring_up_to_date(worker)
-            pool.give(worker)
+            queries._update(worker)
+            pool.release(worker)
         ontology.mirror([Triple(NamedNode("urn:a"), NamedNode("urn:p"), Literal(1))], [])
         found = anyio.run(queries.answer, "ASK { <urn:a> <urn:p> 1 }", "application/json")
         assert isinstance(found, Written)
@@ -559,7 +559,7 @@ def test_quads_of_which_it_may_have_some_are_forgotten(
     for kept in failed:
         with pytest.raises(ValueError, match="expected"):
             asking.ask("ASK { 1 }", kept, [])
-    for kept in [StoredQuads(quads(1)) for _ in range(MOST_KEPT)]:
+    for kept in [StoredQuads(quads(1)) for _ in range(MOST_CACHED)]:
         asking.ask("ASK {}", kept, [])
     assert told == [str(kept.number) for kept in failed]
 
