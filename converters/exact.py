@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..languages.attached import attached
+from ..languages.object_cache import ObjectCache
 from ..streams.sample import (
     Column,
     Field,
@@ -168,7 +168,7 @@ def _one_a_line(part: Part, samples: int) -> bool:
     return part.samples() == samples
 
 
-@attached
+@ObjectCache
 def _decoder(schema: Schema) -> Any:
     """A decoder compiled for the schema; field ``f<i>`` holds the i-th field.
 

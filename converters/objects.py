@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ..rdf.dictionary import NO_TERM, Ids, Kept, Term, TermDictionary, TermTable
+from ..rdf.dictionary import NO_TERM, Ids, Term, TermArena, TermDictionary, TermTable
 from ..rdf.namespaces import PREFIXES
 from ..streams.sample import Column, Mask
 from .term_tables import PoolTable
@@ -93,7 +93,7 @@ class ObjectTable(TermTable):
     """
 
     def __init__(self, dictionary: TermDictionary, namespace: str, *, keeps: bool = False) -> None:
-        intern = Kept(dictionary).id if keeps else dictionary.transient_id
+        intern = TermArena(dictionary).id if keeps else dictionary.transient_id
         self.of_name = _Interning(intern, namespace)
         """The term id of the object that is called so."""
         self._texts = PoolTable(self.of_name, dictionary)

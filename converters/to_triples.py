@@ -17,7 +17,7 @@ from pyoxigraph import NamedNode
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
 from ..ontology.units import IDENTITY, Conversion, Unit, UnitError, conversion
 from ..ontology.vocabulary import Vocabulary
-from ..rdf.dictionary import Ids, Named, TermDictionary
+from ..rdf.dictionary import HeldTerms, Ids, TermDictionary
 from ..rdf.namespaces import DYKNOW, RDF, local_name
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from ..streams.instants import places_in_instants
@@ -66,7 +66,7 @@ class SampleConverter:
         self._tables: list[_Table] = []
         self._tables_of: dict[tuple[Role, ...], list[_Table]] = {}
         self._nodes: list[_Node] = []
-        self._named: list[Named] = []
+        self._named: list[HeldTerms] = []
         """The features, whose ids columns have."""
         for position, content in enumerate(annotation.contents):
             if features is not None and content.feature not in features:
@@ -84,7 +84,7 @@ class SampleConverter:
                 _Subject.compile(role, schema, annotation, dictionary, namespace)
                 for role in content.roles
             )
-            predicate = Named(dictionary, [NamedNode(content.feature)])
+            predicate = HeldTerms(dictionary, [NamedNode(content.feature)])
             self._named.append(predicate)
             column = _Column(content.field, int(predicate.ids[0]), objects)
             if len(roles) > 1:
@@ -176,10 +176,10 @@ def node_names(available: Times, places: NDArray[np.int64]) -> list[str]:
 class _Subject:
     """What a role names in each sample: a constant, or by a field, perhaps only if it is one."""
 
-    constant: Named | None
+    constant: HeldTerms | None
     field: str | None
     names: ObjectTable
-    named_sort: Named | None
+    named_sort: HeldTerms | None
 
     @property
     def sort(self) -> int | None:
@@ -209,10 +209,10 @@ class _Subject:
                 hint=f"add: for every {local_name(role.sort or 'SORT')} = <id field>",
             )
         return cls(
-            None if role.object is None else Named(dictionary, [NamedNode(role.object)]),
+            None if role.object is None else HeldTerms(dictionary, [NamedNode(role.object)]),
             role.id_field,
             ObjectTable(dictionary, namespace),
-            None if role.sort is None else Named(dictionary, [NamedNode(role.sort)]),
+            None if role.sort is None else HeldTerms(dictionary, [NamedNode(role.sort)]),
         )
 
     def ids(self, batch: SampleBatch) -> tuple[Ids, Mask | None]:
@@ -316,7 +316,7 @@ class _Node:
 
 
 def _stream(annotation: StreamAnnotation, dictionary: TermDictionary, namespace: str) -> _Subject:
-    subject = Named(dictionary, [NamedNode(stream_iri(annotation, namespace))])
+    subject = HeldTerms(dictionary, [NamedNode(stream_iri(annotation, namespace))])
     return _Subject(subject, None, ObjectTable(dictionary, namespace), None)
 
 

@@ -23,7 +23,7 @@ from ..languages.ssl.annotation import CheckedAnnotation
 from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
-from ..rdf.namespaces import DYKNOW, PREFIXES
+from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
 from ..streams.rules import INSTANTS
 from ..streams.sample import SampleBatch
@@ -284,7 +284,7 @@ class Engine:
         self._parts.rematching.tick(self._now)
         self._parts.settle()
         self._parts.collect()
-        self.ontology.advance()
+        self.ontology.apply_pending_piece()
         if now - SECOND >= self._counted:
             self._counted = now
             self._parts.count_subscribers()
@@ -366,11 +366,11 @@ class Engine:
 
     def parse_request(self, text: str) -> EventRequest:
         """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``; raises `LanguageError`."""
-        return parse_event_request(text, PREFIXES)
+        return parse_event_request(text)
 
     def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
         """The same from parts, each argument as text; raises `LanguageError`."""
-        parsed = tuple(parse_argument(argument, PREFIXES) for argument in arguments)
+        parsed = tuple(parse_argument(argument) for argument in arguments)
         return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
 
     def request_event(
@@ -544,7 +544,7 @@ class Engine:
 
     def take_ontology(self, prepared: PreparedOntology) -> None:
         """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
-        self.ontology.take(prepared)
+        self.ontology.install(prepared)
         self._parts.rdf.forget_all()
         self._parts.templates.tell()
         self._parts.rematching.ontology_changed()

@@ -1,4 +1,4 @@
-"""One error for all languages; SPARQL's room, which lies below, has it."""
+"""The error of all languages, which the room `sparql` defines."""
 
 from ..sparql.errors import LONGEST_LINE, LanguageError, Span
 

@@ -1,26 +1,33 @@
-"""Hints: the known name that was probably meant. What the languages share of them."""
+"""Hints that suggest similar names, shared by the languages."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``did you mean a or b?`` from the names near ``name``; empty if none is."""
-    near = difflib.get_close_matches(name, sorted(set(known)), n=3)
-    return f"did you mean {' or '.join(near)}?" if near else ""
+def did_you_mean(name: str, candidates: Iterable[str]) -> str:
+    """Return ``did you mean a or b?`` with the names similar to ``name``; empty if there
+    is none."""
+    suggest_name = difflib.get_close_matches(name, sorted(set(candidates)), n=3)
+    return f"did you mean {' or '.join(suggest_name)}?" if suggest_name else ""
 
 
-def near(name: str, known: Iterable[str]) -> str:
-    """The same; where nothing is near, some of what there is."""
-    names = sorted(set(known))
+def suggest_name(name: str, candidates: Iterable[str]) -> str:
+    """Return `did_you_mean`; without a similar name list some of the candidates."""
+    names = sorted(set(candidates))
     if not names:
         return "none is declared yet: declare it first"
-    listed = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
-    return did_you_mean(name, names) or f"known are {listed}"
+    examples = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
+    return did_you_mean(name, names) or f"known are {examples}"
+
+
+def or_list(names: Sequence[str]) -> str:
+    """Return ``a``, ``a or b``, ``a, b or c``."""
+    *others, last = names
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def count(number: int, what: str) -> str:
-    """``1 input``, ``2 inputs``."""
+    """Return ``1 input`` or ``2 inputs``."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"

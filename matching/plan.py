@@ -19,7 +19,7 @@ from ..languages.ssl.annotation import (
     Role,
     StreamAnnotation,
 )
-from ..languages.ssl.annotation_text import in_ssl
+from ..languages.ssl.annotation_text import with_ssl_source
 from ..ontology.units import Conversion, Unit
 from .subject import Subject
 from .want import Want
@@ -321,7 +321,7 @@ def annotation_of(node: Node, stream: str = "") -> StreamAnnotation:
     """
     name = node.stream if isinstance(node, UseStream) else stream
     contents = contents_of(node)
-    return in_ssl(StreamAnnotation(name, contents, ""))
+    return with_ssl_source(StreamAnnotation(name, contents, ""))
 
 
 def wanted_annotation(supply: Supply, source: SupplySource, stream: str = "") -> StreamAnnotation:
@@ -342,7 +342,7 @@ def _annotation_of_source(feature: str, source: SupplySource, stream: str) -> St
     name = source.node.stream if isinstance(source.node, UseStream) else stream
     port = source.port
     contents = (Content(feature, port.source_field, port.source, source.roles),)
-    return in_ssl(StreamAnnotation(name, contents, ""))
+    return with_ssl_source(StreamAnnotation(name, contents, ""))
 
 
 def nodes_of(node: Node) -> Iterator[Node]:

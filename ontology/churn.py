@@ -1,4 +1,4 @@
-"""A store in memory that is changed without end."""
+"""Replaces an in-memory store whose memory grows under constant change."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import Final
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store, Triple
 
 _LEAST: Final = 20_000
-"""Short quads that come and go before a store is made anew, and four times those that it has."""
+"""The churn below which a store is not replaced, in short quads. Above it, four times its size
+counts."""
 _SHORT: Final = 512
-"""Characters of a short one's subject and object."""
+"""Characters of subject and object that count as one short quad."""
 
 
 def weight(quads: Iterable[Quad | Triple]) -> int:
-    """How many short quads or triples need as much memory: texts of templates and units stand in
-    literals."""
+    """Return the size in short quads that need as much memory: literals contain the texts of
+    templates and units."""
     return sum(1 + (len(_text(q.subject)) + len(_text(q.object))) // _SHORT for q in quads)
 
 
@@ -24,25 +25,25 @@ def _text(term: NamedNode | BlankNode | Literal | Triple) -> str:
 
 
 class Churn:
-    """How much has come to and gone from one store in memory.
+    """Counts the quads added to and removed from one in-memory store.
 
-    Such a store keeps some of what was removed, 0.2 to 0.6 KB a short quad, and grows without end.
-    So when much has come and gone, what there is goes on in a new one. Cost: that of a change, over
-    many of them; of one of them that of all quads.
+    Such a store leaks 0.2 to 0.6 KB for each short quad that is removed. After enough changes its
+    quads therefore move to a new store. Amortized cost: that of the changes; one of them costs a
+    copy of all quads.
     """
 
     def __init__(self) -> None:
         self._changed = 0
         self._look_at = _LEAST
-        """When so much has, the store is looked at: counting its quads takes as long as there
-        are."""
+        """The churn at which the size of the store is read next: counting its quads is linear in
+        them."""
 
     def note(self, *quads: Iterable[Quad | Triple]) -> None:
-        """These have come or gone."""
+        """Count added or removed quads."""
         self._changed += sum(map(weight, quads))
 
-    def over(self, store: Store) -> Store:
-        """``store`` itself, or what takes its place from now on: another one with its quads."""
+    def replace_if_due(self, store: Store) -> Store:
+        """Return ``store`` itself, or the copy that replaces it from now on."""
         if self._changed <= self._look_at:
             return store
         much = max(_LEAST, 4 * len(store))

@@ -1,8 +1,8 @@
 """The OWL 2 RL closure of the loaded ontologies, by owlrl (SPEC §2).
 
-It is computed once per change of an ontology, never per event: 0.4 s for the shipped ontologies
-(`python -m dyknow.ontology.closure` prints size and time), seconds for thousands of triples.
-What runs is followed by `entailment` instead.
+It is computed when an ontology changes, never for an event. It takes 0.4 s for the shipped
+ontologies (`python -m dyknow.ontology.closure` prints size and time) and seconds for thousands of
+triples. `entailment` maintains the closure of the live stream space instead.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .errors import OntologyError
 from .separation import Separation
 
 _FORM = "3"
-"""Changes when this module keeps other triples than before, so that kept closures are redone."""
+"""The version of this module's output. A new value makes stored closures invalid."""
 
 _TOP = NamedNode(OWL + "Thing")
 _REFLEXIVE = frozenset(
@@ -40,37 +40,37 @@ RdflibTerm: TypeAlias = rdflib.URIRef | rdflib.BNode | rdflib.Literal
 
 
 @lru_cache(maxsize=4)
-def entailed(asserted: frozenset[Triple]) -> frozenset[Triple]:
-    """`closure_of`; the last few closures are remembered: many engines in one process, as in tests,
-    start from the same ontologies."""
+def cached_closure(asserted: frozenset[Triple]) -> frozenset[Triple]:
+    """`closure_of` with a cache of four closures. Many engines of one process, as in tests, start
+    from the same ontologies."""
     return closure_of(asserted)
 
 
 def closure_of(asserted: frozenset[Triple]) -> frozenset[Triple]:
-    """What OWL 2 RL adds to ``asserted``, without the noise.
+    """Return the triples that OWL 2 RL adds to ``asserted``, without noise.
 
-    Noise is: triples about literals, about RDF's, OWL's and XSD's own terms (save what is above
-    ``owl:Thing``), and those that say only that a thing equals or contains itself.
-    Raises `OntologyError` if the ontologies contradict themselves. Cost: up to the square of the
-    triples and more, such as for long lists and chains of ``owl:sameAs``: who takes ontologies of
-    strangers runs it where it can be stopped.
+    Noise is: triples about literals; triples about terms of RDF, OWL and XSD, except those above
+    ``owl:Thing``; and triples that state only that a thing equals or contains itself. Raises
+    `OntologyError` for contradicting ontologies. Cost: quadratic in the triples and worse, for
+    example for long lists and chains of ``owl:sameAs``. A service that accepts ontologies of
+    strangers therefore runs it in a process that it can stop.
     """
     separation = Separation(asserted)
-    closed = separation.closed(by_owlrl(separation.rest))
+    closed = separation.merge_closure(owlrl_closure(separation.rest))
     if closed is None:
-        closed = by_owlrl(asserted)
+        closed = owlrl_closure(asserted)
     return frozenset(
         triple for triple in closed if triple not in asserted and not _is_noise(triple)
     )
 
 
-def by_owlrl(asserted: Iterable[Triple]) -> set[Triple]:
-    """``asserted`` and what owlrl adds, without the noise."""
+def owlrl_closure(asserted: Iterable[Triple]) -> set[Triple]:
+    """Return ``asserted`` and the triples that owlrl adds, without noise."""
     graph = rdflib.Graph()
     for triple in asserted:
         graph.add(to_rdflib(triple))
-    # The semantics is run without owlrl's wrapper, which would replace rdflib's datatype tables
-    # for the whole process.
+    # Runs the semantics without owlrl's wrapper, which would replace rdflib's datatype tables for
+    # the whole process.
     semantics = owlrl.OWLRL_Semantics(graph, False, False, False)
     semantics.closure()
     if semantics.error_messages:
@@ -84,7 +84,7 @@ def by_owlrl(asserted: Iterable[Triple]) -> set[Triple]:
 
 
 def closure_key(hashes: Mapping[str, str]) -> str:
-    """Names a closure by what it was computed from: graph IRI -> hash of its text."""
+    """Return a key of the closure of these texts: graph IRI -> hash of its text."""
     digest = hashlib.sha256(f"{_FORM} owlrl {importlib.metadata.version('owlrl')}\n".encode())
     for graph, text_hash in sorted(hashes.items()):
         digest.update(f"{graph} {text_hash}\n".encode())
@@ -92,12 +92,12 @@ def closure_key(hashes: Mapping[str, str]) -> str:
 
 
 def to_rdflib(triple: Triple) -> tuple[RdflibTerm, RdflibTerm, RdflibTerm]:
-    """The triple in rdflib's terms; blank nodes keep their names."""
+    """Convert a triple to rdflib's terms; blank nodes keep their names."""
     return _term(triple.subject), _term(triple.predicate), _term(triple.object)
 
 
 def from_rdflib(subject: object, predicate: object, object: object) -> Triple:
-    """The triple in Oxigraph's terms."""
+    """Convert a triple to Oxigraph's terms."""
     first, second, third = _node(subject), _node(predicate), _node(object)
     assert isinstance(first, NamedNode | BlankNode)
     assert isinstance(second, NamedNode)
@@ -115,12 +115,12 @@ def _term(term: object) -> RdflibTerm:
                 return rdflib.Literal(term.value, lang=term.language)
             if term.datatype.value == XSD + "string":
                 return rdflib.Literal(term.value)
-            # normalize=False: "01" must come back as "01".
+            # normalize=False: "01" must stay "01".
             return rdflib.Literal(
                 term.value, datatype=rdflib.URIRef(term.datatype.value), normalize=False
             )
         case _:
-            raise OntologyError(f"no RDF 1.1 term: {term}")
+            raise OntologyError(f"not an RDF 1.1 term: {term}")
 
 
 def _node(term: object) -> NamedNode | BlankNode | Literal:
@@ -136,7 +136,7 @@ def _node(term: object) -> NamedNode | BlankNode | Literal:
                 return Literal(str(term))
             return Literal(str(term), datatype=NamedNode(str(term.datatype)))
         case _:
-            raise OntologyError(f"no RDF 1.1 term: {term!r}")
+            raise OntologyError(f"not an RDF 1.1 term: {term!r}")
 
 
 def _is_noise(triple: Triple) -> bool:
@@ -152,12 +152,12 @@ def _is_noise(triple: Triple) -> bool:
 
 
 def main() -> None:
-    """Prints what the closure of the shipped ontologies is and costs."""
-    from .shipped import shipped_ontologies  # shipped reads files: only this command needs it
+    """Print the size and time of the closure of the shipped ontologies."""
+    from .shipped_files import shipped_ontologies  # reads files: only this command needs it
 
     asserted = [triple for ontology in shipped_ontologies() for triple in ontology.triples()]
     start = time.perf_counter()
-    added = entailed(frozenset(asserted))
+    added = cached_closure(frozenset(asserted))
     seconds = time.perf_counter() - start
     print(f"{len(asserted)} triples asserted, {len(added)} entailed, {seconds:.3f} s")
 

@@ -1,13 +1,13 @@
-"""Users' SPARQL over a store with deep hierarchies, as if it had all their pairs.
+"""Answers users' SPARQL over a store with deep hierarchies, as if it contained all their pairs.
 
-Each triple pattern that may match a pair becomes a UNION of itself and of a path over the marks
-(`deep_hierarchies`) that gives each missing pair once. What a pattern gives depends on the marks in
-the graph that it is asked of, so that GRAPH and FROM need no rule of their own. A variable as
-predicate, a negated path and DESCRIBE see the pairs and not the marks.
+It rewrites each triple pattern that may match a pair: a UNION of the pattern and of a path over the
+marks (`deep_hierarchies`) that yields each missing pair once. The result depends only on the marks
+in the graph that the pattern reads, so GRAPH and FROM need no rule of their own. A variable
+predicate, a negated path and DESCRIBE see the pairs but not the marks.
 
-Law (tests/laws/ontology/test_deep_hierarchies.py): the answers are those over the pairs, with two
-exceptions. In `(rdfs:subClassOf/path)+`, a sequence that is repeated, a class of a cycle is a
-sub-class of itself; and what stands above owl:Thing may be a standard term.
+Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal those over the pairs, with two
+exceptions. In `(rdfs:subClassOf/path)+`, a repeated sequence, a class of a cycle is its own
+sub-class; and the terms above owl:Thing may be standard terms.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pyoxigraph import (
 
 from ..sparql import ast
 from ..sparql.printer import print_query
-from ..sparql.scope import shown, visible
+from ..sparql.scope import projected_variables, visible_variables
 from .deep_hierarchies import MARKERS, Marks, deep_kinds, missing_pairs
 from .query_guard import read_query
 from .turtle import ALL_PREFIXES
@@ -40,10 +40,10 @@ QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 
 
 def answer(store: Store, text: str) -> QueryResults:
-    """The answer to a query that may be evaluated (`query_guard`).
+    """Evaluate a query that `query_guard` accepted.
 
-    Raises `QueryRefused`, and what Oxigraph raises. Cost: the query's; a text over deep
-    hierarchies is read and printed once more.
+    Raises `QueryRefused`, and the errors of Oxigraph. Cost: the query's; over deep hierarchies the
+    text is parsed and printed once more.
     """
     kinds = deep_kinds(store)
     if not kinds:
@@ -58,26 +58,26 @@ def answer(store: Store, text: str) -> QueryResults:
         found = store.query(printed, default_graph=list(default), named_graphs=list(named))
     if query.form is ast.Form.DESCRIBE:
         assert isinstance(found, QueryTriples)
-        return _described(store, found)
+        return _replace_marks(store, found)
     return found
 
 
-def _described(store: Store, found: QueryTriples) -> QueryResults:
-    """What was found, with the pairs of the nodes instead of their marks."""
+def _replace_marks(store: Store, found: QueryTriples) -> QueryResults:
+    """Replace the marks in the result of a DESCRIBE by the pairs of the described nodes."""
     triples = list(found)
     described = {triple.subject for triple in triples if triple.predicate in MARKERS}
-    shown = Store()
-    shown.extend(
+    described_store = Store()
+    described_store.extend(
         Quad(t.subject, t.predicate, t.object) for t in triples if t.predicate not in MARKERS
     )
     for node in described:
         assert isinstance(node, NamedNode | BlankNode)
-        shown.extend(Quad(*pair) for pair in missing_pairs(store, node, None, None, None))
-    return shown.query("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
+        described_store.extend(Quad(*pair) for pair in missing_pairs(store, node, None, None, None))
+    return described_store.query("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
 
 def with_pairs(query: ast.Query, kinds: Iterable[Marks]) -> ast.Query:
-    """The query over marks that gives what ``query`` gives over pairs."""
+    """Rewrite ``query`` so that it yields over the marks what it yields over the pairs."""
     return _Rewriter(query, tuple(kinds)).query(query)
 
 
@@ -91,14 +91,15 @@ class _Rewriter:
         self._nodes: dict[BlankNode, Variable] = {}
         parts = (one for one in ast.walk(query) if isinstance(one, ast.Triple | ast.Values))
         self._uses = Counter(name for part in parts for name in ast.variables_of(part))
-        """How many patterns and tables of the query have a variable."""
+        """For each variable, the number of patterns and tables that contain it."""
 
     def query(self, query: ast.Query) -> ast.Query:
-        """``*`` and the short form would show the variables that are added."""
-        query = ast.rewritten(query, _named)
+        """Rewrite a query. ``*`` and the short form are written out first: they would expose the
+        added variables."""
+        query = ast.rewrite(query, _expand_star)
         if query.is_short:
             query = replace(query, is_short=False)
-        return ast.rewritten(query, self._change)
+        return ast.rewrite(query, self._change)
 
     def _change(self, node: object) -> ast.Group | None:
         if not isinstance(node, ast.Group):
@@ -108,7 +109,7 @@ class _Rewriter:
             if isinstance(element, ast.Triples):
                 elements += chain.from_iterable(map(self._triple, element.triples))
             else:
-                elements.append(ast.rewritten(element, self._change))
+                elements.append(ast.rewrite(element, self._change))
         return ast.Group(tuple(elements), node.span)
 
     def _triple(self, triple: ast.Triple) -> Iterator[ast.Element]:
@@ -122,7 +123,7 @@ class _Rewriter:
             yield _triples(subject, verb, object)
 
     def _place(self, term: ast.Place) -> ast.Place:
-        """A blank node becomes a variable: it may stand in several groups now."""
+        """Replace a blank node by a variable, since it may now stand in several groups."""
         if not isinstance(term, BlankNode):
             return term
         if term not in self._nodes:
@@ -130,7 +131,7 @@ class _Rewriter:
         return self._nodes[term]
 
     def _touches(self, path: ast.Path) -> bool:
-        return any(isinstance(p, ast.Negated) or p in self._marks for p in ast.walk(path))
+        return any(isinstance(p, ast.NegatedSet) or p in self._marks for p in ast.walk(path))
 
     # -- patterns ------------------------------------------------------------------------------
 
@@ -139,40 +140,40 @@ class _Rewriter:
         groups = [ast.Group((_triples(subject, verb, object), no_marks))]
         for predicate in self._marks:
             missing = self._missing(subject, predicate, object)
-            said = ast.Values((verb,), ((predicate,),))
-            groups.append(ast.Group((said, missing)))
+            binding = ast.Values((verb,), ((predicate,),))
+            groups.append(ast.Group((binding, missing)))
         return ast.Union(tuple(groups))
 
     def _missing(self, subject: ast.Place, predicate: NamedNode, object: ast.Place) -> ast.Group:
-        """The pairs of ``predicate`` that the store does not have, each once."""
+        """Return a group that yields the pairs of ``predicate`` missing in the store, each once."""
         marks = self._marks[predicate]
-        known = marks.inclusion if predicate == marks.kind[0] else marks.equivalence
+        stored_as = marks.inclusion if predicate == marks.kind[0] else marks.equivalence
         assert not isinstance(subject, BlankNode)
         assert not isinstance(object, BlankNode)
         conditions: tuple[ast.Expression, ...] = (
             ast.Unary("!", ast.Call("SAMETERM", (subject, object))),
-            ast.Exists(ast.Group((_triples(subject, known, object),)), negated=True),
+            ast.Exists(ast.Group((_triples(subject, stored_as, object),)), negated=True),
         )
         lower = _triples(subject, marks.lower, subject)
         pair = _triples(subject, _edges(marks, predicate), object)
         ends = [place for place in (subject, object) if isinstance(place, Variable)]
         if len(ends) == 2 and self._uses[ends[1].value] == 1:
-            # Oxigraph finds all pairs of a path at once, but those from each node one by one.
+            # Oxigraph finds all pairs of a path at once, but the pairs of given nodes one by one.
             return ast.Group((lower, pair, *map(ast.Filter, conditions)))
         is_lower = ast.Exists(ast.Group((lower,)), negated=False)
         found = ast.Group((pair, *map(ast.Filter, (*conditions, is_lower))))
-        # From a constant the pairs are found at once. Oxigraph would ask of each end that the rest
-        # of the query gives whether it is one: of a sub-query it does not.
-        return _selected(found, ends) if len(ends) == 1 else found
+        # From a constant the path yields its pairs at once. A sub-query keeps Oxigraph from testing
+        # each end that the rest of the query yields.
+        return _sub_select(found, ends) if len(ends) == 1 else found
 
     # -- paths ---------------------------------------------------------------------------------
 
     def _path(self, subject: ast.Place, path: ast.Path, object: ast.Place) -> Iterator[ast.Element]:
-        """Elements that give the ends of ``path`` as often as the path does."""
+        """Yield elements that bind the ends of ``path`` with the multiplicity of the path."""
         match path:
             case NamedNode() if path in self._marks:
-                known = ast.Group((_triples(subject, path, object),))
-                yield ast.Union((known, self._missing(subject, path, object)))
+                stored = ast.Group((_triples(subject, path, object),))
+                yield ast.Union((stored, self._missing(subject, path, object)))
             case ast.Inverse(inner):
                 yield from self._path(object, inner, subject)
             case ast.Sequence(parts):
@@ -182,22 +183,24 @@ class _Rewriter:
             case ast.Alternative(parts):
                 groups = [ast.Group(tuple(self._path(subject, p, object))) for p in parts]
                 yield self._distinct(subject, groups, object)
-            case ast.Negated():
-                yield self._negated(subject, path, object)
-            case ast.Repeated(inner, sign):
-                yield _triples(subject, ast.Repeated(self._steps(inner), sign), object)
+            case ast.NegatedSet():
+                yield self._negated_path(subject, path, object)
+            case ast.Repetition(inner, sign):
+                yield _triples(subject, ast.Repetition(self._steps(inner), sign), object)
             case _:
                 yield _triples(subject, path, object)
 
     def _distinct(
         self, subject: ast.Place, groups: Iterable[ast.Group], object: ast.Place
     ) -> ast.Group:
-        """Each solution of ``groups`` once: Oxigraph's alternatives are sets of pairs."""
+        """Return each solution of ``groups`` once: Oxigraph's alternatives are sets of pairs."""
         ends = [place for place in (subject, object) if isinstance(place, Variable)]
         found = ast.Group((ast.Union(tuple(groups)),))
-        return _selected(found, dict.fromkeys(ends or [next(self._free)]), "DISTINCT")
+        return _sub_select(found, dict.fromkeys(ends or [next(self._free)]), "DISTINCT")
 
-    def _negated(self, subject: ast.Place, path: ast.Negated, object: ast.Place) -> ast.Element:
+    def _negated_path(
+        self, subject: ast.Place, path: ast.NegatedSet, object: ast.Place
+    ) -> ast.Element:
         groups: list[ast.Group] = []
         for no_marks, but, is_inverse in _directions(path):
             start, stop = (object, subject) if is_inverse else (subject, object)
@@ -208,10 +211,10 @@ class _Rewriter:
         return ast.Union(tuple(groups))
 
     def _steps(self, path: ast.Path) -> ast.Path:
-        """The path where only the set of pairs matters that its repetition gives."""
+        """Rewrite a repeated path, of which only the set of pairs matters."""
 
         def change(path: object) -> ast.Path | None:
-            if isinstance(path, ast.Negated):
+            if isinstance(path, ast.NegatedSet):
                 parts: list[ast.Path] = []
                 for no_marks, but, is_inverse in _directions(path):
                     found = [
@@ -224,51 +227,58 @@ class _Rewriter:
                 return ast.Alternative((path, _step(self._marks[path], path)))
             return None
 
-        return ast.rewritten(path, change)
+        return ast.rewrite(path, change)
 
 
 def _triples(subject: ast.Place, verb: ast.Path | Variable, object: ast.Place) -> ast.Triples:
     return ast.Triples((ast.Triple(subject, verb, object),))
 
 
-def _selected(where: ast.Group, shown: Iterable[Variable], modifier: str = "") -> ast.Group:
-    projection = tuple(map(ast.Projected, shown))
+def _sub_select(where: ast.Group, variables: Iterable[Variable], modifier: str = "") -> ast.Group:
+    projection = tuple(map(ast.SelectItem, variables))
     query = ast.Query(ast.Form.SELECT, where, modifier=modifier, projection=projection)
     return ast.Group((ast.SubSelect(query),))
 
 
 def _edges(marks: Marks, predicate: NamedNode) -> ast.Path:
-    """The path over marks that gives the pairs of ``predicate``, of a cycle each node with itself
-    as well, and what stands above standard terms."""
+    """Return the path over marks that yields the pairs of ``predicate``. It also yields each node
+    of a cycle with itself, and the nodes above standard terms."""
     if predicate == marks.kind[1]:
         return ast.Sequence((marks.component, ast.Inverse(marks.component)))
     edges = (marks.inclusion, marks.equivalence, ast.Inverse(marks.equivalence))
-    return ast.Repeated(ast.Alternative(edges), "+")
+    return ast.Repetition(ast.Alternative(edges), "+")
 
 
 def _step(marks: Marks, predicate: NamedNode) -> ast.Path:
-    """The same without what stands above standard terms. Oxigraph follows such a sequence from
-    each of its beginnings, also where its end is known: it is for repetitions only."""
+    """Return `_edges` without the nodes above standard terms. Oxigraph evaluates such a sequence
+    from each start even if the end is known, so it serves repetitions only."""
     return ast.Sequence((marks.lower, _edges(marks, predicate)))
 
 
-def _directions(path: ast.Negated) -> Iterator[tuple[ast.Negated, tuple[NamedNode, ...], bool]]:
-    """The two directions of a negated path that it has: each without marks, what it excludes, and
-    whether it goes against the triples."""
+def _directions(
+    path: ast.NegatedSet,
+) -> Iterator[tuple[ast.NegatedSet, tuple[NamedNode, ...], bool]]:
+    """Yield the directions of a negated path: the path without marks, the predicates that it
+    excludes, and whether it is inverse."""
     markers = tuple(sorted(MARKERS, key=str))
     if path.forward or not path.backward:
-        yield ast.Negated((*path.forward, *markers), ()), path.forward, False
+        yield ast.NegatedSet((*path.forward, *markers), ()), path.forward, False
     if path.backward:
-        yield ast.Negated((*path.backward, *markers), ()), path.backward, True
+        yield ast.NegatedSet((*path.backward, *markers), ()), path.backward, True
 
 
-def _named(query: object) -> ast.Query | None:
-    """A query that shows all its variables, with their names as Oxigraph orders them."""
+def _expand_star(query: object) -> ast.Query | None:
+    """Write ``*`` out as all variables, ordered as Oxigraph orders them."""
     if not (isinstance(query, ast.Query) and query.selects_all and query.where is not None):
         return None
     if query.form is ast.Form.DESCRIBE:
-        names = {**visible(query.where), **(visible(query.values) if query.values else {})}
+        names = {
+            **visible_variables(query.where),
+            **(visible_variables(query.values) if query.values else {}),
+        }
         described = tuple(map(Variable, sorted(names)))
-        return ast.rewritten(replace(query, described=described), _named) if names else None
-    projection = tuple(ast.Projected(Variable(name)) for name in sorted(shown(query)))
-    return ast.rewritten(replace(query, projection=projection), _named) if projection else None
+        return ast.rewrite(replace(query, described=described), _expand_star) if names else None
+    projection = tuple(
+        ast.SelectItem(Variable(name)) for name in sorted(projected_variables(query))
+    )
+    return ast.rewrite(replace(query, projection=projection), _expand_star) if projection else None

@@ -1,10 +1,10 @@
-"""Marks of the hierarchies that are too deep for the store to have all their pairs.
+"""Marks for hierarchies too deep to store all their pairs.
 
-A chain of 2,000 classes has 2 million pairs, which take a store 6 s and 800 MB. Above `MOST_PAIRS`
-the graph of entailments therefore has marks instead of pairs: triples with predicates of its own,
-from which `closure_queries` and `continuous.operators.background` give the same answers.
-`separation` makes them. Law (tests/laws/ontology/test_deep_hierarchies.py): the answers are those
-over the pairs.
+A chain of 2,000 classes has 2 million pairs, which cost a store 6 s and 800 MB. Above `MOST_PAIRS`
+the graph of entailments therefore contains marks instead of pairs: triples with predicates of its
+own. `closure_queries` and `continuous.operators.background` compute the same answers from them.
+`separation` makes the marks. Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal
+those over the pairs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Inclusion, Node
 GraphName: TypeAlias = NamedNode | BlankNode | DefaultGraph | None
 
 MOST_PAIRS: Final = 60_000
-"""Pairs of a hierarchy that the store has (350 classes in a chain, 5,000 in a tree of depth 12)."""
+"""The greatest number of pairs of a hierarchy that the store contains (350 classes in a chain,
+5,000 in a tree of depth 12)."""
 STANDARD: Final = (RDF, RDFS, OWL, XSD)
 _THING: Final = NamedNode(OWL + "Thing")
 
@@ -31,9 +32,9 @@ _THING: Final = NamedNode(OWL + "Thing")
 class Marks:
     """The predicates that mark one kind of hierarchy.
 
-    ``lower``: from each node that has pairs of its own to itself. ``inclusion`` and
-    ``equivalence``: the pairs that the store has, without those of a node with itself.
-    ``component``: from each node of a cycle to one node that stands for the cycle.
+    ``lower`` links each node that has pairs of its own to itself. ``inclusion`` and ``equivalence``
+    repeat the stored pairs, without those of a node with itself. ``component`` links each node of a
+    cycle to the representative of the cycle.
     """
 
     kind: Inclusion
@@ -57,21 +58,23 @@ MARKERS: Final = frozenset(predicate for marks in MARKS for predicate in marks.p
 
 
 def is_standard(term: object) -> bool:
-    """Whether it is a term of RDF, RDFS, OWL or XSD."""
+    """Return whether it is a term of RDF, RDFS, OWL or XSD."""
     return isinstance(term, NamedNode) and term.value.startswith(STANDARD)
 
 
-def mark(hierarchy: Hierarchy[Node], known: Iterable[Triple], kind: Inclusion) -> Iterator[Triple]:
-    """The marks of ``hierarchy``, where ``known`` is all that the store has without its pairs."""
+def marks_of(
+    hierarchy: Hierarchy[Node], stored: Iterable[Triple], kind: Inclusion
+) -> Iterator[Triple]:
+    """Yield the marks of ``hierarchy``; ``stored`` are all other triples of the store."""
     (marks,) = (one for one in MARKS if one.kind == kind)
     own = dict(zip(kind, (marks.inclusion, marks.equivalence), strict=True))
-    for triple in known:
+    for triple in stored:
         predicate = own.get(triple.predicate)
         has_ends = not isinstance(triple.object, Literal | Triple)
         if predicate is not None and has_ends and triple.subject != triple.object:
             yield Triple(triple.subject, predicate, triple.object)
     for node in hierarchy:
-        # What stands above a standard term is noise, but for owl:Thing (`closure`).
+        # Nodes above a standard term are noise, except above owl:Thing (`closure`).
         if not is_standard(node) or node == _THING:
             yield Triple(node, marks.lower, node)
     for members in hierarchy.components():
@@ -81,7 +84,7 @@ def mark(hierarchy: Hierarchy[Node], known: Iterable[Triple], kind: Inclusion) -
 
 
 def deep_kinds(store: Store) -> tuple[Marks, ...]:
-    """The kinds of hierarchies of which ``store`` has marks. Cost: two look-ups."""
+    """Return the kinds of hierarchies of which ``store`` contains marks. Cost: two look-ups."""
     return tuple(
         marks
         for marks in MARKS
@@ -96,10 +99,10 @@ def missing_pairs(
     object: Node | Literal | None,
     graph: GraphName,
 ) -> Iterator[tuple[Node, NamedNode, Node]]:
-    """The triples of deep hierarchies in ``graph`` that match and that ``store`` does not have.
+    """Yield the matching triples of deep hierarchies in ``graph`` that ``store`` does not contain.
 
-    None matches all. Cost: where ``store`` has no marks, two look-ups; else the hierarchy is
-    made, and an object a pair.
+    None matches everything. Cost: two look-ups if the store has no marks; else it builds the
+    hierarchy, and one object for each pair.
     """
     for marks in deep_kinds(store):
         if predicate is None or predicate in marks.kind:
@@ -119,20 +122,20 @@ def _missing_of(
 
     if isinstance(object, Literal):
         return
-    known = pairs(marks.inclusion), pairs(marks.equivalence)
-    hierarchy = Hierarchy([*known[0], *known[1], *((upper, lower) for lower, upper in known[1])])
+    stored = pairs(marks.inclusion), pairs(marks.equivalence)
+    hierarchy = Hierarchy([*stored[0], *stored[1], *((upper, lower) for lower, upper in stored[1])])
     starts = {lower for lower, _ in pairs(marks.lower)}
     if subject is not None:
         starts &= {subject}
     elif object is not None:
-        starts &= hierarchy.inverted().above(object)
-    asked = [number for number, one in enumerate(marks.kind) if predicate in (None, one)]
+        starts &= hierarchy.inverse().above(object)
+    kinds = [number for number, one in enumerate(marks.kind) if predicate in (None, one)]
     for start in starts:
         above = hierarchy.above(start) - {start}
         for end in above if object is None else above & {object}:
-            for number in asked:
+            for number in kinds:
                 is_pair = number == 0 or start in hierarchy.above(end)
-                if is_pair and (start, end) not in known[number]:
+                if is_pair and (start, end) not in stored[number]:
                     yield start, marks.kind[number], end
 
 

@@ -1,7 +1,7 @@
-"""What an RDF text of a stranger may be like, found by one pass before a parser sees it.
+"""Bounds on RDF texts of strangers, checked in one pass before a parser reads the text.
 
 The parsers behind `reading` recurse: some thousand levels of brackets overflow their stack, which
-ends the process. And a short text with entities may stand for a long one.
+kills the process. Entities can make a short text expand to a long one.
 """
 
 from __future__ import annotations
@@ -11,25 +11,18 @@ from collections.abc import Callable
 from typing import Final
 
 from .errors import OntologyError
+from .turtle import OPAQUE
 
 DEEPEST: Final = 100
-"""Brackets or elements inside each other."""
+"""The greatest depth of nested brackets or elements."""
 LONGEST_EXPANSION: Final = 16 * 1024 * 1024
-"""Characters that all entities of a text may stand for."""
+"""The greatest number of characters that the entities of a text may expand to."""
 
-# What is not closed goes on to its end: tried again at each quote in it, it would cost the square.
+# An open string extends to the end of the text. Trying again at each quote within it would cost
+# quadratic time.
 _JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[\]{}]', re.DOTALL)
-# Strings, IRIs and comments first, so that nothing inside them counts.
-_TURTLE: Final = re.compile(
-    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
-    r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
-    r'|"(?:[^"\\\n]|\\.)*+"?'
-    r"|'(?:[^'\\\n]|\\.)*+'?"
-    r"|<[^<>\s]*+>"
-    r"|#[^\n]*+"
-    r"|<<|[\[\](){}]",
-    re.DOTALL,
-)
+# Strings, IRIs and comments match first, so that their contents do not count.
+_TURTLE: Final = re.compile(OPAQUE + r"|<<|[\[\](){}]", re.DOTALL)
 _XML: Final = re.compile(
     r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)"
     r"|<(?P<end>/)?[^\s<>/!?](?:[^<>\"']|\"[^\"]*+(?:\"|\Z)|'[^']*+(?:'|\Z))*+>?",
@@ -41,17 +34,14 @@ _OPENING: Final = frozenset("[({")
 
 
 def check_document(text: str, format: str) -> None:
-    """Raises `OntologyError` for a text that is nested too deeply or asks for more than it says.
-
-    Cost: one pass.
-    """
+    """Raise `OntologyError` for a text that nests too deeply or expands too far. Cost: one pass."""
     _CHECKS[format](text)
 
 
 def _json(text: str) -> None:
     depth = 0
     for match in _JSON.finditer(text):
-        depth = _counted(depth, match[0], text, match.start())
+        depth = _next_depth(depth, match[0], text, match.start())
 
 
 def _turtle(text: str) -> None:
@@ -60,11 +50,11 @@ def _turtle(text: str) -> None:
         if match[0] == "<<":
             line, column = _place(text, match.start())
             raise OntologyError("triples about triples (RDF 1.2) are not supported", line, column)
-        depth = _counted(depth, match[0], text, match.start())
+        depth = _next_depth(depth, match[0], text, match.start())
 
 
-def _counted(depth: int, token: str, text: str, position: int) -> int:
-    """The depth after a token: only brackets are of one character here, or quotes nobody closes."""
+def _next_depth(depth: int, token: str, text: str, position: int) -> int:
+    """Return the depth after a token. Tokens of one character are brackets, or open quotes."""
     if token in _OPENING:
         if depth == DEEPEST:
             raise _too_deep("brackets", text, position)
@@ -82,17 +72,17 @@ def _xml(text: str) -> None:
         line, column = _place(text, text.index(name))
         if parameter or external:
             raise OntologyError(
-                f"the entity {name} is declared outside of the text or for its declarations",
+                f"the entity {name} is an external or a parameter entity",
                 line,
                 column,
-                'declare entities by what they stand for: <!ENTITY name "text">',
+                'declare the text itself: <!ENTITY name "text">',
             )
         if "&" in value:
-            raise OntologyError("an entity is declared by other entities", line)
+            raise OntologyError(f"the entity {name} refers to other entities", line)
         expanded += len(value) * text.count(f"&{name};")
         if expanded > LONGEST_EXPANSION:
             raise OntologyError(
-                f"the entities stand for more than {LONGEST_EXPANSION} characters", line, column
+                f"the entities expand to more than {LONGEST_EXPANSION} characters", line, column
             )
     depth = 0
     for match in _XML.finditer(text):

@@ -1,10 +1,10 @@
-"""What the ontology entails of the live stream space, kept up to date triple by triple.
+"""Maintains the entailments of the live stream space, triple by triple.
 
-owlrl needs a quarter of a second for a closure, and the stream space changes with every unit that
-starts or stops. The rules that matter to it each have one instance triple as premise (OWL 2 RL
-prp-inv1/2, prp-symp, prp-spo1, prp-eqp1/2, prp-dom, prp-rng, cax-sco, cax-eqc1/2). So the
-entailments of a graph are the union of those of its triples, and counting how many triples entail
-each one keeps it right under removal.
+owlrl needs a quarter of a second for a closure, but the stream space changes with each unit that
+starts or stops. Each rule that concerns it has one instance triple as premise (OWL 2 RL prp-inv1/2,
+prp-symp, prp-spo1, prp-eqp1/2, prp-dom, prp-rng, cax-sco, cax-eqc1/2). The entailments of a graph
+are therefore the union of those of its triples. Counting the triples that entail each one keeps the
+union right under removal.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ RANGE: Final = NamedNode(RDFS + "range")
 INVERSE: Final = NamedNode(OWL + "inverseOf")
 SYMMETRIC: Final = NamedNode(OWL + "SymmetricProperty")
 SCHEMA: Final = frozenset({*OF_CLASSES, *OF_PROPERTIES, DOMAIN, RANGE, INVERSE, RDF_TYPE})
-"""The predicates that rules are made of."""
+"""The predicates of the schema triples that become rules."""
 
 
 @dataclass(frozen=True, slots=True)
 class Consequences:
-    """Of ``s p o``: predicates from s to o, predicates from o to s, classes of s and of o."""
+    """The consequences of ``s p o``: predicates from s to o, predicates from o to s, classes of s
+    and of o."""
 
     along: frozenset[NamedNode]
     back: frozenset[NamedNode]
@@ -40,7 +41,7 @@ class Consequences:
 
 
 Kinds: TypeAlias = tuple[Node, frozenset[Node]]
-"""A node and the classes that it is of."""
+"""A node and classes that it is an instance of."""
 
 
 class Rules:
@@ -50,18 +51,18 @@ class Rules:
     """
 
     def __init__(self, schema: Iterable[Triple]) -> None:
-        told = [triple for triple in schema if triple.predicate in SCHEMA]
-        self._classes = Hierarchy(edges(told, OF_CLASSES))
-        self._properties = Hierarchy(edges(told, OF_PROPERTIES))
+        schema_triples = [triple for triple in schema if triple.predicate in SCHEMA]
+        self._classes = Hierarchy(edges(schema_triples, OF_CLASSES))
+        self._properties = Hierarchy(edges(schema_triples, OF_PROPERTIES))
         self._inverses: dict[Node, set[Node]] = defaultdict(set)
         self._domains: dict[Node, set[Node]] = defaultdict(set)
         self._ranges: dict[Node, set[Node]] = defaultdict(set)
         self._known: dict[NamedNode, Consequences] = {}
         self._proper: dict[Node, frozenset[Node]] = {}
-        for triple in told:
-            self._learn(triple)
+        for triple in schema_triples:
+            self._add_axiom(triple)
 
-    def _learn(self, triple: Triple) -> None:
+    def _add_axiom(self, triple: Triple) -> None:
         subject, object = triple.subject, triple.object
         if isinstance(subject, Triple) or isinstance(object, Literal | Triple):
             return
@@ -77,33 +78,33 @@ class Rules:
             self._inverses[subject].add(subject)
 
     @property
-    def says_nothing(self) -> bool:
-        """Whether nothing follows from any triple."""
+    def is_empty(self) -> bool:
+        """True if the rules derive nothing from any triple."""
         return not (self._classes or self.properties)
 
     @cached_property
     def properties(self) -> frozenset[NamedNode]:
-        """The properties from whose triples something may follow."""
-        told = (self._properties, self._inverses, self._domains, self._ranges)
-        return frozenset(p for p in chain(*told) if isinstance(p, NamedNode))
+        """The properties whose triples may be premises."""
+        premises = (self._properties, self._inverses, self._domains, self._ranges)
+        return frozenset(p for p in chain(*premises) if isinstance(p, NamedNode))
 
     def entail(self, triple: Triple) -> set[Triple]:
-        """All triples that the rules derive from this one, without itself."""
+        """Return all triples that the rules derive from this one, without itself."""
         derived, kinds = self.derive(triple)
         derived.update(Triple(node, RDF_TYPE, c) for node, classes in kinds for c in classes)
         derived.discard(triple)
         return derived
 
     def derive(self, triple: Triple) -> tuple[set[Triple], tuple[Kinds, ...]]:
-        """What `entail` derives, with what nodes are by classes and not by triples: many triples
-        say the same of a node. Of a type triple the classes may be its own."""
+        """Return what `entail` derives, with the types of nodes as classes instead of triples: many
+        triples imply the same type of a node. The classes of a type triple may include its own."""
         subject, object = triple.subject, triple.object
         assert not isinstance(subject, Triple)  # read_triples and mirror take RDF 1.1 only
         if triple.predicate == RDF_TYPE and isinstance(object, NamedNode | BlankNode):
             return set(), ((subject, self.above(object)),)
         rules = self.consequences(triple.predicate)
         derived = {Triple(subject, p, object) for p in rules.along if p != triple.predicate}
-        # A literal is no subject in RDF, so nothing is said of it.
+        # A literal cannot be the subject of a triple, so it gets no consequences.
         if isinstance(object, Literal | Triple):
             return derived, ((subject, rules.subject),)
         derived.update(Triple(object, p, subject) for p in rules.back)
@@ -111,21 +112,21 @@ class Rules:
         return derived, ((subject, rules.subject), (object, rules.object))
 
     def above(self, kind: Node) -> frozenset[Node]:
-        """The classes that contain ``kind``, without itself."""
+        """Return the classes that contain ``kind``, without itself."""
         found = self._proper.get(kind)
         if found is None:
             found = self._proper[kind] = self._classes.above(kind) - {kind}
         return found
 
     def consequences(self, predicate: NamedNode) -> Consequences:
-        """What follows from a triple of ``predicate``."""
+        """Return the consequences of a triple of ``predicate``."""
         found = self._known.get(predicate)
         if found is None:
             found = self._known[predicate] = self._derive(predicate)
         return found
 
     def _derive(self, predicate: NamedNode) -> Consequences:
-        # A reached property holds along the triple (False) or back (True).
+        # A reached property holds along the triple (False) or backwards (True).
         reached: set[tuple[Node, bool]] = {(predicate, False)}
         todo: list[tuple[Node, bool]] = [(predicate, False)]
         while todo:
@@ -137,8 +138,8 @@ class Rules:
         along = frozenset(p for p, turned in reached if not turned)
         back = frozenset(p for p, turned in reached if turned)
         return Consequences(
-            _named(along),
-            _named(back),
+            _named_nodes(along),
+            _named_nodes(back),
             self._kinds(along, self._domains) | self._kinds(back, self._ranges),
             self._kinds(along, self._ranges) | self._kinds(back, self._domains),
         )
@@ -148,63 +149,67 @@ class Rules:
         return frozenset(direct.union(*(self._classes.above(c) for c in direct)))
 
 
-def _named(properties: Iterable[Node]) -> frozenset[NamedNode]:
+def _named_nodes(properties: Iterable[Node]) -> frozenset[NamedNode]:
     return frozenset(p for p in properties if isinstance(p, NamedNode))
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Triples that came and triples that went; no triple is in both."""
+    """Added and removed triples; no triple is in both."""
 
     added: frozenset[Triple]
     removed: frozenset[Triple]
 
 
 class Entailments:
-    """The entailments of a changing set of triples.
+    """The entailments of a changing set of asserted triples.
 
-    Law: after any changes `current` equals the union of ``rules.entail(t)`` over the triples held.
-    Cost of `update`: O(changed triples). Memory: every triple held and entailed, once.
+    Law: after any changes `current` equals the union of ``rules.entail(t)`` over the asserted
+    triples. Cost of `update`: O(changed triples). Memory: each asserted and each entailed triple
+    once.
     """
 
     def __init__(self, rules: Rules, triples: Iterable[Triple] = ()) -> None:
         self._rules = rules
         self._held: set[Triple] = set()
         self._count: Counter[Triple] = Counter()
-        """How often each triple is entailed: by triples held, and by what nodes are known to be."""
+        """For each entailed triple, the number of its reasons: asserted triples, and types of
+        nodes."""
         self._kinds: Counter[Kinds] = Counter()
-        """How many of the triples held say so of a node."""
+        """For each type of a node, the number of asserted triples that imply it."""
         self.update(triples, ())
 
     @property
     def rules(self) -> Rules:
-        """What the triples entail is by these."""
+        """The rules that derive the entailments."""
         return self._rules
 
-    def holds(self, triple: Triple) -> bool:
-        """Whether it is one of `held`. Cost: a look-up."""
+    def is_asserted(self, triple: Triple) -> bool:
+        """Return whether the triple is one of `asserted`. Cost: a look-up."""
         return triple in self._held
 
     @property
-    def held(self) -> frozenset[Triple]:
-        """The triples whose entailments these are."""
+    def asserted(self) -> frozenset[Triple]:
+        """The triples whose entailments this object maintains."""
         return frozenset(self._held)
 
     @property
     def current(self) -> frozenset[Triple]:
-        """Every entailed triple. One that is also held is among them."""
+        """The entailed triples; a triple that is also asserted is among them."""
         return frozenset(self._count)
 
     def update(self, added: Iterable[Triple], removed: Iterable[Triple]) -> tuple[Change, Change]:
-        """Holds ``added``, lets go of ``removed``; the change of what is held and of `current`.
+        """Add and remove asserted triples. Returns the change of `asserted` and the change of
+        `current`.
 
-        A triple in both is held. Adding what is held or removing what is not has no effect.
+        A triple in both arguments stays. Adding an asserted triple and removing an unknown one have
+        no effect.
         """
         coming = set(added)
         going = (set(removed) - coming) & self._held
         coming -= self._held
         touched: dict[Triple, int] = {}
-        # What comes first: of a value that is replaced, what the node is stays known.
+        # Additions come first: if a value is replaced, the types of its node stay.
         for triples, step in ((coming, 1), (going, -1)):
             for triple in triples:
                 derived, kinds = self._rules.derive(triple)

@@ -1,12 +1,12 @@
-"""What this room refuses, and why."""
+"""The errors of this room."""
 
 from __future__ import annotations
 
 
 class OntologyError(ValueError):
-    """An ontology, a template or the store itself that cannot be taken. Nothing took effect.
+    """The room refused an ontology, a template or a store. Nothing took effect.
 
-    ``line`` and ``column`` count from 1 where the trouble has a place in the text.
+    ``line`` and ``column`` count from 1; they are None if the error has no place in the text.
     """
 
     def __init__(
@@ -20,7 +20,7 @@ class OntologyError(ValueError):
 
 
 class QueryRefused(ValueError):
-    """A SPARQL text that is not evaluated: ill-formed, too large, or asking for too much."""
+    """A SPARQL text is malformed, too large, or uses a forbidden feature."""
 
     def __init__(self, message: str, line: int, column: int, hint: str = "") -> None:
         super().__init__(_with_place(message, line, column))

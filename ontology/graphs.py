@@ -1,14 +1,12 @@
-"""The named graphs of the store, and the IRIs of what is kept in them.
+"""The named graphs of the store, and the IRIs of the things stored in them.
 
-The store's default graph is the merge of all of them (each triple once), and is what SPARQL sees;
-the named graphs say where a triple is from, and `GRAPH` reaches them. docs/reference/ontology.md
-explains.
+The store's default graph is their merge (each triple once), and SPARQL queries read it. The named
+graphs tell the origin of a triple; `GRAPH` reads them. docs/reference/ontology.md explains them.
 """
 
 from __future__ import annotations
 
 from typing import Final
-from urllib.parse import quote
 
 from pyoxigraph import NamedNode
 
@@ -20,37 +18,34 @@ DOMAIN_ONTOLOGY: Final = NamedNode(DYKNOW + "ontology.rdf")
 """domain.ttl: the sorts and features of aviation and UAVs; the papers' ``FROM`` names it."""
 
 ALIGNMENTS: Final = "http://www.dyknow.eu/ontology/alignments/"
-"""The files of alignments/: the stream space in the words of other vocabularies, a graph each."""
+"""The prefix of the graphs of alignments/, one for each file: the stream space in the terms of
+other vocabularies."""
 
-_ANNOTATION_NODES: Final = "http://www.dyknow.eu/annotations/"
-_DECLARATION_NODES: Final = "http://www.dyknow.eu/declarations/"
-_TRANSFORMATION_NODES: Final = "http://www.dyknow.eu/transformations/"
-_QUERY_NODES: Final = "http://www.dyknow.eu/queries/"
 _OWN: Final = "http://www.dyknow.eu/graphs/"
 ENTAILMENTS: Final = NamedNode(_OWN + "entailments")
-"""What OWL RL adds to the loaded ontologies."""
+"""The triples that OWL RL adds to the loaded ontologies."""
 TEMPLATES: Final = NamedNode(_OWN + "templates")
 """Event concepts with their templates."""
 ANNOTATIONS: Final = NamedNode(_OWN + "annotations")
-"""SSL texts, one a subject."""
+"""SSL texts, one for each subject."""
 DECLARATIONS: Final = NamedNode(_OWN + "declarations")
-"""Declared streams, one JSON text a stream."""
+"""Declared streams, one JSON text each."""
 TRANSFORMATIONS: Final = NamedNode(_OWN + "transformations")
-"""Registered transformations, one JSON text a transformation."""
+"""Registered transformations, one JSON text each."""
 KPL: Final = NamedNode(_OWN + "kpl")
 """All KPL declarations, as one text."""
 QUERIES: Final = NamedNode(_OWN + "queries")
-"""Registered continuous queries, one JSON text a query."""
+"""Registered continuous queries, one JSON text each."""
 SPECIFICATIONS: Final = NamedNode(_OWN + "specifications")
-"""What specifications inserted, as one text."""
+"""The units that specifications inserted, as one text."""
 CONCEPT_ENTAILMENTS: Final = NamedNode(_OWN + "concept-entailments")
-"""What the ontology entails of templates, annotations and declarations."""
+"""The entailments of templates, annotations and declarations."""
 STREAM_SPACE: Final = NamedNode(_OWN + "stream-space")
-"""The live stream space: what runs now. Emptied when the store is opened."""
+"""The live stream space: the running streams and units. Opening a store empties it."""
 STREAM_SPACE_ENTAILMENTS: Final = NamedNode(_OWN + "stream-space-entailments")
-"""What the ontology entails of the live stream space."""
+"""The entailments of the live stream space."""
 CATALOG: Final = NamedNode(_OWN + "catalog")
-"""Which ontologies are loaded, with the hash of each text; not part of the merge."""
+"""The loaded ontologies with the hash of each text; not part of the merge."""
 
 SYSTEM: Final = frozenset(
     {
@@ -68,34 +63,15 @@ SYSTEM: Final = frozenset(
         CATALOG,
     }
 )
-"""Graphs that no loaded ontology may take the name of."""
+"""The system's graphs. An ontology cannot have one of these names."""
 
 LOADED: Final = NamedNode(_OWN + "catalog#loaded")
 """``<ontology graph> LOADED "sha256 of its text"``."""
 CLOSED: Final = NamedNode(_OWN + "catalog#closed")
-"""``<entailments graph> CLOSED "key"``: what the kept closure was computed from."""
-
-
-def annotation_node(name: str) -> NamedNode:
-    """The `:Annotation` that keeps the SSL text of the subject called ``name``."""
-    return NamedNode(f"{_ANNOTATION_NODES}{quote(name, safe='')}")
-
-
-def declaration_node(name: str) -> NamedNode:
-    """The `:Specification` that keeps the declaration of the stream called ``name``."""
-    return NamedNode(f"{_DECLARATION_NODES}{quote(name, safe='')}")
-
-
-def transformation_node(name: str) -> NamedNode:
-    """The `:Specification` that keeps the description of the transformation called ``name``."""
-    return NamedNode(f"{_TRANSFORMATION_NODES}{quote(name, safe='')}")
-
-
-def query_node(name: str) -> NamedNode:
-    """The `:Specification` that keeps the registration of the query called ``name``."""
-    return NamedNode(f"{_QUERY_NODES}{quote(name, safe='')}")
+"""``<entailments graph> CLOSED "key"``: the key of the texts that the stored closure was computed
+from."""
 
 
 def ontology_graph(name: str) -> NamedNode:
-    """The graph of the ontology called ``name``: an absolute IRI, or a name under ``dyknow:``."""
+    """Return the graph of the ontology ``name``: an absolute IRI, or a name under ``dyknow:``."""
     return NamedNode(name if ":" in name else f"{DYKNOW}ontology/{name}")

@@ -1,7 +1,7 @@
 """The ontology: Oxigraph store, closure, vocabulary, live stream space (SPEC §2, DESIGN §4).
 
-One `Ontology` owns its store. Changes are made one at a time and whole; queries see the state
-before or after one. The graphs are listed in `graphs` and explained in docs/reference/ontology.md.
+One `Ontology` owns its store. It makes one change at a time; a query sees the state before or after
+a change. `graphs` lists the graphs, and docs/reference/ontology.md explains them.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from pyoxigraph import (
+    BlankNode,
     DefaultGraph,
     Literal,
     NamedNode,
     Quad,
+    QuerySolutions,
     Store,
     Triple,
 )
@@ -27,16 +29,15 @@ from pyoxigraph import (
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import OWL
 from . import graphs
-from .answers import rows_of, serialized
-from .closure import closure_key, entailed
+from .closure import cached_closure, closure_key
 from .closure_queries import QueryResults, answer
 from .entailment import Change, Entailments, Rules
-from .errors import OntologyError
+from .errors import OntologyError, QueryRefused
 from .quad_store import (
     QuadStore,
     StoreChanges,
-    change_of,
-    opened,
+    difference,
+    open_store,
     quads_of,
     store_of,
     subject_of,
@@ -46,9 +47,9 @@ from .query_guard import check_user_query
 from .reading import TextFormat
 from .reasoning import DIRECT, Reasoning
 from .registrations import Registrations
-from .shipped import shipped_ontologies, text_hash
+from .shipped_files import shipped_ontologies, text_hash
 from .static_side import StaticSide
-from .successor import CONCEPTS, Successor, succeed
+from .successor import CONCEPTS, Successor, build_successor
 from .units import UnitError
 from .validation import ShaclReport, validate
 from .vocabulary import Vocabulary
@@ -56,16 +57,17 @@ from .vocabulary import Vocabulary
 _IMPORTS = NamedNode(OWL + "imports")
 
 _PIECE = 250
-"""Triples of the live stream space that are brought into the store in one go: some 10 ms."""
-_MOST_AWAITED = 10_000
-"""So many may wait to be brought in; whoever changes more brings some of them in."""
+"""Triples of the live stream space that one step writes to the store: some 10 ms."""
+_MOST_PENDING = 10_000
+"""The greatest number of pending triples. A caller that adds more applies some of them itself:
+back-pressure."""
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedOntology:
-    """An ontology that is read and reasoned about, and not loaded yet: ``hashes`` are those of all
-    texts that are loaded with it, ``implied`` is what they entail together. ``successor``: what
-    takes the place of a store in memory."""
+    """An ontology that is parsed and closed, but not installed yet. ``hashes`` are those of all
+    texts that will be loaded with it, ``implied`` are the triples that they entail together.
+    ``successor`` replaces an in-memory store."""
 
     graph: NamedNode
     triples: frozenset[Triple]
@@ -75,25 +77,25 @@ class PreparedOntology:
 
 
 class Ontology:
-    """The loaded ontologies with what they entail, and the live stream space.
+    """The loaded ontologies with their entailments, and the live stream space.
 
-    Contract: every change is kept when the call returns (flushed, if the store is on disk), except
-    `mirror`, whose graph is rebuilt by the engine at each start. A change that is refused leaves
-    everything as it was. `version` grows with each change of ontologies, templates, annotations
-    and declarations, not with the stream space. Any thread may call.
+    Contract: each change is flushed before the call returns if the store is on disk. `mirror` is
+    the exception: the engine rebuilds its graph at each start. A refused change leaves everything
+    as it was. `version` grows with each change of ontologies, templates, annotations and
+    declarations, not with the stream space. All methods are thread-safe.
     """
 
     def __init__(self, store: Store, path: Path | None) -> None:
-        """Use `open`."""
+        """Use `open`, `open_copy` or `from_quads`."""
         self._quads = QuadStore(store, path)
-        self._awaited: OrderedDict[Triple, bool] = OrderedDict()
-        """Triples of the live stream space that are not in the store yet: whether they come or go.
-        Added to by those who tell of changes, who take back what is as it was."""
-        self._arriving: dict[Triple, bool] = {}
-        """Those of them that are being brought in."""
-        self._telling = threading.Lock()
-        """Of these two: had for a look-up a triple. Who takes some has `lock`, too, so that in a
-        copy of the process it is free."""
+        self._pending: OrderedDict[Triple, bool] = OrderedDict()
+        """Triples of the live stream space that are not in the store yet, in order; True adds,
+        False removes. `mirror` appends; a change that reverts a pending one removes it."""
+        self._applying: dict[Triple, bool] = {}
+        """The pending triples that `_apply_pending_piece` is writing."""
+        self._pending_lock = threading.Lock()
+        """Guards these two, for a dict look-up at a time. A thread that takes pending triples also
+        holds `lock`. A process forked while `lock` is held therefore finds this lock free."""
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
@@ -102,89 +104,90 @@ class Ontology:
 
     @classmethod
     def open(cls, path: Path | None = None) -> Ontology:
-        """The ontology kept in the folder ``path``, or a new one in memory.
+        """Return the ontology in the folder ``path``, or a new one in memory.
 
-        Ontologies that come with the program are loaded if they are new or have changed. Raises
-        `OntologyError` if another process has the store open or it cannot be read. Cost: a closure
-        (about 0.4 s) unless the folder holds it already.
+        It loads the shipped ontologies that are new or have changed. Raises `OntologyError` if
+        another process has opened the store or the store is broken. Cost: a closure (about 0.4 s),
+        unless the folder contains it.
         """
         if path is None:
             return cls(Store(), None)
-        return cls(opened(path), path)
+        return cls(open_store(path), path)
 
     @classmethod
-    def copied(cls, path: Path) -> Ontology:
-        """One in memory with what the folder ``path`` keeps, which stays as it is. Raises
+    def open_copy(cls, path: Path) -> Ontology:
+        """Return an in-memory copy of the folder ``path``, which stays unchanged. Raises
         `OntologyError`."""
-        kept = opened(path)
+        on_disk = open_store(path)
         store = Store()
-        store.extend(kept)
+        store.extend(on_disk)
         return cls(store, None)
 
     @classmethod
-    def of_quads(cls, quads: bytes) -> Ontology:
-        """One in memory with these N-Quads, of `quads`."""
+    def from_quads(cls, quads: bytes) -> Ontology:
+        """Return an in-memory ontology from the N-Quads of `quads`."""
         return cls(store_of(quads), None)
 
     @property
     def store(self) -> Store:
-        """All there is. Treat it as read-only. Cost: what `mirror` was told of and is not there."""
-        self._bring_in()
+        """The store with all pending changes applied. Treat it as read-only. Cost: that of the
+        pending changes."""
+        self._apply_pending()
         return self._quads.store
 
     @property
     def lock(self) -> AbstractContextManager[object]:
-        """Who changes it has this, whichever thread that is: whoever copies the process must, too.
-        Others have it for some milliseconds, but 2 s a million quads where a large store is made
-        anew (`churn`)."""
+        """The lock of every change. A thread that copies the process must hold it too. Changes hold
+        it for some milliseconds, but for 2 s per million quads when they replace a large store
+        (`churn`)."""
         return self._lock
 
     @property
     def static_store(self) -> Store:
-        """The same, but that the live stream space may be as it was a moment ago."""
+        """The store, possibly without the latest changes of the live stream space."""
         return self._quads.store
 
     def quads(self) -> bytes:
-        """All there is as N-Quads, sorted."""
+        """Return all quads as sorted N-Quads."""
         with self._lock:
             return quads_of(self.store)
 
     def __getstate__(self) -> dict[str, Any]:
-        """As it is copied, if it is in memory: the lock is each one's own. The store is for who
-        copies (engine/durability/checkpoint)."""
+        """Return the state of an in-memory ontology for a copy. Each copy has its own locks; the
+        copier handles the store (engine/durability/checkpoint)."""
         assert self.path is None
-        self._bring_in()
-        kept = dict(self.__dict__)
-        del kept["_lock"], kept["_telling"]
-        return kept
+        self._apply_pending()
+        state = dict(self.__dict__)
+        del state["_lock"], state["_pending_lock"]
+        return state
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept, _lock=threading.RLock(), _telling=threading.Lock())
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.RLock(), _pending_lock=threading.Lock())
 
     # -- ontologies -------------------------------------------------------------------------
 
     def load(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
-        """Adds the ontology ``text`` as ``name``, or replaces the one of that name.
+        """Add the ontology ``text`` as ``name``, or replace the one of that name.
 
-        ``name`` is an absolute IRI or a short name; it is what FROM calls the ontology. Imports
-        are not followed (`imports` lists them). Raises `OntologyError` with line and column for a
-        text that cannot be read, contradicts the others, or gives a feature an unknown unit.
-        Cost: a closure of all loaded ontologies.
+        ``name`` is an absolute IRI or a short name; FROM uses it too. Imports are not followed
+        (`imports` lists them). Raises `OntologyError` with line and column for a malformed text, a
+        contradiction with the other ontologies, or a feature with an unknown unit. Cost: a closure
+        of all loaded ontologies.
         """
-        self.take(self.prepare(text, name=name, format=format))
+        self.install(self.prepare(text, name=name, format=format))
 
     def prepare(
         self, text: str, *, name: str, format: TextFormat = "turtle", reasoning: Reasoning = DIRECT
     ) -> PreparedOntology:
-        """All of `load` that takes time: nothing has changed when it returns. Any thread may call;
-        raises as `load`, and what ``reasoning`` raises."""
+        """Do the slow part of `load` without changing anything. Thread-safe. Raises the errors of
+        `load` and those of ``reasoning``."""
         graph = _ontology_graph(name)
         triples = reasoning.read(text, format, graph)
-        # Nobody waits for what is read here: where ontologies change meanwhile, `take` refuses.
+        # Reads without the lock: if the ontologies change meanwhile, `install` refuses.
         hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
-        asserted = self._asserted({graph: triples}, hashes)
-        known = self._kept_closure(closure_key(hashes))
-        implied = reasoning.entailed(asserted) if known is None else known
+        asserted = self._asserted_triples({graph: triples}, hashes)
+        kept_closure = self._kept_closure(closure_key(hashes))
+        implied = reasoning.entail(asserted) if kept_closure is None else kept_closure
         successor = None
         if self.path is None:
             try:
@@ -198,46 +201,46 @@ class Ontology:
         graph: NamedNode,
         triples: frozenset[Triple],
         hashes: dict[str, str],
-        entailed: tuple[frozenset[Triple], frozenset[Triple]],
+        stated_and_implied: tuple[frozenset[Triple], frozenset[Triple]],
     ) -> Successor:
-        # First, as it may raise: an iterator of a store must not be in a frame that an error keeps,
-        # since it may be dropped only where it was made.
-        vocabulary = Vocabulary.from_triples(chain(*entailed))
+        # This may raise, so it comes before the iterator: a traceback would keep the iterator,
+        # which only the thread that made it may drop.
+        vocabulary = Vocabulary.from_triples(chain(*stated_and_implied))
         with self._lock:
-            # A store's iterator goes on with what there was when it was made.
+            # The iterator reads a snapshot: the store as it is now.
             now = self._quads.store.quads_for_pattern(None, None, None, None)
-            held = (self._concepts.held, self._live.held)
+            asserted = (self._concepts.asserted, self._live.asserted)
             position = self._quads.position
         replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
-        return succeed(position, now, replaced, entailed, held, vocabulary)
+        return build_successor(position, now, replaced, stated_and_implied, asserted, vocabulary)
 
-    def take(self, prepared: PreparedOntology) -> None:
-        """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other
-        ontologies were loaded since."""
+    def install(self, prepared: PreparedOntology) -> None:
+        """Install a prepared ontology. Raises `OntologyError` if it contradicts the vocabulary, or
+        if other ontologies were loaded since."""
         with self._lock:
             graph = prepared.graph.value
             if {**self._hashes(), graph: prepared.hashes[graph]} != prepared.hashes:
                 raise OntologyError(
                     "another ontology was loaded meanwhile", hint="load this one again"
                 )
-            if not self._taken_over(prepared.successor):
+            if not self._adopt(prepared.successor):
                 self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
 
-    def _taken_over(self, successor: Successor | None) -> bool:
-        """Go on with ``successor``; False where too much has changed since it was made. Cost: as
-        much as has changed."""
-        missed = None if successor is None else self._quads.missed(successor.position)
+    def _adopt(self, successor: Successor | None) -> bool:
+        """Replace the store by ``successor``. Returns False if too much has changed since it was
+        built. Cost: that of the changes since."""
+        missed = None if successor is None else self._quads.changes_since(successor.position)
         if successor is None or missed is None:
             return False
         changes = successor.follow(*missed)
-        self._quads.go_on_with(successor.store, changes)
+        self._quads.replace_store(successor.store, changes)
         self._concepts, self._live, self._base = (
             successor.concepts,
             successor.live,
             successor.vocabulary,
         )
-        self._changed()
-        self._static.go_on_with(successor.static)
+        self._bump_version()
+        self._static.replace_store(successor.static)
         self._static.follow(
             *(changes[g] for g in (*CONCEPTS, graphs.CONCEPT_ENTAILMENTS) if g in changes)
         )
@@ -245,159 +248,162 @@ class Ontology:
 
     @property
     def rules(self) -> Rules:
-        """What the schema of the loaded ontologies says of single triples: another object when an
-        ontology was loaded."""
+        """The rules of the loaded ontologies' schema; a new object after each load."""
         return self._live.rules
 
     def ontologies(self) -> tuple[str, ...]:
-        """The IRIs of the loaded ontologies' graphs."""
+        """Return the IRIs of the loaded ontologies' graphs, sorted."""
         return tuple(sorted(self._hashes()))
 
     @property
     def number(self) -> int:
-        """How many ontologies are loaded. Cost: O(ontologies)."""
+        """The number of loaded ontologies. Cost: linear in it."""
         return len(self._hashes())
 
     def imports(self) -> tuple[str, ...]:
-        """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
+        """Return the IRIs that the loaded ontologies import. Nothing was fetched; `load`
+        adds them."""
         quads = self._quads.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
         return tuple(sorted({q.object.value for q in quads if isinstance(q.object, NamedNode)}))
 
-    def static_graph(self, iri: str) -> bool:
-        """True if a loaded ontology has this name: then ``FROM <iri>`` means it."""
+    def has_ontology(self, iri: str) -> bool:
+        """Return whether a loaded ontology has this name, so that ``FROM <iri>`` means it."""
         return iri in self._hashes()
 
     def closed_store(self) -> Store:
-        """The static side of continuous queries, in the default graph of a store of its own.
+        """Return the static side of continuous queries: the default graph of a store of its own.
 
-        Loaded ontologies, templates and all that is entailed; not the live stream space. It is
-        another store, or has other triples, when `version` has changed. Treat it as read-only.
+        It contains the loaded ontologies, templates and all entailments, but not the live stream
+        space. Treat it as read-only. A new `version` means another store or other triples.
         """
         with self._lock:
             return self._static.store(self._static_triples)
 
     def _static_triples(self) -> frozenset[Triple]:
-        return self._ontology_triples() | self._concepts.held | self._concepts.current
+        return self._ontology_triples() | self._concepts.asserted | self._concepts.current
 
-    # -- what people registered ---------------------------------------------------------------
+    # -- registrations -------------------------------------------------------------------------
 
     @property
     def registered(self) -> Registrations:
-        """Templates, annotations, declared streams and so on, as texts."""
+        """The texts of templates, annotations, declared streams and so on."""
         return Registrations(self)
 
     def about(
         self, subject: NamedNode | None, predicate: NamedNode, graph: NamedNode
     ) -> Iterator[Quad]:
-        """What a graph says by ``predicate``, of ``subject`` or of all."""
+        """Yield the quads of a graph with ``predicate``, of ``subject`` or of all subjects."""
         return self._quads.about(subject, predicate, graph)
 
-    def keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
-        """Makes ``triples`` all that ``graph`` says of ``subject``."""
+    def replace_triples(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """Replace all triples of ``subject`` in ``graph`` by ``triples``, and update their
+        entailments."""
         with self._lock:
             before = {quad.triple for quad in self._quads.about(subject, None, graph)}
-            change = change_of(frozenset(before), frozenset(triples))
+            change = difference(frozenset(before), frozenset(triples))
             _, implied = self._concepts.update(change.added, change.removed)
             self._quads.apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
             self._quads.flush()
             self._static.follow(change, implied)
-            self._changed()
+            self._bump_version()
 
-    def keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
-        """The same of what nothing follows from and no continuous query reads: to them the
-        ontology is as it was, and they need not look at it anew."""
+    def replace_unread_triples(
+        self, graph: NamedNode, subject: NamedNode, triples: set[Triple]
+    ) -> None:
+        """Do the same for a graph that no rule and no continuous query reads. `version` stays, so
+        no query looks at the ontology again."""
         with self._lock:
             before = {quad.triple for quad in self._quads.about(subject, None, graph)}
-            self._quads.apply({graph: change_of(frozenset(before), frozenset(triples))})
+            self._quads.apply({graph: difference(frozenset(before), frozenset(triples))})
             self._quads.flush()
 
     # -- the live stream space ---------------------------------------------------------------
 
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
-        """Changes the live stream space; what it entails follows (`entailment`).
+        """Change the live stream space; `entailment` maintains its entailments.
 
-        A triple in both is there afterwards. Whoever asks sees it; it is brought into the store
-        when somebody does, or by `advance`: what comes and goes in between leaves nothing, and a
-        large change is made in pieces. Not flushed: the graph is emptied when the store is opened.
-        Cost: O(changed triples).
+        A triple in both arguments stays. `store` and every query include the change. It is written
+        at the next read or by `apply_pending_piece`: a triple that comes and goes in between is
+        never written, and a large change is written in pieces. Nothing is flushed, since opening a
+        store empties the graph. Cost: O(changed triples).
         """
-        with self._telling:
-            for triples, there in ((removed, False), (added, True)):
+        with self._pending_lock:
+            for triples, exists in ((removed, False), (added, True)):
                 for triple in triples:
-                    self._awaited.pop(triple, None)
-                    will_be = self._arriving.get(triple)
-                    if (self._live.holds(triple) if will_be is None else will_be) != there:
-                        self._awaited[triple] = there
-        if len(self._awaited) > _MOST_AWAITED:
-            self.advance()
+                    self._pending.pop(triple, None)
+                    will_be = self._applying.get(triple)
+                    if (self._live.is_asserted(triple) if will_be is None else will_be) != exists:
+                        self._pending[triple] = exists
+        if len(self._pending) > _MOST_PENDING:
+            self.apply_pending_piece()
 
-    def advance(self) -> None:
-        """Bring some of what `mirror` was told of into the store, if nobody else is at it."""
-        if self._awaited and self._lock.acquire(blocking=False):
+    def apply_pending_piece(self) -> None:
+        """Write some pending triples to the store, unless another thread holds the lock."""
+        if self._pending and self._lock.acquire(blocking=False):
             try:
-                self._bring_in_some()
+                self._apply_pending_piece()
             finally:
                 self._lock.release()
 
-    def _bring_in(self) -> None:
-        while self._awaited:
-            # Others may have the lock in between.
+    def _apply_pending(self) -> None:
+        while self._pending:
+            # Releases the lock between two pieces, so that other threads get turns.
             with self._lock:
-                self._bring_in_some()
+                self._apply_pending_piece()
 
-    def _bring_in_some(self) -> None:
+    def _apply_pending_piece(self) -> None:
         changed: tuple[list[Triple], list[Triple]] = ([], [])
-        with self._telling:
-            # Those first that came first: of the last ones some are about to go again.
-            for _ in range(min(_PIECE, len(self._awaited))):
-                triple, there = self._awaited.popitem(last=False)
-                self._arriving[triple] = there
-                changed[there].append(triple)
+        with self._pending_lock:
+            # Oldest first: some of the latest are about to be reverted.
+            for _ in range(min(_PIECE, len(self._pending))):
+                triple, exists = self._pending.popitem(last=False)
+                # Until it is in `_live`, `mirror` compares with this.
+                self._applying[triple] = exists
+                changed[exists].append(triple)
         try:
-            held, implied = self._live.update(changed[True], changed[False])
+            asserted, implied = self._live.update(changed[True], changed[False])
         finally:
-            with self._telling:
-                self._arriving.clear()
-        self._quads.apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+            with self._pending_lock:
+                self._applying.clear()
+        self._quads.apply({graphs.STREAM_SPACE: asserted, graphs.STREAM_SPACE_ENTAILMENTS: implied})
 
-    # -- questions ----------------------------------------------------------------------------
+    # -- queries ------------------------------------------------------------------------------
 
     def query(self, sparql: str) -> QueryResults:
-        """The answer over everything: ontologies, entailments, templates, live stream space.
+        """Evaluate a query over ontologies, entailments, templates and the live stream space.
 
-        Raises `QueryRefused` (`check_user_query`). Solutions must be consumed in the thread that
-        called. There is no deadline: who serves strangers runs this in a process of its own.
+        Raises `QueryRefused` (`check_user_query`). The calling thread must consume the solutions.
+        There is no deadline: the service runs the queries of strangers in another process.
         """
         check_user_query(sparql)
         return answer(self.store, sparql)
 
     def changes_since(self, position: int | None) -> StoreChanges:
-        """What a copy of the store lacks that was made or brought up to date at ``position``; None:
-        one that has nothing. Cost: O(changes), or a dump of the store, for which nobody waits."""
-        self._bring_in()
+        """Return the changes that a replica at ``position`` lacks; None: a replica without data.
+        Cost: O(changes), or a dump of the store, made without the lock."""
+        self._apply_pending()
         with self._lock:
-            known = self._quads.since(position)
-        return known()
+            dump = self._quads.replica_changes(position)
+        return dump()
 
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
-        """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
-        return rows_of(self.query(sparql))
-
-    def query_serialized(self, sparql: str, accept_format: str) -> bytes:
-        """The answer as bytes. Formats: json, xml, csv, tsv for SELECT and ASK; turtle, ntriples,
-        jsonld, rdfxml for CONSTRUCT and DESCRIBE. `QueryRefused` if the two do not go together.
-        """
-        return serialized(self.query(sparql), accept_format)
+        """Evaluate a SELECT to variables and rows; None is unbound. Raises `QueryRefused` for other
+        forms."""
+        results = self.query(sparql)
+        if not isinstance(results, QuerySolutions):
+            raise QueryRefused("a table needs a SELECT query", 1, 1)
+        variables = tuple(variable.value for variable in results.variables)
+        return variables, [tuple(map(_rdf11, solution)) for solution in results]
 
     def validate(self) -> ShaclReport:
-        """Whether the stream space is well-formed by shapes.ttl."""
+        """Check the stream space against the shapes of shapes.ttl."""
         quads = self.store.quads_for_pattern(None, None, None, DefaultGraph())
         return validate(quad.triple for quad in quads)
 
-    # -- inside -------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------
 
     def _start(self) -> None:
-        """Loads what comes with the program, reuses the kept closure, empties the live graphs."""
+        """Load the shipped ontologies, reuse the stored closure, and empty the live graphs."""
         hashes = self._hashes()
         new = {}
         for ontology in shipped_ontologies():
@@ -414,14 +420,14 @@ class Ontology:
         self._quads.apply(emptied)
         self._reload(new, hashes)
 
-    def _asserted(
+    def _asserted_triples(
         self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]
     ) -> frozenset[Triple]:
         loaded = {NamedNode(iri): self._quads.graph(NamedNode(iri)) for iri in hashes} | new
         return frozenset().union(*loaded.values())
 
     def _kept_closure(self, key: str) -> frozenset[Triple] | None:
-        """What the ontologies entail, if it was computed from these."""
+        """Return the stored closure if its key is ``key``."""
         is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in self._quads.graph(
             graphs.CATALOG
         )
@@ -433,20 +439,20 @@ class Ontology:
         hashes: dict[str, str],
         implied: frozenset[Triple] | None = None,
     ) -> None:
-        """Replaces the graphs ``new`` and all that follows from the ontologies."""
-        asserted = self._asserted(new, hashes)
+        """Replace the graphs ``new`` and everything derived from the ontologies."""
+        asserted = self._asserted_triples(new, hashes)
         key = closure_key(hashes)
         if implied is None:
             implied = self._kept_closure(key)
         if implied is None:
-            implied = entailed(asserted)
+            implied = cached_closure(asserted)
         try:
             vocabulary = Vocabulary.from_triples(asserted | implied)
         except UnitError as error:
             raise OntologyError(str(error)) from error
         rules = Rules(asserted | implied)
         concepts = Entailments(rules, self._concept_triples())
-        live = Entailments(rules, self._live.held)
+        live = Entailments(rules, self._live.asserted)
         wanted = {
             **new,
             graphs.ENTAILMENTS: implied,
@@ -455,15 +461,15 @@ class Ontology:
             graphs.CATALOG: _catalog(hashes),
         }
         now = {graph: self._quads.graph(graph) for graph in wanted}
-        self._quads.apply({graph: change_of(now[graph], then) for graph, then in wanted.items()})
+        self._quads.apply({graph: difference(now[graph], then) for graph, then in wanted.items()})
         self._quads.flush()
         self._concepts, self._live, self._base = concepts, live, vocabulary
-        self._static.go_on_with(None)
-        self._changed()
+        self._static.replace_store(None)
+        self._bump_version()
 
-    def _changed(self) -> None:
+    def _bump_version(self) -> None:
         self.version += 1
-        self.vocabulary = self._base.with_events(self.registered.templates(), self.version)
+        self.vocabulary = self._base.with_events(self.registered.templates, self.version)
 
     def _hashes(self) -> dict[str, str]:
         quads = self._quads.store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
@@ -477,8 +483,13 @@ class Ontology:
         return frozenset().union(*map(self._quads.graph, CONCEPTS))
 
 
+def _rdf11(term: object) -> Term | None:
+    assert term is None or isinstance(term, NamedNode | BlankNode | Literal)
+    return term
+
+
 def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:
-    """Which ontologies are loaded, and of which the closure is."""
+    """Return the triples of the catalog: the loaded ontologies, and the key of the closure."""
     loaded = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
     closed = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(closure_key(hashes)))
     return frozenset(loaded | {closed})
@@ -488,7 +499,7 @@ def _ontology_graph(name: str) -> NamedNode:
     try:
         graph = graphs.ontology_graph(name)
     except ValueError as error:
-        raise OntologyError(f"{name!r} is no name for an ontology: {error}") from error
+        raise OntologyError(f"{name!r} is not a name for an ontology: {error}") from error
     if graph in graphs.SYSTEM:
-        raise OntologyError(f"the name {name} is the system's own")
+        raise OntologyError(f"the name {name} is reserved")
     return graph

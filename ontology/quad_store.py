@@ -1,7 +1,7 @@
 """The graphs of a store as sets of triples, and the default graph, which is their merge.
 
-Changes are numbered and the last ones are kept, for copies in other processes (`replicas`). A store
-in memory goes on in another one now and then (`churn`).
+It numbers the changes and keeps the last ones, for replicas in other processes (`replicas`). An
+in-memory store is replaced now and then (`churn`).
 """
 
 from __future__ import annotations
@@ -30,50 +30,50 @@ from .errors import OntologyError
 from .replicas import ChangeLog, as_nquads
 
 Changes: TypeAlias = dict[NamedNode, Change]
-"""What comes to graphs, and goes."""
+"""The change of each graph."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoreChanges:
-    """What a copy of the store lacks, as N-Quads; ``whole`` replaces all that it has."""
+    """The changes that a replica lacks, as N-Quads; ``dump`` replaces all its data."""
 
     position: int
-    whole: bytes | None
+    dump: bytes | None
     added: bytes
     removed: bytes
 
 
 class QuadStore:
-    """A store whose default graph holds what any of its named graphs holds but the catalog. Who
-    changes it has a lock of its own."""
+    """A store whose default graph is the merge of its named graphs, without the catalog. Not
+    thread-safe: a writer holds a lock of its own."""
 
     def __init__(self, store: Store, path: Path | None) -> None:
         self.store = store
-        """All there is. Treat it as read-only."""
+        """All quads. Treat it as read-only."""
         self.path = path
         self._churn = Churn()
         self._log = ChangeLog()
 
     @property
     def position(self) -> int:
-        """How many changes there were."""
+        """The number of changes so far."""
         return self._log.position
 
     def graph(self, graph: NamedNode) -> frozenset[Triple]:
-        """All that one graph says."""
+        """Return all triples of a graph."""
         quads = self.store.quads_for_pattern(None, None, None, graph)
         return frozenset(quad.triple for quad in quads)
 
     def about(
         self, subject: NamedNode | None, predicate: NamedNode | None, graph: NamedNode
     ) -> Iterator[Quad]:
-        """What a graph says of ``subject`` by ``predicate``; None: of all, by any."""
+        """Yield the quads of a graph with ``subject`` and ``predicate``; None matches all."""
         return self.store.quads_for_pattern(subject, predicate, None, graph)
 
     def apply(self, changes: Changes) -> None:
-        """Writes changes of named graphs and of the default graph, which is their merge.
+        """Write changes of named graphs, and the resulting change of the default graph.
 
-        A triple leaves the default graph when no named graph holds it any more.
+        A triple leaves the default graph when no named graph contains it.
         """
         added = {
             Quad(t.subject, t.predicate, t.object, g) for g, c in changes.items() for t in c.added
@@ -92,10 +92,10 @@ class QuadStore:
         self._churn.note(added, removed)
         self._log.note(added, removed)
         if not removed:
-            self.store.extend(added)  # all at once, and without a text to be parsed
+            self.store.extend(added)  # all at once, without parsing a text
         elif any(_has_blank(quad) for quad in removed | added):
-            # SPARQL's DELETE DATA names no blank nodes, so these go one after the other: what
-            # comes first, so that nothing that stays is missing in between.
+            # DELETE DATA allows no blank nodes, so these quads change one by one. Additions come
+            # first, so that a quad that stays is never missing.
             self.store.extend(added)
             for quad in removed:
                 self.store.remove(quad)
@@ -103,9 +103,9 @@ class QuadStore:
             self.store.update(
                 f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
             )
-        # A store in memory does not grow by what came and went.
+        # Bounds the memory of an in-memory store.
         if self.path is None:
-            self.store = self._churn.over(self.store)
+            self.store = self._churn.replace_if_due(self.store)
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
         holders = self.store.quads_for_pattern(
@@ -117,53 +117,55 @@ class QuadStore:
         )
 
     def flush(self) -> None:
-        """What was changed survives from now on, if the store is on disk."""
+        """Make all changes durable, if the store is on disk."""
         if self.path is not None:
             self.store.flush()
 
-    def go_on_with(self, store: Store, changes: Changes) -> None:
-        """``store`` takes the place of this one, and then ``changes`` are made. Copies start
-        anew."""
+    def replace_store(self, store: Store, changes: Changes) -> None:
+        """Replace the store by ``store``, then apply ``changes``. Replicas start anew."""
         self.store, self._churn = store, Churn()
         self.apply(changes)
-        self._log.forget()
+        self._log.reset()
 
-    def missed(self, position: int) -> tuple[Set[Quad], Set[Quad]] | None:
-        """What came and went since; None where that is not known any more."""
+    def changes_since(self, position: int) -> tuple[Set[Quad], Set[Quad]] | None:
+        """Return the quads added and removed since ``position``; None if the log does not reach
+        back."""
         return self._log.since(position)
 
-    def since(self, position: int | None) -> Callable[[], StoreChanges]:
-        """What a copy lacks, see `StoreChanges`: what is returned tells it, and takes as long as
-        that takes, in which the store may change."""
-        store, now = self.store, self._log.position
-        found = None if position is None else self._log.since(position)
-        if found is not None:
-            came, went = found
-            return lambda: StoreChanges(now, None, as_nquads(came), as_nquads(went))
+    def replica_changes(self, position: int | None) -> Callable[[], StoreChanges]:
+        """Return a function that encodes the changes a replica lacks. Calling it may take long; the
+        store may change meanwhile."""
+        store, position_now = self.store, self._log.position
+        changes = None if position is None else self._log.since(position)
+        if changes is not None:
+            added, removed = changes
+            return lambda: StoreChanges(position_now, None, as_nquads(added), as_nquads(removed))
 
-        def whole() -> StoreChanges:
-            # It may have some of what comes next, which the copy is told once more: no harm.
+        def full_dump() -> StoreChanges:
+            # The dump may include later changes, which the replica then gets twice: harmless, since
+            # a store is a set.
             dumped = store.dump(format=RdfFormat.N_QUADS)
-            assert dumped is not None  # None only if an output file is given
-            return StoreChanges(now, dumped, b"", b"")
+            assert dumped is not None  # None only with an output file
+            return StoreChanges(position_now, dumped, b"", b"")
 
-        return whole
+        return full_dump
 
 
 def quads_of(store: Store) -> bytes:
-    """All of a store as N-Quads, sorted: each quad a line, blank nodes by their names."""
+    """Return a store as sorted N-Quads: a line for each quad, blank nodes by their names."""
     return b"".join(sorted(f"{quad} .\n".encode() for quad in store))
 
 
 def store_of(quads: bytes) -> Store:
-    """The inverse of `quads_of`: one in memory."""
+    """Return an in-memory store from the output of `quads_of`."""
     store = Store()
     store.extend(parse(quads, RdfFormat.N_QUADS))
     return store
 
 
-def opened(path: Path) -> Store:
-    """The store in a folder. Raises `OntologyError` if another process has it, or it is broken."""
+def open_store(path: Path) -> Store:
+    """Open the store in a folder. Raises `OntologyError` if another process has opened it, or it is
+    broken."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         return Store(path)
@@ -175,8 +177,8 @@ def opened(path: Path) -> Store:
         ) from error
 
 
-def change_of(before: frozenset[Triple], then: frozenset[Triple]) -> Change:
-    """What makes the one of the other."""
+def difference(before: frozenset[Triple], then: frozenset[Triple]) -> Change:
+    """Return the change from one set of triples to another."""
     return Change(then - before, before - then)
 
 
@@ -185,7 +187,7 @@ def _has_blank(quad: Quad) -> bool:
 
 
 def _data(quads: Iterable[Quad]) -> str:
-    """Quads as SPARQL's QuadData."""
+    """Return quads as SPARQL's QuadData."""
     parts = []
     for quad in quads:
         triple = f"{quad.subject} {quad.predicate} {quad.object} ."
@@ -195,12 +197,12 @@ def _data(quads: Iterable[Quad]) -> str:
 
 
 def subject_of(quad: Quad) -> str:
-    """The IRI of its subject."""
+    """Return the IRI of the quad's subject."""
     assert isinstance(quad.subject, NamedNode)
     return quad.subject.value
 
 
 def text_of(quad: Quad) -> str:
-    """The text of its object."""
+    """Return the text of the quad's object."""
     assert isinstance(quad.object, Literal)
     return quad.object.value

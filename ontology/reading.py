@@ -1,4 +1,4 @@
-"""Ontology texts to triples: Turtle, RDF/XML, JSON-LD, N-Triples. Nothing is ever fetched."""
+"""Parses ontology texts: Turtle, RDF/XML, JSON-LD, N-Triples. It fetches nothing."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
 from .document_guard import check_document
 from .errors import OntologyError
-from .turtle import HEADER_LINES, as_turtle
+from .turtle import HEADER_LINES, to_standard_turtle
 
 TextFormat: TypeAlias = OneOf["turtle", "rdfxml", "jsonld", "ntriples"]
 
 LARGEST_TEXT: Final = 16 * 1024 * 1024
-"""Characters of one ontology text."""
+"""The greatest size of an ontology text, in characters."""
 
 _FORMATS: Final[dict[str, RdfFormat]] = {
     "turtle": RdfFormat.TURTLE,
@@ -29,11 +29,11 @@ _PLACE: Final = re.compile(
 
 
 def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
-    """The triples of an ontology text; relative IRIs are resolved against ``base``.
+    """Parse an ontology text; relative IRIs are resolved against ``base``.
 
-    Turtle may be as the papers print it (`turtle.as_turtle`). Blank nodes get fresh names.
-    Raises `OntologyError`, with line and column where the parser knows them, for a text that is
-    ill-formed, too large, or in need of something that would have to be fetched.
+    Turtle may be in the papers' form (`turtle.to_standard_turtle`). Blank nodes get fresh names.
+    Raises `OntologyError`, with line and column if the parser reports them, for a text that is
+    malformed, too large, or needs a fetch.
     """
     if format not in _FORMATS:
         raise OntologyError(f"unknown format {format!r}; known are {', '.join(_FORMATS)}")
@@ -41,7 +41,7 @@ def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Tr
         raise OntologyError(f"the text has more than {LARGEST_TEXT} characters")
     check_document(text, format)
     header = HEADER_LINES if format == "turtle" else 0
-    source = as_turtle(text) if format == "turtle" else text
+    source = to_standard_turtle(text) if format == "turtle" else text
     try:
         quads = parse(source, _FORMATS[format], base_iri=base.value, rename_blank_nodes=True)
         triples = frozenset(quad.triple for quad in quads)

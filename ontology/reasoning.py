@@ -1,7 +1,7 @@
-"""Whoever reads RDF texts and computes what they entail: this process, or one that can be stopped.
+"""The interface for parsing RDF texts and closing them, in this process or in another.
 
-Both may take as long as they like with what a stranger wrote, and recurse into it. The service
-gives `Ontology.prepare` one that has limits (service/workers); `DIRECT` has none.
+On a stranger's text both may take long and recurse deeply. The service therefore gives
+`Ontology.prepare` an implementation with limits (service/workers). `DIRECT` has none.
 """
 
 from __future__ import annotations
@@ -10,28 +10,28 @@ from typing import Final, Protocol
 
 from pyoxigraph import NamedNode, Triple
 
-from .closure import entailed
+from .closure import cached_closure
 from .reading import TextFormat, read_triples
 
 
 class Reasoning(Protocol):
-    """Reads and entails."""
+    """Parses texts and computes closures."""
 
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
         """See `reading.read_triples`."""
 
-    def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
+    def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
         """See `closure.closure_of`."""
 
 
 class DirectReasoning:
-    """In this process."""
+    """Parses and reasons in this process, without limits."""
 
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
         return read_triples(text, format, base)
 
-    def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
-        return entailed(asserted)
+    def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
+        return cached_closure(asserted)
 
 
 DIRECT: Final = DirectReasoning()

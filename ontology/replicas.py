@@ -1,7 +1,7 @@
-"""What copies of the store have to be told: the changes since they last asked.
+"""The log of recent changes, from which replicas of the store catch up.
 
-Copies are in other processes, which may be ended while they work (service/workers). The log keeps
-the last changes only; who asks for older ones gets everything anew.
+Replicas live in other processes, which may be killed at any time (service/workers). The log keeps
+the last changes only; a replica that is further behind gets the whole store.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pyoxigraph import Quad
 from .churn import weight
 
 MOST: Final = 20_000
-"""Short quads of changes that are kept: a copy is made anew rather than told more."""
+"""The size of the log in short quads. Above it, copying the whole store is cheaper."""
 
 
 @dataclass(slots=True)
@@ -24,13 +24,13 @@ class ChangeLog:
     """The last changes of a store, numbered. Cost of `note`: O(quads). Memory: `MOST` quads."""
 
     position: int = 0
-    """How many changes there were."""
+    """The number of changes so far."""
     _changes: deque[tuple[Set[Quad], Set[Quad], int]] = field(default_factory=deque)
-    """What came, what went, and how much that is."""
+    """Added quads, removed quads, and their size."""
     _size: int = 0
 
     def note(self, added: Set[Quad], removed: Set[Quad]) -> None:
-        """These came and these went, in one change."""
+        """Append a change."""
         self.position += 1
         size = weight(added) + weight(removed)
         self._changes.append((added, removed, size))
@@ -38,27 +38,27 @@ class ChangeLog:
         while self._size > MOST:
             self._size -= self._changes.popleft()[2]
 
-    def forget(self) -> None:
-        """More has changed than is kept: copies are made anew."""
+    def reset(self) -> None:
+        """Drop all changes after one that is not in the log: replicas start anew."""
         self.position += 1
         self._changes.clear()
         self._size = 0
 
     def since(self, position: int) -> tuple[Set[Quad], Set[Quad]] | None:
-        """What came and what went after the first ``position`` changes, on balance; None if they
-        are not all kept."""
+        """Return the net additions and removals after the first ``position`` changes; None if the
+        log does not reach back."""
         missing = self.position - position
         if missing > len(self._changes):
             return None
-        came: set[Quad] = set()
-        went: set[Quad] = set()
+        added_since: set[Quad] = set()
+        removed_since: set[Quad] = set()
         for number in range(len(self._changes) - missing, len(self._changes)):
             added, removed, _ = self._changes[number]
-            came = (came - removed) | added
-            went = (went - added) | removed
-        return came, went
+            added_since = (added_since - removed) | added
+            removed_since = (removed_since - added) | removed
+        return added_since, removed_since
 
 
 def as_nquads(quads: Iterable[Quad]) -> bytes:
-    """Quads as N-Quads; blank nodes keep their names."""
+    """Return quads as N-Quads; blank nodes keep their names."""
     return "".join(f"{quad} .\n" for quad in quads).encode()

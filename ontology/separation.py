@@ -1,8 +1,8 @@
-"""An ontology in two parts: hierarchies that bit sets close, and the rest, which owlrl closes.
+"""Splits an ontology in two: hierarchies, which bit sets close, and the rest, which owlrl closes.
 
-owlrl compares every triple with every rule in each of its rounds; a chain of 100 classes makes
-5,000 triples of it, which take seconds. A class or property of a hierarchy alone is a premise of
-few rules, and their conclusions follow from the hierarchies' closure (`hierarchy`):
+owlrl matches every triple with every rule in each of its rounds. A chain of 100 classes entails
+5,000 triples, which take it seconds. A class or property that only takes part in a hierarchy is a
+premise of few rules, and their conclusions follow from the closed hierarchies (`hierarchy`):
 
 | rule of OWL 2 RL | conclusion |
 |---|---|
@@ -11,8 +11,8 @@ few rules, and their conclusions follow from the hierarchies' closure (`hierarch
 | prp-spo1, prp-eqp | triples of super-properties |
 | scm-dom1, scm-dom2, scm-rng1, scm-rng2, prp-dom, prp-rng | domains, ranges, and types of them |
 
-So `Separation` keeps such *plain* nodes from owlrl, with one deputy for those that say the same of
-themselves, and `Separation.closed` adds what follows. `closure` calls it.
+`Separation` removes such *plain* nodes from the input of owlrl; one deputy represents all plain
+nodes with the same statements. `Separation.merge_closure` adds the conclusions. `closure` calls it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from ..rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS
 from . import deep_hierarchies
-from .deep_hierarchies import is_standard, mark
+from .deep_hierarchies import is_standard, marks_of
 from .entailment import DOMAIN, RANGE, Rules
 from .hierarchy import (
     OF_CLASSES,
@@ -36,7 +36,7 @@ from .hierarchy import (
     edges,
 )
 
-Saying: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
+PredicateObject: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 """A predicate and an object."""
 
 _HIERARCHICAL: Final = (*OF_CLASSES, *OF_PROPERTIES)
@@ -52,14 +52,14 @@ _PLAIN_KINDS: Final = frozenset(
         RDF + "Property",
     }
 )
-"""Standard types that make a node no premise of a rule beyond those above."""
+"""Standard types that make a node a premise of no rule beyond those above."""
 
 
 class Separation:
-    """``asserted`` in two parts: `rest` is for owlrl, `plain` are the nodes that it lacks.
+    """``asserted`` in two parts: `rest` is the input of owlrl, `plain` are the nodes missing in it.
 
-    Law (tests/laws/ontology/test_ontology.py): owlrl's closure of ``asserted`` is `closed` of its
-    closure of `rest`, but for noise, where `closed` gives an answer.
+    Law (tests/laws/ontology/test_ontology.py): `merge_closure` of owlrl's closure of `rest` is
+    owlrl's closure of ``asserted`` without noise, or None.
     """
 
     def __init__(self, asserted: Set[Triple]) -> None:
@@ -69,25 +69,25 @@ class Separation:
         self._remarks = _remarks(asserted)
         self.plain = self._plain()
         self._deputies: dict[Node, list[Node]] = {}
-        """Those that owlrl sees, and for whom else they stand."""
+        """Each deputy, and the plain nodes that it represents."""
         self.rest = self._rest() if self.plain else asserted
 
-    # -- what owlrl need not see ---------------------------------------------------------------
+    # -- the input of owlrl --------------------------------------------------------------------
 
     def _plain(self) -> frozenset[Node]:
-        """The nodes of hierarchies of which nothing is said that other rules ask for."""
+        """Return the nodes of hierarchies that are no premise of other rules."""
         classes = {node for node in self._classes if isinstance(node, NamedNode)}
         properties = {node for node in self._properties if isinstance(node, NamedNode)}
-        told: set[object] = {node for node in classes | properties if is_standard(node)}
-        told |= classes & properties
+        premises: set[object] = {node for node in classes | properties if is_standard(node)}
+        premises |= classes & properties
         for triple in self._asserted:
-            told.update(self._premises(triple, classes, properties))
-        return frozenset((classes | properties) - told)
+            premises.update(self._premises(triple, classes, properties))
+        return frozenset((classes | properties) - premises)
 
     def _premises(
         self, triple: Triple, classes: set[NamedNode], properties: set[NamedNode]
     ) -> tuple[object, ...]:
-        """The nodes of a triple that are more by it than nodes of a hierarchy."""
+        """Return the nodes of a triple that it makes premises of other rules."""
         subject, predicate, object = triple.subject, triple.predicate, triple.object
         if isinstance(object, Triple) or predicate in properties:
             return subject, predicate, object
@@ -106,7 +106,7 @@ class Separation:
 
     def _rest(self) -> frozenset[Triple]:
         rest: set[Triple] = set()
-        sayings: dict[Node, set[Saying]] = defaultdict(set)
+        sayings: dict[Node, set[PredicateObject]] = defaultdict(set)
         for triple in self._asserted:
             subject, predicate, object = triple.subject, triple.predicate, triple.object
             assert not isinstance(subject, Triple)
@@ -114,31 +114,33 @@ class Separation:
                 continue
             if predicate in _HIERARCHICAL and {subject, object} & self.plain:
                 continue
-            seen = self._seen(object) if predicate in (RDF_TYPE, *_ENDS) else [object]
+            visible = (
+                self._classes_for_owlrl(object) if predicate in (RDF_TYPE, *_ENDS) else [object]
+            )
             if subject not in self.plain:
-                rest.update(Triple(subject, predicate, each) for each in seen)
+                rest.update(Triple(subject, predicate, each) for each in visible)
             elif predicate not in _ENDS:
-                sayings[subject].update((predicate, each) for each in seen)
+                sayings[subject].update((predicate, each) for each in visible)
         rest.update(self._shortcuts())
-        alike: dict[frozenset[Saying], list[Node]] = defaultdict(list)
+        by_statements: dict[frozenset[PredicateObject], list[Node]] = defaultdict(list)
         for node in sorted(self.plain, key=str):
-            alike[frozenset(sayings.get(node, ()))].append(node)
-        for said, nodes in alike.items():
+            by_statements[frozenset(sayings.get(node, ()))].append(node)
+        for statements, nodes in by_statements.items():
             self._deputies[nodes[0]] = nodes
-            rest.update(Triple(nodes[0], predicate, object) for predicate, object in said)
+            rest.update(Triple(nodes[0], predicate, object) for predicate, object in statements)
         return frozenset(rest)
 
-    def _seen(
+    def _classes_for_owlrl(
         self, kind: NamedNode | BlankNode | Literal | Triple
     ) -> Iterable[NamedNode | BlankNode | Literal | Triple]:
-        """``kind``, or the classes above it that owlrl sees."""
+        """Return ``kind``, or the classes above it that are in the input of owlrl."""
         if kind not in self.plain:
             return [kind]
         assert isinstance(kind, NamedNode)
         return [above for above in self._classes.above(kind) if above not in self.plain]
 
     def _shortcuts(self) -> Iterable[Triple]:
-        """What leads from a node that owlrl sees over plain ones to another."""
+        """Yield edges that replace paths over plain nodes between two other nodes."""
         hierarchies = ((self._classes, OF_CLASSES[0]), (self._properties, OF_PROPERTIES[0]))
         for hierarchy, inclusion in hierarchies:
             for node in hierarchy:
@@ -147,22 +149,22 @@ class Separation:
                 above = hierarchy[node]
                 if above & self.plain:
                     yield from (Triple(node, inclusion, a) for a in above if a not in self.plain)
-        seen = [property for property in self._properties if property not in self.plain]
+        visible = [property for property in self._properties if property not in self.plain]
         for triple in self._asserted:
             if triple.predicate in _ENDS and triple.subject in self.plain:
-                for lower in seen:
+                for lower in visible:
                     if triple.subject in self._properties[lower]:
-                        for kind in self._seen(triple.object):
+                        for kind in self._classes_for_owlrl(triple.object):
                             yield Triple(lower, triple.predicate, kind)
 
-    # -- what follows --------------------------------------------------------------------------
+    # -- conclusions ---------------------------------------------------------------------------
 
-    def closed(self, entailed: Iterable[Triple]) -> set[Triple] | None:
-        """All that follows, where ``entailed`` is what owlrl says of `rest`, noise left out.
+    def merge_closure(self, entailed: Iterable[Triple]) -> set[Triple] | None:
+        """Return the whole closure, where ``entailed`` is owlrl's closure of `rest` without noise.
 
-        None: plain nodes are premises of other rules after all, so that owlrl has to see them.
+        None: plain nodes turned out to be premises of other rules, so owlrl needs the whole input.
         """
-        known = set(self._asserted)
+        triples = set(self._asserted)
         for triple in entailed:
             if triple.predicate.value == OWL + "sameAs" and self.plain:
                 return None
@@ -170,39 +172,39 @@ class Separation:
                 return None
             nodes = self._deputies.get(triple.subject)  # type: ignore[arg-type]
             if nodes is None:
-                known.add(triple)
+                triples.add(triple)
             elif self._is_harmless(triple, nodes):
-                known.update(Triple(n, triple.predicate, triple.object) for n in nodes)
+                triples.update(Triple(n, triple.predicate, triple.object) for n in nodes)
             else:
                 return None
-        return known | self._following(known)
+        return triples | self._following(triples)
 
     def _is_harmless(self, triple: Triple, nodes: Iterable[Node]) -> bool:
-        """Whether it makes no plain node a premise of other rules, where it holds of ``nodes``."""
+        """Return whether the triple leaves ``nodes`` plain if it holds for each of them."""
         kind = triple.object
         if triple.predicate == RDF_TYPE:
             return not is_standard(kind) or kind.value in _PLAIN_KINDS  # type: ignore[union-attr]
         if triple.predicate in _HIERARCHICAL:
-            # Else owlrl has seen less than what is above the nodes.
+            # Otherwise `rest` lacked some of the classes above the nodes.
             return all(kind in self._classes.above(node) for node in nodes)
         return triple in self._asserted
 
-    def _following(self, known: set[Triple]) -> set[Triple]:
-        """What the closure of the hierarchies adds."""
-        classes = Hierarchy(edges(known, OF_CLASSES))
-        properties = Hierarchy(edges(known, OF_PROPERTIES))
-        found = _hierarchical(classes, known, OF_CLASSES)
-        found |= _hierarchical(properties, known, OF_PROPERTIES)
+    def _following(self, triples: set[Triple]) -> set[Triple]:
+        """Return the triples that the closed hierarchies add."""
+        classes = Hierarchy(edges(triples, OF_CLASSES))
+        properties = Hierarchy(edges(triples, OF_PROPERTIES))
+        found = _hierarchical(classes, triples, OF_CLASSES)
+        found |= _hierarchical(properties, triples, OF_PROPERTIES)
         for end in _ENDS:
-            found |= _ends(known, end, classes, properties)
-        rules = Rules(known)
-        for triple in known:
+            found |= _ends(triples, end, classes, properties)
+        rules = Rules(triples)
+        for triple in triples:
             found |= rules.entail(triple)
         return found
 
 
 def _under_thing(asserted: Set[Triple]) -> list[tuple[Node, Node]]:
-    """What is a class is within owl:Thing (rule scm-cls)."""
+    """Return edges from each owl:Class to owl:Thing (rule scm-cls)."""
     return [
         (t.subject, _THING)
         for t in asserted
@@ -211,19 +213,19 @@ def _under_thing(asserted: Set[Triple]) -> list[tuple[Node, Node]]:
 
 
 def _remarks(asserted: Set[Triple]) -> frozenset[NamedNode]:
-    """The predicates from which nothing follows: nothing is said of them."""
+    """Return the predicates without consequences: no triple describes them."""
     used = {t.predicate for t in asserted}
-    told = {t.subject for t in asserted} | {t.object for t in asserted}
+    described = {t.subject for t in asserted} | {t.object for t in asserted}
     return frozenset(
-        p for p in used if p not in told and (p.value in _REMARKS or not is_standard(p))
+        p for p in used if p not in described and (p.value in _REMARKS or not is_standard(p))
     )
 
 
-def _hierarchical(hierarchy: Hierarchy[Node], known: Set[Triple], kind: Inclusion) -> set[Triple]:
-    """The pairs of a hierarchy, or marks where they are too many."""
+def _hierarchical(hierarchy: Hierarchy[Node], stated: Set[Triple], kind: Inclusion) -> set[Triple]:
+    """Return the pairs of a hierarchy, or marks if there are too many pairs."""
     inclusion, equivalence = kind
     if hierarchy.pairs > deep_hierarchies.MOST_PAIRS:
-        return set(mark(hierarchy, known, kind))
+        return set(marks_of(hierarchy, stated, kind))
     found: set[Triple] = set()
     for node in hierarchy:
         above = hierarchy[node]
@@ -236,14 +238,15 @@ def _hierarchical(hierarchy: Hierarchy[Node], known: Set[Triple], kind: Inclusio
 
 
 def _ends(
-    known: Set[Triple], end: NamedNode, classes: Hierarchy[Node], properties: Hierarchy[Node]
+    triples: Set[Triple], end: NamedNode, classes: Hierarchy[Node], properties: Hierarchy[Node]
 ) -> set[Triple]:
-    """Domains or ranges of each property: those of all that is above it, and what is above those.
+    """Return the domains or ranges of each property: those of all properties above it, and the
+    classes above those.
 
     Rules scm-dom1, scm-dom2, scm-rng1 and scm-rng2.
     """
     direct: dict[Node, set[Node]] = defaultdict(set)
-    for triple in known:
+    for triple in triples:
         kind = triple.object
         if triple.predicate == end and not isinstance(kind, Literal | Triple):
             assert not isinstance(triple.subject, Triple)

@@ -1,4 +1,4 @@
-"""The static side of continuous queries, in the default graph of a store of its own."""
+"""The static side of continuous queries: the default graph of a store of its own."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _NOT_STATIC: Final = (
 
 
 class StaticSide:
-    """What continuous queries read of the graphs ``quads``. It is made when first asked for, and
-    follows what changes from then on. Who calls has the ontology's lock."""
+    """The triples of the graphs ``quads`` that continuous queries read. It is built on first use
+    and follows the changes from then on. Callers hold the ontology's lock."""
 
     def __init__(self, quads: QuadStore) -> None:
         self._quads = quads
@@ -32,39 +32,40 @@ class StaticSide:
         self._churn = Churn()
 
     def store(self, triples: Callable[[], Iterable[Triple]]) -> Store:
-        """The store; of ``triples``, if there is none yet."""
+        """Return the store; build it from ``triples`` if there is none."""
         if self._store is None:
             store = Store()
-            store.extend(map(_merged, triples()))
-            self.go_on_with(store)
+            store.extend(map(_in_default_graph, triples()))
+            self.replace_store(store)
             return store
         return self._store
 
-    def go_on_with(self, store: Store | None) -> None:
-        """``store`` takes the place of this one; None: another is made when it is asked for."""
+    def replace_store(self, store: Store | None) -> None:
+        """Replace the store by ``store``; None: the next use builds one."""
         self._store, self._churn = store, Churn()
 
     def follow(self, *changes: Change) -> None:
-        """These changes are in the graphs already."""
+        """Follow changes that the graphs already contain."""
         if self._store is None:
             return
         for change in changes:
-            self._store.extend(map(_merged, change.added))
+            self._store.extend(map(_in_default_graph, change.added))
             for triple in change.removed:
+                # Another static graph may contain it too.
                 if not self._is_static(triple):
-                    self._store.remove(_merged(triple))
+                    self._store.remove(_in_default_graph(triple))
             self._churn.note(change.added, change.removed)
-        self._store = self._churn.over(self._store)
+        self._store = self._churn.replace_if_due(self._store)
 
     def _is_static(self, triple: Triple) -> bool:
-        said = (triple.subject, triple.predicate, triple.object)
-        quads = self._quads.store.quads_for_pattern(*said, None)
+        pattern = (triple.subject, triple.predicate, triple.object)
+        quads = self._quads.store.quads_for_pattern(*pattern, None)
         return any(quad.graph_name not in _NOT_STATIC for quad in quads)
 
     def __getstate__(self) -> dict[str, object]:
-        """As it is copied: without the store, which can be made again."""
+        """Return the state for a copy, without the store, which can be rebuilt."""
         return {**self.__dict__, "_store": None}
 
 
-def _merged(triple: Triple) -> Quad:
+def _in_default_graph(triple: Triple) -> Quad:
     return Quad(triple.subject, triple.predicate, triple.object)

@@ -1,8 +1,8 @@
-"""The ontology as it will be once another text is loaded, made beside the one that is in use.
+"""Builds the next state of the ontology beside the current one, when a text is loaded.
 
-All that takes time in proportion to the ontologies is made here, in another thread than the one
-that everybody waits for: the vocabulary, the rules, what they entail, and the store with all of
-it. Taking it (`ontology.Ontology.take`) takes as long as what has changed meanwhile.
+Everything that takes time in proportion to the ontologies happens here, outside of the event loop's
+thread: vocabulary, rules, entailments and the store. Installing it (`ontology.Ontology.install`)
+takes as long as the changes since.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .vocabulary import Vocabulary
 T = TypeVar("T")
 
 _PIECE: Final = 500
-"""So many quads are put into a store in one go: no other thread has a turn meanwhile."""
+"""Quads added to a store at once: no other thread runs meanwhile."""
 CONCEPTS: Final = (
     graphs.TEMPLATES,
     graphs.ANNOTATIONS,
@@ -30,7 +30,7 @@ CONCEPTS: Final = (
     graphs.KPL,
     graphs.SPECIFICATIONS,
 )
-"""The graphs whose entailments are `graphs.CONCEPT_ENTAILMENTS`."""
+"""The graphs whose entailments are in `graphs.CONCEPT_ENTAILMENTS`."""
 _DERIVED: Final = (
     graphs.ENTAILMENTS,
     graphs.CONCEPT_ENTAILMENTS,
@@ -40,8 +40,8 @@ _DERIVED: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Successor:
-    """Made of what there was at ``position`` of the change log. ``static`` is what
-    `ontology.Ontology.closed_store` will give."""
+    """The next state, built from ``position`` of the change log. ``static`` is the store that
+    `ontology.Ontology.closed_store` will return."""
 
     position: int
     vocabulary: Vocabulary
@@ -50,19 +50,20 @@ class Successor:
     store: Store
     static: Store
 
-    def follow(self, came: Set[Quad], went: Set[Quad]) -> dict[NamedNode, Change]:
-        """The changes of graphs to be made to ``store``, as these quads came and went since.
+    def follow(self, added: Set[Quad], removed: Set[Quad]) -> dict[NamedNode, Change]:
+        """Return the changes to apply to ``store``, given the quads added and removed since
+        `position`.
 
-        ``static`` is brought up to date. Cost: O(changes).
+        It also updates ``concepts`` and ``live``. Cost: O(changes).
         """
         changes: dict[NamedNode, Change] = {}
-        for graph, (new, old) in _by_graph(came, went).items():
+        for graph, (new, old) in _by_graph(added, removed).items():
             if graph not in _DERIVED:
                 changes[graph] = Change(frozenset(new), frozenset(old))
-        kept = [changes[graph] for graph in CONCEPTS if graph in changes]
+        concept_changes = [changes[graph] for graph in CONCEPTS if graph in changes]
         _, changes[graphs.CONCEPT_ENTAILMENTS] = self.concepts.update(
-            chain.from_iterable(change.added for change in kept),
-            chain.from_iterable(change.removed for change in kept),
+            chain.from_iterable(change.added for change in concept_changes),
+            chain.from_iterable(change.removed for change in concept_changes),
         )
         space = changes.get(graphs.STREAM_SPACE)
         if space is not None:
@@ -72,22 +73,24 @@ class Successor:
         return changes
 
 
-def succeed(
+def build_successor(
     position: int,
     now: Iterator[Quad],
     replaced: Mapping[NamedNode, Set[Triple]],
     entailed: tuple[Set[Triple], Set[Triple]],
-    held: tuple[Set[Triple], Set[Triple]],
+    asserted_triples: tuple[Set[Triple], Set[Triple]],
     vocabulary: Vocabulary,
 ) -> Successor:
-    """``now`` are the quads at ``position``, ``replaced`` the graphs that become others, the
-    catalog among them. ``entailed``: what is asserted by the ontologies, and what they entail;
-    ``held``: the concepts' triples and the live stream space's at ``position``; ``vocabulary``:
-    what ``entailed`` defines. Any thread may call.
+    """Build the next state. Thread-safe.
+
+    ``now`` are the quads at ``position``; ``replaced`` are the graphs that change, the catalog
+    among them. ``entailed``: the asserted triples of the ontologies, and those that they entail.
+    ``held``: the triples of the concepts and of the live stream space at ``position``.
+    ``vocabulary``: that of ``entailed``.
     """
     asserted, implied = entailed
     rules = Rules(chain(asserted, implied))
-    concepts, live = (Entailments(rules, triples) for triples in held)
+    concepts, live = (Entailments(rules, triples) for triples in asserted_triples)
     wanted: dict[NamedNode, Iterable[Triple]] = {
         **replaced,
         graphs.ENTAILMENTS: implied,
@@ -112,7 +115,7 @@ def succeed(
             if quad.graph_name != graphs.CATALOG
         )
     static = Store()
-    for some in _pieces(chain(asserted, implied, concepts.held, concepts.current)):
+    for some in _pieces(chain(asserted, implied, concepts.asserted, concepts.current)):
         static.extend(Quad(t.subject, t.predicate, t.object) for t in some)
     return Successor(position, vocabulary, concepts, live, store, static)
 
@@ -124,11 +127,11 @@ def _pieces(items: Iterable[T]) -> Iterator[list[T]]:
 
 
 def _by_graph(
-    came: Set[Quad], went: Set[Quad]
+    added: Set[Quad], removed: Set[Quad]
 ) -> dict[NamedNode, tuple[list[Triple], list[Triple]]]:
-    """What came and what went, of each named graph."""
+    """Return the added and removed triples of each named graph."""
     found: dict[NamedNode, tuple[list[Triple], list[Triple]]] = {}
-    for quads, place in ((came, 0), (went, 1)):
+    for quads, place in ((added, 0), (removed, 1)):
         for quad in quads:
             if isinstance(quad.graph_name, NamedNode):
                 found.setdefault(quad.graph_name, ([], []))[place].append(quad.triple)

@@ -1,8 +1,8 @@
-"""Turtle as the papers print it ([Introspection15 Listings 2 and 3]).
+"""Accepts Turtle as the papers print it ([Introspection15 Listings 2 and 3]).
 
-Two liberties are taken there: no prefix is declared, ``:`` meaning the stream-space ontology, and
-a datatype may be a bare name, ``"fusionRGBIR"^^string``. `as_turtle` makes standard Turtle of it;
-standard Turtle stays what it is.
+The papers deviate from the standard in two ways. They declare no prefix, and ``:`` means the
+stream-space ontology. A datatype may be a bare name: ``"fusionRGBIR"^^string``.
+`to_standard_turtle` converts both; standard Turtle stays unchanged.
 """
 
 from __future__ import annotations
@@ -13,30 +13,34 @@ from typing import Final
 from ..rdf.namespaces import PREFIXES, STREAM_SPACE, XSD
 
 ALL_PREFIXES: Final[dict[str, str]] = {**PREFIXES, "": STREAM_SPACE}
-"""What needs no declaration: the shared prefixes, and ``:`` for the stream space."""
+"""Prefixes that need no declaration: the shared ones, and ``:`` for the stream space."""
 
 _HEADER: Final = " ".join(f"@prefix {p}: <{iri}> ." for p, iri in ALL_PREFIXES.items()) + "\n"
 HEADER_LINES: Final = 1
-"""How many lines `as_turtle` puts before the text: parsers count them too."""
+"""Lines that `to_standard_turtle` adds before the text; the line numbers of parsers
+include them."""
 
-# Strings, IRIs and comments are matched first so that nothing inside them is rewritten. What is not
-# closed goes on to its end: tried again at each quote in it, it would cost the square.
-_TOKEN: Final = re.compile(
+# Strings, IRIs and comments match first, so that their contents stay unchanged. An open string
+# extends to the end: trying again at each quote within it would cost quadratic time.
+OPAQUE: Final = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
     r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
     r'|"(?:[^"\\\n]|\\.)*+"?'
     r"|'(?:[^'\\\n]|\\.)*+'?"
     r"|<[^<>\s]*+>"
-    r"|#[^\n]*"
-    r"|\^\^(?P<bare>string|integer|decimal|double|float|boolean|dateTime)(?![\w:.-]*:)\b",
+    r"|#[^\n]*+"
+)
+"""Matches a string, an IRI or a comment of Turtle."""
+_TOKEN: Final = re.compile(
+    OPAQUE + r"|\^\^(?P<bare>string|integer|decimal|double|float|boolean|dateTime)(?![\w:.-]*:)\b",
     re.DOTALL,
 )
 
 
-def as_turtle(text: str) -> str:
-    """Standard Turtle for ``text``: `HEADER_LINES` lines of prefixes, then the text.
+def to_standard_turtle(text: str) -> str:
+    """Return ``text`` as standard Turtle: `HEADER_LINES` lines of prefixes, then the text.
 
-    A text that declares a prefix itself overrides the one in the header.
+    A prefix that the text declares itself overrides the one in the header.
     """
     return _HEADER + _TOKEN.sub(_standard, text)
 

@@ -1,8 +1,8 @@
 """Units of measurement: products of powers, their dimensions and conversions ([Events14 §III.A]).
 
-A unit is written ``km.h-1``, ``ft`` or ``no_unit`` (SPEC §3) and held as a tuple of powers. Pint
-knows the names; it is asked once per pair of units. Angles are a dimension of their own here, so
-that a track in degrees and a plain count contradict each other.
+A unit is written ``km.h-1``, ``ft`` or ``no_unit`` (SPEC §3) and stored as a tuple of powers. Pint
+knows the names; it is called once for each pair of units. Angles have a dimension of their own
+here, so that a track in degrees and a plain count are incompatible.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 NO_UNIT_TEXT: Final = "no_unit"
 DIMENSIONLESS: Final = "dimensionless"
 PERCENT: Final = "percent"
-"""The name of the unit that people write as ``%``."""
+"""The name of the unit ``%``."""
 POWERS: Final = "a unit is a product of powers: write `m.s-1` for m/s"
 
 
 class UnitError(ValueError):
-    """A unit that cannot be understood, or two units that measure different things."""
+    """An unknown or malformed unit, or two units with different dimensions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,11 @@ class Conversion:
 
     @property
     def is_identity(self) -> bool:
-        """True if values need not be touched."""
+        """True if values stay unchanged."""
         return self.factor == 1.0 and self.offset == 0.0
 
     def apply(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The values converted, same shape; the array itself if nothing is to be done.
+        """Return the converted values, same shape; the array itself for the identity.
 
         Integers become float64 unless the conversion is the identity.
         """
@@ -75,9 +75,9 @@ IDENTITY: Final = Conversion(1.0)
 """No change."""
 
 
-# Names that the standard tables of aviation and SSL texts use, whatever pint's own reading is:
-# pint knows ``celsius`` but not ``Celsius``, and no ``fpm``; the others are fixed here so that a
-# new release of pint cannot change what a running system's annotations mean.
+# Names of the aviation tables and of SSL texts. Pint knows ``celsius`` but not ``Celsius``, and no
+# ``fpm``. The others are fixed here, so that a new release of pint cannot change the meaning of
+# existing annotations.
 _NAMES: Final[dict[str, str]] = {
     "kt": "knot",
     "kn": "knot",
@@ -115,17 +115,17 @@ _DEFINITIONS: Final = (
 )
 
 MOST_FACTORS: Final = 16
-"""Of a unit; of the SI's derived ones none has more than five."""
-_REMEMBERED: Final = 4096
-"""Units, and pairs of them, of which pint may remember something."""
+"""The greatest number of factors of a unit; no derived SI unit has more than five."""
+_CACHED_CALLS: Final = 4096
+"""The number of calls after which pint's tables are rebuilt, which empties its caches."""
 _FACTOR: Final = re.compile(r"\s*([A-Za-z]+)\s*([+-]?\s*[0-9]{1,9})?\s*")
 _LARGEST_POWER: Final = 99
 
 
 def parse_unit(text: str) -> Unit:
-    """The unit written as ``km.h-1``, ``mi,h-1``, ``ft`` or ``no_unit``; brackets may stand around.
+    """Parse ``km.h-1``, ``mi,h-1``, ``ft`` or ``no_unit``, optionally in brackets.
 
-    Raises `UnitError` for a text of another form and for a name that is no known unit.
+    Raises `UnitError` for a malformed text and for an unknown name.
     """
     stripped = text.strip()
     if stripped == NO_UNIT_TEXT:
@@ -154,7 +154,8 @@ def parse_unit(text: str) -> Unit:
 
 
 def format_unit(unit: Unit) -> str:
-    """The text of a unit, ``km.h-1``. Law: ``parse_unit(format_unit(u)) == u`` for known units."""
+    """Return the text of a unit, ``km.h-1``. Law: ``parse_unit(format_unit(u)) == u`` for known
+    units."""
     if not unit:
         return NO_UNIT_TEXT
     return ".".join(f.name if f.power == 1 else f"{f.name}{f.power}" for f in unit)
@@ -162,16 +163,16 @@ def format_unit(unit: Unit) -> str:
 
 @lru_cache(maxsize=4096)
 def dimension(unit: Unit) -> str:
-    """What a unit measures, as ``[length] / [time]`` or ``dimensionless``.
+    """Return the dimension of a unit, as ``[length] / [time]`` or ``dimensionless``.
 
-    Raises `UnitError` if a name is unknown or a power is 0 or beyond ±99.
+    Raises `UnitError` for an unknown name, and for a power of 0 or beyond ±99.
     """
     if len(unit) > MOST_FACTORS:
         raise UnitError(f"a unit has at most {MOST_FACTORS} factors")
     with _lock:
         registry = _registry()
         powers = registry.get_dimensionality(_container(unit))
-        _forget()
+        _limit_cache()
     above = [_power_text(name, power) for name, power in sorted(powers.items()) if power > 0]
     below = [_power_text(name, -power) for name, power in sorted(powers.items()) if power < 0]
     if not above and not below:
@@ -185,11 +186,11 @@ def _power_text(name: str, power: Fraction) -> str:
 
 @lru_cache(maxsize=4096)
 def conversion(source: Unit, target: Unit) -> Conversion:
-    """How values in ``source`` become values in ``target``; cached per pair.
+    """Return the conversion from ``source`` to ``target``; cached for each pair.
 
     Temperatures on their own (power 1, nothing else) convert with their offset; in a product they
     are differences. Factors are computed exactly and rounded once. Raises `UnitError`, naming both
-    units, if their dimensions differ or a scale is not linear (decibel).
+    units, for different dimensions and for a nonlinear scale (decibel).
     """
     if dimension(source) != dimension(target):
         raise UnitError(
@@ -206,12 +207,12 @@ def conversion(source: Unit, target: Unit) -> Conversion:
             one = registry.convert(Fraction(1), first, second)
             factor, offset = float(one - zero), float(zero)
         except (pint.PintError, ArithmeticError, ValueError, TypeError) as error:
-            # Both are known and of one dimension, so the scale itself is the trouble.
+            # Both units are known and of one dimension, so the scale itself is nonlinear.
             raise UnitError(
                 f"no linear conversion from {format_unit(source)} to {format_unit(target)}"
             ) from error
         finally:
-            _forget()
+            _limit_cache()
     if factor == 0.0 or not np.isfinite([factor, offset]).all():
         raise UnitError(
             f"the conversion from {format_unit(source)} to {format_unit(target)} "
@@ -225,9 +226,9 @@ _lock = threading.RLock()
 
 @lru_cache(maxsize=1)
 def _registry() -> Any:
-    """Pint's tables with exact numbers, made on first use (about 0.1 s)."""
-    # Definitions are loaded into an empty registry: pint's default constructor would precompute
-    # dimensions before the radian is redefined.
+    """Return pint's tables with exact numbers, built on first use (about 0.1 s)."""
+    # Loads the definitions into an empty registry: the default constructor would compute dimensions
+    # before the radian is redefined.
     registry: Any = pint.UnitRegistry(None, non_int_type=Fraction, on_redefinition="ignore")
     registry.load_definitions(Path(pint.__file__).parent / "default_en.txt")
     for definition in _DEFINITIONS:
@@ -235,25 +236,25 @@ def _registry() -> Any:
     return registry
 
 
-_asked = count(1)
+_calls = count(1)
 
 
-def _forget() -> None:
-    """Called after each question: pint remembers every unit that it was ever asked for, some 2 KB
-    each, so now and then its tables are made anew."""
-    if next(_asked) % _REMEMBERED == 0:
+def _limit_cache() -> None:
+    """Rebuild pint's tables now and then: pint caches each unit that it was ever given, some 2 KB
+    each. Called after each use."""
+    if next(_calls) % _CACHED_CALLS == 0:
         _registry.cache_clear()
 
 
 def _container(unit: Unit) -> Any:
-    """The unit in pint's names. Offset scales inside a product count as differences."""
+    """Return the unit in pint's names. Scales with an offset count as differences in a product."""
     registry = _registry()
     powers: dict[str, int] = {}
     for factor in unit:
         if not 0 < abs(factor.power) <= _LARGEST_POWER:
             raise UnitError(
                 f"the power of {factor.name} is {factor.power}; "
-                f"it must be from 1 to {_LARGEST_POWER} or negative likewise"
+                f"it must be from 1 to {_LARGEST_POWER} or from -{_LARGEST_POWER} to -1"
             )
         name = _known_name(factor.name)
         powers[name] = powers.get(name, 0) + factor.power
@@ -265,7 +266,7 @@ def _container(unit: Unit) -> Any:
 
 def _known_name(name: str) -> str:
     if not (name.isascii() and name.isalpha()):
-        raise UnitError(f"{name!r} is no unit: a unit's name has letters only")
+        raise UnitError(f"{name!r} is not a unit: the name of a unit consists of letters")
     try:
         return str(_registry().get_name(_NAMES.get(name, name)))
     except pint.UndefinedUnitError:

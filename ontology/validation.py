@@ -1,4 +1,4 @@
-"""Is the stream space well-formed? SHACL shapes say so, pyshacl checks (SPEC §2)."""
+"""Validates the stream space by SHACL shapes and pyshacl (SPEC §2)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import rdflib
 from pyoxigraph import Triple
 
 from .closure import to_rdflib
-from .shipped import shapes_text
+from .shipped_files import shapes_text
 
 _SH = rdflib.Namespace("http://www.w3.org/ns/shacl#")
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A node that a shape refuses, and why; ``path`` is the property concerned, if it is one."""
+    """A node that violates a shape, and the reason; ``path`` is the property concerned, if there is
+    one."""
 
     node: str
     path: str | None
@@ -25,7 +26,7 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class ShaclReport:
-    """Whether the data conforms, and the report as text for people."""
+    """Whether the data conforms, with a report for people."""
 
     conforms: bool
     text: str
@@ -33,8 +34,8 @@ class ShaclReport:
 
 
 def validate(triples: Iterable[Triple]) -> ShaclReport:
-    """Checks closed triples against shapes.ttl. Nothing is fetched or inferred."""
-    # pyshacl takes a third of a second to import and is asked only by people.
+    """Check closed triples against shapes.ttl. Nothing is fetched or inferred."""
+    # Imported here: pyshacl takes a third of a second, and only interactive requests need it.
     import pyshacl
 
     data = rdflib.Graph()

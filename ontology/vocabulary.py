@@ -1,8 +1,8 @@
 """The vocabulary: a typed, immutable view of the closed ontology (SPEC §2).
 
-Languages check names against it, matching asks it for sub-sorts and sub-features
-([Introspection15 §4.3]). It is made once per change of the ontology; every look-up is a dict
-access. IRIs are strings here.
+Languages check names against it; matching reads sub-sorts and sub-features from it
+([Introspection15 §4.3]). It is built when the ontology changes; each look-up is a dict access. IRIs
+are strings here.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Literal as OneOf
 from typing import TypeAlias
@@ -45,11 +45,11 @@ Links: TypeAlias = Mapping[str, frozenset[str]]
 
 @dataclass(frozen=True, slots=True)
 class FeatureInfo:
-    """What the ontology says of a feature.
+    """The ontology's statements about a feature.
 
-    ``range`` and ``domain`` are the narrowest known (a datatype or class IRI), ``unit`` the one
-    that plain numbers of it are in (None: none is stated). Sub-features inherit all three.
-    ``arity`` is the number of its arguments where the ontology says it: 1 of a `:UnaryFeature`.
+    ``range`` and ``domain`` are the narrowest stated datatype or class IRI; ``unit`` is that of
+    plain numbers (None: none is stated). Sub-features inherit all three. ``arity`` is the number of
+    arguments if the ontology states it: 1 for a `:UnaryFeature`.
     """
 
     iri: str
@@ -61,11 +61,11 @@ class FeatureInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vocabulary:
-    """Sorts, features, events and objects of the closed ontology at ``version``.
+    """The sorts, features, events and objects of the closed ontology at ``version``.
 
-    A *sort* is a class that is none of the stream space's own terms or RDF's; ``owl:Thing``,
-    ``:Sort`` and ``dyknow:Thing`` (all equivalent) are sorts too. An *object* is an individual of
-    a sort. An *event* is a concept of type ``:Event``; it is no feature.
+    A *sort* is a class that belongs neither to the stream space nor to RDF. ``owl:Thing``,
+    ``:Sort`` and ``dyknow:Thing`` (all equivalent) are sorts too. An *object* is an individual of a
+    sort. An *event* is a concept of type ``:Event``; events are no features.
     """
 
     version: int
@@ -77,31 +77,22 @@ class Vocabulary:
     _objects: Links
     _events: frozenset[str]
     self_object: str = SELF
-    """The object that ``self`` is: what the ontology says is ``owl:sameAs`` it, else `SELF`."""
+    """The object that ``self`` denotes: the one that the ontology declares ``owl:sameAs`` it, else
+    `SELF`."""
 
     @classmethod
-    def from_triples(cls, triples: Iterable[Triple], version: int = 0) -> Vocabulary:
-        """The vocabulary of these triples, which must be closed (asserted and entailed) but for
-        the pairs of hierarchies.
+    def from_triples(cls, triples: Iterable[Triple]) -> Vocabulary:
+        """Build the vocabulary of closed triples (asserted and entailed); the pairs of hierarchies
+        may be missing.
 
-        Raises `UnitError`, naming the feature, if a ``:hasUnit`` cannot be understood.
-        Cost: linear in the triples, and that of the hierarchies.
+        Raises `UnitError`, naming the feature, for a ``:hasUnit`` that is no unit. Cost: linear in
+        the triples, and that of the hierarchies.
         """
-        return _read(_Index(triples), version)
+        return _read(_Index(triples))
 
     def with_events(self, events: Iterable[str], version: int) -> Vocabulary:
-        """The same vocabulary at a new version with these events added."""
-        return Vocabulary(
-            version,
-            self._sorts,
-            self._subsorts,
-            self._features,
-            self._superfeatures,
-            self._subfeatures,
-            self._objects,
-            self._events | frozenset(events),
-            self.self_object,
-        )
+        """Return the vocabulary at a new version with these events added."""
+        return replace(self, version=version, _events=self._events | frozenset(events))
 
     def is_sort(self, iri: str) -> bool:
         return iri in self._sorts
@@ -116,35 +107,36 @@ class Vocabulary:
         return iri in self._objects
 
     def feature(self, iri: str) -> FeatureInfo | None:
-        """Range, unit and domain of a feature; None if ``iri`` is none."""
+        """Return range, unit and domain of a feature; None if ``iri`` is no feature."""
         return self._features.get(iri)
 
     def supersorts(self, iri: str) -> frozenset[str]:
-        """All sorts that contain the sort, with itself (only itself if it is unknown)."""
+        """Return all sorts that contain the sort, with itself (only itself if it is unknown)."""
         return self._sorts.get(iri) or frozenset({iri})
 
     def subsorts(self, iri: str) -> frozenset[str]:
-        """All sorts contained in the sort, with itself."""
+        """Return all sorts contained in the sort, with itself."""
         return self._subsorts.get(iri) or frozenset({iri})
 
     def is_subsort(self, sub: str, super: str) -> bool:
-        """True if every ``sub`` is a ``super``: ``RMAX ⊑ UAV``. Every sort is one of itself."""
+        """Return whether every ``sub`` is a ``super``: ``RMAX ⊑ UAV``. Every sort
+        contains itself."""
         return super in self.supersorts(sub)
 
     def superfeatures(self, iri: str) -> frozenset[str]:
-        """All features that the feature is a case of, with itself."""
+        """Return all features above the feature, with itself."""
         return self._superfeatures.get(iri) or frozenset({iri})
 
     def subfeatures(self, iri: str) -> frozenset[str]:
-        """All features that are cases of the feature, with itself."""
+        """Return all features below the feature, with itself."""
         return self._subfeatures.get(iri) or frozenset({iri})
 
     def has_members(self, sort: str) -> bool:
-        """Whether the ontology knows an object of the sort. Cost: O(objects)."""
+        """Return whether the ontology names an object of the sort. Cost: O(objects)."""
         return any(sort in sorts for sorts in self._objects.values())
 
     def sorts_of(self, object_iri: str) -> frozenset[str]:
-        """Every sort of a known object; empty for an object that the ontology does not name."""
+        """Return every sort of an object; empty for an object that the ontology does not name."""
         return self._objects.get(object_iri, _NO_NAMES)
 
     def sorts(self) -> Sequence[str]:
@@ -157,15 +149,16 @@ class Vocabulary:
         return sorted(self._events)
 
     def suggest(self, name: str, kind: NameKind = "any") -> tuple[str, ...]:
-        """Up to three known local names near ``name`` (an IRI or a local name), best first."""
-        known: set[str] = set()
+        """Return up to three local names similar to ``name`` (an IRI or a local name),
+        best first."""
+        names: set[str] = set()
         if kind in ("sort", "any"):
-            known.update(self._sorts)
+            names.update(self._sorts)
         if kind in ("feature", "any"):
-            known.update(self._features)
+            names.update(self._features)
         if kind in ("event", "any"):
-            known.update(self._events)
-        locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(known)}
+            names.update(self._events)
+        locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(names)}
         near = difflib.get_close_matches(local_name(name).lower(), locals_by_key, n=3)
         return tuple(locals_by_key[key] for key in near)
 
@@ -177,7 +170,7 @@ class _Index:
         self._objects: dict[str, dict[str, list[NamedNode | Literal]]] = defaultdict(
             lambda: defaultdict(list)
         )
-        # Objects of describesSort hang on blank nodes in Listing 3, so they are kept apart.
+        # Listing 3 attaches describesSort to blank nodes, so its objects are collected separately.
         self.described_sorts: set[str] = set()
         for triple in triples:
             object = triple.object
@@ -187,36 +180,36 @@ class _Index:
             elif isinstance(triple.subject, NamedNode) and isinstance(object, NamedNode | Literal):
                 self._objects[triple.predicate.value][triple.subject.value].append(object)
 
-    def named(self, predicate: str) -> dict[str, set[str]]:
-        """Subject -> named objects of ``predicate``."""
+    def named_objects(self, predicate: str) -> dict[str, set[str]]:
+        """Return subject -> named objects of ``predicate``."""
         return {
             subject: {o.value for o in objects if isinstance(o, NamedNode)}
             for subject, objects in self._objects.get(predicate, {}).items()
         }
 
     def hierarchy(self, of: str) -> Hierarchy[str]:
-        """What contains each class or property, by name."""
-        inclusions = self.named(f"{RDFS}sub{of}Of")
-        equivalences = self.named(f"{OWL}equivalent{of}")
+        """Return the hierarchy of classes or properties, by name."""
+        inclusions = self.named_objects(f"{RDFS}sub{of}Of")
+        equivalences = self.named_objects(f"{OWL}equivalent{of}")
         edges = [(lower, upper) for lower, uppers in inclusions.items() for upper in uppers]
         for one, others in equivalences.items():
             edges += [pair for other in others for pair in ((one, other), (other, one))]
         return Hierarchy(edges)
 
     def texts(self, predicate: str) -> dict[str, list[str]]:
-        """Subject -> literal texts of ``predicate``, sorted."""
+        """Return subject -> literal texts of ``predicate``, sorted."""
         return {
             subject: sorted(o.value for o in objects if isinstance(o, Literal))
             for subject, objects in self._objects.get(predicate, {}).items()
         }
 
 
-def _read(index: _Index, version: int) -> Vocabulary:
-    types = index.named(_TYPE)
-    # The stream space's own terms are no domain terms, though OWL calls Stream a class too.
+def _read(index: _Index) -> Vocabulary:
+    types = index.named_objects(_TYPE)
+    # The stream space's own terms are no domain terms, though Stream is an OWL class too.
     own = {
         subject
-        for subject, definers in index.named(RDFS + "isDefinedBy").items()
+        for subject, definers in index.named_objects(RDFS + "isDefinedBy").items()
         if STREAM_SPACE.rstrip("#") in definers
     }
 
@@ -228,34 +221,34 @@ def _read(index: _Index, version: int) -> Vocabulary:
     features = of_type([STREAM_SPACE + "Feature"]) - own
     events = of_type([STREAM_SPACE + "Event"]) - own
     superclasses = index.hierarchy("Class")
-    kinds_of_feature = superclasses.inverted().above(STREAM_SPACE + "Feature")
+    kinds_of_feature = superclasses.inverse().above(STREAM_SPACE + "Feature")
     classes = of_type(_CLASSES) | (index.described_sorts - {SELF})
     sorts = (classes - own - features - events - kinds_of_feature) | _TOPS
     tops = {sort for sort in sorts if sort in _TOPS or sort == THING}
-    # A sort known only from its use in an annotation is under Thing like any other.
+    # A sort that only an annotation uses is under Thing like any other.
     within_tops = ((sort, top) for sort in sorts for top in tops)
     supersorts = Hierarchy(chain(superclasses.edges, within_tops))
     superfeatures = index.hierarchy("Property")
-    # What is typed by the stream space (a Stream, a Transformation) or speaks of RDF is no object.
+    # Instances of the stream space (a Stream, a Transformation) and schema terms are no objects.
     others = sorts | features | events | own | of_type(_SCHEMA) | of_type(own - _TOPS)
     objects = {
         subject: frozenset(kinds & sorts)
         for subject, kinds in types.items()
         if kinds & sorts and subject not in others and not subject.startswith(_STANDARD)
     }
-    # `self` is a term of the stream space and yet an object of whatever sort it is said to be;
-    # what is the same as it is so too.
-    named = sorted(index.named(_SAME).get(SELF, set()) - {SELF})
+    # `self` is a term of the stream space but also an object, of the sorts that the ontology
+    # states. Objects that are the same as it are objects too.
+    named = sorted(index.named_objects(_SAME).get(SELF, set()) - {SELF})
     for subject in (SELF, *named):
         objects[subject] = frozenset((types.get(subject, set()) & sorts) | tops)
     infos = _Infos(index, superclasses, superfeatures, features)
     return Vocabulary(
-        version,
+        0,
         _Links(supersorts, frozenset(sorts)),
-        _Links(supersorts.inverted(), frozenset(sorts)),
+        _Links(supersorts.inverse(), frozenset(sorts)),
         {feature: infos.info(feature) for feature in features},
         _Links(superfeatures, frozenset(features)),
-        _Links(superfeatures.inverted(), frozenset(features)),
+        _Links(superfeatures.inverse(), frozenset(features)),
         objects,
         frozenset(events),
         named[0] if named else SELF,
@@ -263,7 +256,7 @@ def _read(index: _Index, version: int) -> Vocabulary:
 
 
 class _Infos:
-    """Ranges, domains and units, the narrowest of each."""
+    """The ranges, domains and units of features, the narrowest of each."""
 
     def __init__(
         self,
@@ -272,12 +265,12 @@ class _Infos:
         superfeatures: Hierarchy[str],
         features: Set[str],
     ) -> None:
-        self._types = index.named(_TYPE)
+        self._types = index.named_objects(_TYPE)
         self._superclasses = superclasses
         self._superfeatures = superfeatures
         self._features = features
-        self._ranges = index.named(RDFS + "range")
-        self._domains = index.named(RDFS + "domain")
+        self._ranges = index.named_objects(RDFS + "range")
+        self._domains = index.named_objects(RDFS + "domain")
         self._units = index.texts(STREAM_SPACE + "hasUnit")
 
     def info(self, feature: str) -> FeatureInfo:
@@ -290,13 +283,14 @@ class _Infos:
         )
 
     def _narrowest(self, classes: set[str]) -> str | None:
-        """The class that contains no other of them; the first by name if several do."""
+        """Return the class that contains no other of them; the first by name if there are
+        several."""
         wider = {w for c in classes for w in self._superclasses.above(c) if w != c}
-        # Equivalent classes contain each other; then none is narrowest and the name decides.
+        # Of equivalent classes, which contain each other, dyknow:Thing or the first name wins.
         return min(classes - wider or classes, key=lambda c: (c != THING, c), default=None)
 
     def _depth(self, feature: str) -> int:
-        """How many features it is a case of."""
+        """Return the number of features above the feature, with itself."""
         return len((self._superfeatures.above(feature) | {feature}) & self._features)
 
     def _unit(self, feature: str) -> Unit | None:
@@ -313,8 +307,8 @@ class _Infos:
 
 
 class _Links(Mapping[str, frozenset[str]]):
-    """Of each of ``names`` those of them that stand above it, itself among them; read when it is
-    asked for: all pairs of a deep hierarchy would be millions."""
+    """Maps each of ``names`` to those above it, with itself. Each value is computed on its first
+    look-up: all pairs of a deep hierarchy would be millions."""
 
     def __init__(self, hierarchy: Hierarchy[str], names: frozenset[str]) -> None:
         self._hierarchy = hierarchy

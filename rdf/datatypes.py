@@ -25,12 +25,12 @@ INTEGERS: Final = frozenset(
         "nonNegativeInteger",
     )
 )
-"""``xsd:integer`` and what is derived from it."""
+"""``xsd:integer`` and the datatypes derived from it."""
 
 FRACTIONS: Final = frozenset(XSD + name for name in ("decimal", "float", "double"))
 NUMBERS: Final = INTEGERS | FRACTIONS
 
-KNOWN: Final = NUMBERS | frozenset(
+VALUE_DATATYPES: Final = NUMBERS | frozenset(
     XSD + name
     for name in (
         "anyURI",
@@ -45,12 +45,12 @@ KNOWN: Final = NUMBERS | frozenset(
         "yearMonthDuration",
     )
 )
-"""Datatypes that a value sort may be."""
+"""Datatypes that KPL accepts as value sorts."""
 
 
 def range_type(range: str | None) -> FieldType:
-    """The type of a field whose values are of this datatype or class; text where it is neither
-    a number nor a boolean."""
+    """Return the field type for a datatype or class. Everything that is neither a number nor a
+    boolean becomes text."""
     if range in FRACTIONS:
         return FieldType.FLOAT
     if range in INTEGERS:

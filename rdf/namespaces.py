@@ -1,4 +1,4 @@
-"""The namespaces every room shares (SPEC §2)."""
+"""The namespaces that every room shares (SPEC §2)."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ RDF_TYPE: Final = NamedNode(RDF + "type")
 
 
 def local_name(iri: str) -> str:
-    """What follows the last ``#``, ``/`` or ``:``: ``UAV`` of ``dyknow:UAV``."""
+    """Return the part after the last ``#``, ``/`` or ``:``: ``UAV`` of ``dyknow:UAV``."""
     return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
 
 
 def shorten(iri: str) -> str:
-    """``prefix:local`` for an IRI in a shared namespace, else ``<iri>``: for people to read."""
+    """Return ``prefix:local`` for an IRI in a shared namespace, else ``<iri>``: for messages."""
     for prefix, namespace in PREFIXES.items():
         local = iri.removeprefix(namespace)
         if local != iri and local.replace("_", "").replace("-", "").isalnum():

@@ -1,8 +1,8 @@
-"""Timed triples in columns ([Events14 §III-V]: ⟨subj, pred, obj⟩ at τ, and the valid time beside).
+"""Timed triples in columns ([Events14 §III-V]: ⟨subj, pred, obj⟩ at τ, with a valid time).
 
-The form on the way of a sample is the *wide row*: one subject at one time with an object for
-each of several predicates. A row with k objects present stands for k triples. A plain list of
-triples is the special case of one predicate a table.
+Samples travel as *wide rows*: one subject at one time with an object for each of several
+predicates. A row with k objects stands for k triples. A plain list of triples is the special case
+of one predicate for each table.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from .namespaces import XSD
 
 
 class Kind(IntEnum):
-    """How a column holds its objects.
+    """The kind of objects that a column holds.
 
-    Numbers stay numbers: ``INTEGER`` int64, ``DOUBLE``, ``FLOAT`` and ``DECIMAL`` float64 (a
-    decimal's text is the shortest that gives its float64 back), ``BOOLEAN`` bool. Everything else
-    is ``TERM``: int32 ids of the dictionary. A column of mixed kinds is a ``TERM`` column.
+    Numbers stay numbers: ``INTEGER`` is int64; ``DOUBLE``, ``FLOAT`` and ``DECIMAL`` are float64;
+    ``BOOLEAN`` is bool. The text of a decimal is the shortest one that parses to the same float64.
+    Everything else is ``TERM``: int32 ids of the dictionary. A column of mixed kinds is a ``TERM``
+    column.
     """
 
     TERM = 0
@@ -69,7 +70,7 @@ DATATYPES: dict[Kind, NamedNode] = {
 class ObjectColumn:
     """Objects of one predicate: values of ``kind.dtype``, shape ``(n,)``.
 
-    ``null`` marks rows without such a triple (None = every row has one).
+    ``null`` marks the rows without such a triple; None means that every row has one.
     """
 
     kind: Kind
@@ -81,23 +82,23 @@ class ObjectColumn:
 
     @property
     def present(self) -> Mask:
-        """True where the triple is there, shape ``(n,)``."""
+        """True where the row has the triple, shape ``(n,)``."""
         return np.ones(len(self.values), np.bool_) if self.null is None else ~self.null
 
     def take(self, rows: NDArray[Any] | slice) -> ObjectColumn:
-        """The column at ``rows`` (a mask, indices or a slice)."""
+        """Return the column at ``rows`` (a mask, indices or a slice)."""
         null = None if self.null is None else self.null[rows]
         return ObjectColumn(self.kind, self.values[rows], null)
 
     @property
-    def held(self) -> NDArray[Any]:
-        """The ids of terms that are there, in any order."""
+    def held_ids(self) -> NDArray[Any]:
+        """The ids of its terms, in any order, without null rows."""
         if self.kind is not Kind.TERM:
             return self.values[:0]
         return self.values if self.null is None else self.values[~self.null]
 
     def term_at(self, row: int, dictionary: TermDictionary) -> Term:
-        """The object at ``row`` (which must be present) as an RDF term."""
+        """Return the object at ``row`` as an RDF term. The row must have one."""
         return make_term(self.kind, self.values[row], dictionary)
 
 
@@ -105,8 +106,8 @@ class ObjectColumn:
 class TripleRows:
     """Wide rows: ``time`` τ and ``valid`` in ns, ``subject`` ids, objects by predicate id.
 
-    All shape ``(n,)``. ``sort`` is the id of a sort that every subject is of, by the annotation
-    the rows came from (``every UAV``), or None. Slicing makes views.
+    All have shape ``(n,)``. ``sort`` is the id of a sort that every subject belongs to by the
+    annotation (``every UAV``), or None. Slicing makes views.
     """
 
     time: Times
@@ -120,18 +121,18 @@ class TripleRows:
 
     @property
     def triples(self) -> int:
-        """How many triples the rows stand for."""
+        """The number of triples that the rows stand for."""
         return sum(int(np.count_nonzero(column.present)) for column in self.objects.values())
 
-    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
-        """The ids of terms that are there (`dictionary.Holder`)."""
+    def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+        """Return the ids of its terms (`dictionary.Holder`)."""
         yield self.subject
         yield list(self.objects) if self.sort is None else [*self.objects, self.sort]
         for column in self.objects.values():
-            yield column.held
+            yield column.held_ids
 
     def take(self, rows: NDArray[Any] | slice) -> TripleRows:
-        """The rows at ``rows`` (a mask, indices or a slice), in that order."""
+        """Return the rows at ``rows`` (a mask, indices or a slice), in that order."""
         objects = {predicate: column.take(rows) for predicate, column in self.objects.items()}
         return TripleRows(self.time[rows], self.valid[rows], self.subject[rows], objects, self.sort)
 
@@ -140,8 +141,8 @@ class TripleRows:
 class TimedTriples:
     """A bag of timed triples: tables of wide rows over one dictionary.
 
-    Within a table rows are in any order of τ unless the maker says otherwise. As long as it is
-    kept its terms are: it holds them. Tables without it do not.
+    Rows of a table are in any order of τ, unless its maker documents one. The object holds its
+    terms in the dictionary as long as it lives; bare tables do not.
     """
 
     dictionary: TermDictionary
@@ -150,22 +151,22 @@ class TimedTriples:
     def __post_init__(self) -> None:
         self.dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+    def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
         """See `dictionary.Holder`."""
         for table in self.tables:
-            yield from table.held()
+            yield from table.held_ids()
 
     def __len__(self) -> int:
-        """How many triples."""
+        """Return the number of triples."""
         return sum(table.triples for table in self.tables)
 
     def __iter__(self) -> Iterator[tuple[int, Term, NamedNode, Term]]:
-        """``(τ, subject, predicate, object)`` one by one: for edges and tests."""
+        """Yield ``(τ, subject, predicate, object)`` one by one: for edges and tests."""
         for time, _, subject, predicate, object in self.with_valid():
             yield time, subject, predicate, object
 
     def with_valid(self) -> Iterator[tuple[int, int, Term, NamedNode, Term]]:
-        """``(τ, valid, subject, predicate, object)`` one by one: for edges and tests."""
+        """Yield ``(τ, valid, subject, predicate, object)`` one by one: for edges and tests."""
         for table in self.tables:
             for predicate, column in table.objects.items():
                 predicate_term = self.dictionary.term(predicate)
@@ -185,11 +186,11 @@ def from_terms(
     dictionary: TermDictionary,
     valid: Sequence[int] | None = None,
 ) -> TimedTriples:
-    """Columns from ``(τ, subject, predicate, object)``; valid time is τ unless given.
+    """Make columns from ``(τ, subject, predicate, object)``; valid time is τ unless given.
 
-    One table a (predicate, kind of object), each in the order given. Numeric and boolean literals
-    in canonical form become numbers; others stay terms, so that iterating gives back term-equal
-    triples.
+    There is a table for each pair of predicate and kind of object, in the order given. Numeric and
+    boolean literals in canonical form become numbers. Other literals stay terms, so that iterating
+    yields equal triples.
     """
     id = dictionary.transient_id
     groups: dict[tuple[int, Kind], list[tuple[int, int, int, Any]]] = defaultdict(list)
@@ -212,13 +213,13 @@ def from_terms(
 
 
 Intern: TypeAlias = Callable[[Term], int]
-"""Gives the id of a term: `TermDictionary.id` or `TermDictionary.transient_id`."""
+"""Returns the id of a term: `TermDictionary.id` or `TermDictionary.transient_id`."""
 
 
 def split_term(term: Term, intern: Intern) -> tuple[Kind, Any]:
-    """How a column would hold ``term``: a kind and a value of its dtype.
+    """Return how a column holds ``term``: a kind and a value of its dtype.
 
-    A literal is held as a number only if `make_literal` gives the equal literal back.
+    A literal becomes a number only if `make_literal` gives the equal literal back.
     """
     if isinstance(term, Literal):
         kind = _KIND_OF.get(term.datatype.value)
@@ -230,12 +231,12 @@ def split_term(term: Term, intern: Intern) -> tuple[Kind, Any]:
 
 
 def make_term(kind: Kind, value: Any, dictionary: TermDictionary) -> Term:
-    """The RDF term that a column of ``kind`` holds as ``value``, numbers in canonical form."""
+    """Return the RDF term for a ``value`` of a column of ``kind``, numbers in canonical form."""
     return dictionary.term(int(value)) if kind is Kind.TERM else make_literal(kind, value)
 
 
 def make_literal(kind: Kind, value: Any) -> Literal:
-    """A number or truth as a literal in canonical form."""
+    """Return a number or boolean as a literal in canonical form."""
     if kind is Kind.INTEGER:
         return Literal(str(int(value)), datatype=DATATYPES[kind])
     if kind is Kind.BOOLEAN:
@@ -261,13 +262,13 @@ def _parse(kind: Kind, text: str) -> Any:
 
 
 def number_text(kind: Kind, value: float) -> str:
-    """XSD text of a float64: the shortest digits that parse back to the same value."""
+    """Return the XSD text of a float64: the shortest digits that parse back to the same value."""
     if np.isnan(value):
         return "NaN"
     if np.isinf(value):
         return "INF" if value > 0 else "-INF"
     if kind is Kind.DECIMAL:
-        # A decimal has no -0.
+        # XSD decimals have no -0: adding 0.0 removes the sign.
         text = np.format_float_positional(value + 0.0, trim="-")
         return text.removesuffix(".")
     text = repr(value)

@@ -1,7 +1,7 @@
 """SPARQL 1.1 query texts: one tokenizer, one parser, the tree, its scopes, its printer.
 
-`languages.csparql` adds the clauses of continuous queries to the parser; `ontology.query_guard`
-checks users' texts with it. No other parser reads a text in the main process.
+`languages.csparql` extends the parser by the clauses of continuous queries; `ontology.query_guard`
+checks users' queries with it. The main process has no other parser for query texts.
 """
 
 from .errors import LanguageError, Span

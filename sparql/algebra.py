@@ -1,4 +1,4 @@
-"""The parts of a group as SPARQL's algebra has them (SPARQL 1.1 §18.2.2.2, §18.2.2.5)."""
+"""The parts of a group, as SPARQL's algebra groups them (SPARQL 1.1 §18.2.2.2, §18.2.2.5)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from .ast import Element, Expression, Filter, Group, Triple, Triples
 
 
-def split(group: Group) -> tuple[list[Element], list[Expression]]:
-    """The parts of a group without its filters, and the conditions of these: they hold for all of
-    the group. Triples are those of a whole basic graph pattern, which no filter ends."""
+def split_group(group: Group) -> tuple[list[Element], list[Expression]]:
+    """Return the parts of a group without its filters, and the filters' conditions, which apply to
+    the whole group. A filter does not end a basic graph pattern, so the triples around it become
+    one part."""
     parts: list[Element] = []
     conditions: list[Expression] = []
     triples: list[Triple] = []
@@ -33,30 +34,31 @@ def _block(triples: Iterable[Triple]) -> list[Element]:
 
 
 def most_bound_first(triples: Iterable[Triple]) -> list[Triple]:
-    """Triple patterns in the order in which they are joined where nothing else is known: few
-    variables that are free after those before, and many that others have, too.
+    """Order triple patterns for a join that knows no statistics: first those with the fewest
+    variables that no earlier pattern binds, then those whose variables occur most often.
 
-    The names of streams that are made for a request, and what GROUP_CONCAT and SAMPLE give, follow
-    from this order. It stays what it was, for data directories that are replayed.
+    The names of streams made for a request depend on this order, and so do the results of
+    GROUP_CONCAT and SAMPLE. It must not change: replaying a log has to give the same names.
     """
-    left = list(triples)
-    counts = Counter(term for triple in left for term in _open_places(triple))
-    known: set[Variable | BlankNode] = set()
+    remaining = list(triples)
+    counts = Counter(term for triple in remaining for term in _open_places(triple))
+    bound: set[Variable | BlankNode] = set()
     found: list[Triple] = []
 
     def rank(triple: Triple) -> tuple[int, int, bool, tuple[tuple[int, str], ...]]:
         open = _open_places(triple)
-        free = sum(1 for term in open if term not in known)
+        free = sum(1 for term in open if term not in bound)
         shared = -sum(counts[term] for term in open)
         places = (triple.subject, triple.predicate, triple.object)
         return free, shared, not isinstance(triple.object, Literal), tuple(map(_order, places))
 
-    while left:
-        left = [one for _, _, one in sorted((rank(t), n, t) for n, t in enumerate(left))]
-        least = rank(left[0])[0]
-        block = [triple for triple in left if rank(triple)[0] == least]
-        known.update(term for triple in block for term in _open_places(triple))
-        found.append(left.pop(0))
+    # Quadratic, but a query has at most some hundred patterns.
+    while remaining:
+        remaining = [one for _, _, one in sorted((rank(t), n, t) for n, t in enumerate(remaining))]
+        least = rank(remaining[0])[0]
+        block = [triple for triple in remaining if rank(triple)[0] == least]
+        bound.update(term for triple in block for term in _open_places(triple))
+        found.append(remaining.pop(0))
     return found
 
 

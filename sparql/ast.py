@@ -1,9 +1,8 @@
 """The tree of a SPARQL 1.1 query ([SPARQL 1.1 §19.8]; rule numbers in brackets).
 
-Terms are those of pyoxigraph. Collections and ``[]`` are triples already, with blank nodes of their
-own. Operators in a row (``a + b + c``, ``||``, ``&&``) are one node, so that how deep a tree is
-follows from its brackets. Spans are offsets in the source and say nothing of the meaning: trees are
-equal without them.
+Terms are pyoxigraph's. The parser expands collections and ``[]`` to triples with fresh blank nodes.
+A chain of one operator (``a + b + c``, ``||``, ``&&``) is one node, so the depth of a tree follows
+from its brackets. Spans are offsets into the source and take no part in comparisons.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from .errors import Span
 
 T = TypeVar("T")
-HERE: Final = Span(0, 0)
-"""The span of what stands in no source."""
+NO_SPAN: Final = Span(0, 0)
+"""The span of a node that was not parsed from a text."""
 
 
 class Form(StrEnum):
@@ -56,7 +55,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True)
-class Repeated:
+class Repetition:
     """``path*``, ``path+``, ``path?``; ``sign`` says which."""
 
     path: Path
@@ -64,21 +63,21 @@ class Repeated:
 
 
 @dataclass(frozen=True, slots=True)
-class Negated:
-    """``!(iri|^iri)``: any step but these, along and against."""
+class NegatedSet:
+    """``!(iri|^iri)``: any step except these, forward and backward."""
 
     forward: tuple[NamedNode, ...]
     backward: tuple[NamedNode, ...]
 
 
-Path: TypeAlias = NamedNode | Inverse | Sequence | Alternative | Repeated | Negated
-PATHS: Final = (Inverse, Sequence, Alternative, Repeated, Negated)
+Path: TypeAlias = NamedNode | Inverse | Sequence | Alternative | Repetition | NegatedSet
+PATHS: Final = (Inverse, Sequence, Alternative, Repetition, NegatedSet)
 Place: TypeAlias = NamedNode | Literal | BlankNode | Variable
 
 
 @dataclass(frozen=True, slots=True)
 class Triple:
-    """A triple pattern, or a triple of a template."""
+    """A triple pattern, or a triple of a CONSTRUCT template."""
 
     subject: Place
     predicate: Path | Variable
@@ -116,7 +115,7 @@ class In:
 
 @dataclass(frozen=True, slots=True)
 class Arithmetic:
-    """``a + b - c …`` or ``a * b / c …``, from left to right."""
+    """``a + b - c …`` or ``a * b / c …``, evaluated from left to right."""
 
     first: Expression
     rest: tuple[tuple[str, Expression], ...]
@@ -144,7 +143,7 @@ class FunctionCall:
 
     iri: NamedNode
     arguments: tuple[Expression, ...]
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,20 +180,20 @@ Expression: TypeAlias = (
 )
 
 
-# -- patterns ([53]-[67]): what stands in a group, in this order ---------------------------------
+# -- patterns ([53]-[67]): the elements of a group, in reading order -----------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """``{…}``; the only element of a group with a sub-query is that."""
+    """``{…}``. A sub-query is the only element of its group."""
 
     elements: tuple[Element, ...]
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Triples:
-    """Triple patterns up to the next part of a group."""
+    """Consecutive triple patterns of a group."""
 
     triples: tuple[Triple, ...]
 
@@ -236,7 +235,7 @@ class Bind:
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """A table; None is UNDEF."""
+    """A VALUES table; None stands for UNDEF."""
 
     variables: tuple[Variable, ...]
     rows: tuple[tuple[NamedNode | Literal | None, ...], ...]
@@ -256,17 +255,17 @@ Element: TypeAlias = (
 
 
 @dataclass(frozen=True, slots=True)
-class Projected:
-    """``?v`` or ``(expression AS ?v)`` in a head."""
+class SelectItem:
+    """``?v`` or ``(expression AS ?v)`` in the head of a query."""
 
     variable: Variable
     expression: Expression | None = None
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What GROUP BY groups by; ``alias`` of ``(expression AS ?alias)``."""
+    """A key of GROUP BY; ``alias`` is that of ``(expression AS ?alias)``."""
 
     expression: Expression
     alias: Variable | None = None
@@ -282,15 +281,15 @@ class Order:
 class Query:
     """A query or sub-query without its FROM clauses.
 
-    ``modifier`` is DISTINCT, REDUCED or "". ``projection`` is None for ``*`` and where the form has
-    none, ``template`` for all but CONSTRUCT; ``is_short``: ``CONSTRUCT WHERE {…}``. ``where`` is
-    None only in a DESCRIBE.
+    ``modifier`` is DISTINCT, REDUCED or "". ``projection`` is None for ``*`` and for forms without
+    one, ``template`` is None for all forms but CONSTRUCT. ``is_short`` marks ``CONSTRUCT WHERE
+    {…}``. ``where`` is None only in a DESCRIBE.
     """
 
     form: Form
     where: Group | None
     modifier: str = ""
-    projection: tuple[Projected, ...] | None = None
+    projection: tuple[SelectItem, ...] | None = None
     template: tuple[Triple, ...] | None = None
     is_short: bool = False
     described: tuple[NamedNode | Variable, ...] = ()
@@ -301,21 +300,21 @@ class Query:
     offset: int | None = None
     values: Values | None = None
     base: str = ""
-    """What IRI() resolves against; "" in sub-queries."""
-    span: Span = field(default=HERE, compare=False)
+    """The base IRI that IRI() resolves against; "" in sub-queries."""
+    span: Span = field(default=NO_SPAN, compare=False)
     grouped: Span | None = field(default=None, compare=False)
-    """Where GROUP BY stands with its keys."""
+    """The span of GROUP BY and its keys."""
 
     @property
     def selects_all(self) -> bool:
-        """``SELECT *``, ``DESCRIBE *``."""
+        """True for ``SELECT *`` and ``DESCRIBE *``."""
         if self.form is Form.DESCRIBE:
             return not self.described
         return self.form is Form.SELECT and self.projection is None
 
     @property
     def is_aggregated(self) -> bool:
-        """Whether the solutions are grouped: GROUP BY, HAVING or an aggregate."""
+        """True if the query groups its solutions: by GROUP BY, HAVING or an aggregate."""
         if self.keys or self.having:
             return True
         expressions = [p.expression for p in self.projection or () if p.expression is not None]
@@ -326,18 +325,18 @@ class Query:
 NODES: Final = (
     *(*PATHS, Triple, Logical, Comparison, In, Arithmetic, Unary, Call, FunctionCall, Exists),
     *(Aggregate, Group, Triples, Filter, Optional, Union, Minus, Graph, Bind, Values, SubSelect),
-    *(Projected, Key, Order, Query),
+    *(SelectItem, Key, Order, Query),
 )
 
 
 _FIELDS: Final[dict[type, tuple[str, ...]]] = {
     kind: tuple(one.name for one in fields(kind) if one.compare) for kind in NODES
 }
-"""The fields of each kind of node, without those that only say where it stands."""
+"""The fields of each node class without spans."""
 
 
 def children(node: Any) -> Iterator[Any]:
-    """The nodes and terms directly in a node or a tuple, in reading order."""
+    """Yield the nodes and terms directly in a node or tuple, in reading order."""
     parts = node
     if not isinstance(node, tuple):
         parts = [getattr(node, name) for name in _FIELDS.get(type(node), ())]
@@ -351,40 +350,35 @@ def children(node: Any) -> Iterator[Any]:
 _TERMS: Final = (NamedNode, Literal, BlankNode, Variable)
 
 
-def walk(node: Any) -> Iterator[Any]:
-    """``node`` and all nodes and terms below it, in reading order."""
+def walk(node: Any, *opaque: type) -> Iterator[Any]:
+    """Yield ``node`` and all nodes and terms below it, in reading order, but nothing within nodes
+    of the types ``opaque``."""
     waiting = [node]
     while waiting:
         one = waiting.pop()
         yield one
-        waiting.extend(reversed(list(children(one))))
+        if not isinstance(one, opaque):
+            waiting.extend(reversed(list(children(one))))
 
 
 def variables_of(node: Any) -> dict[str, None]:
-    """The names of all variables in a node, each once, in reading order."""
+    """Return the names of all variables in a node, each once, in reading order."""
     return dict.fromkeys(one.value for one in walk(node) if isinstance(one, Variable))
 
 
 def has_aggregate(expression: Expression) -> bool:
-    """Whether an aggregate stands in an expression; those of EXISTS are not its own."""
-    waiting: list[Any] = [expression]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, Aggregate):
-            return True
-        if not isinstance(one, Exists):
-            waiting.extend(children(one))
-    return False
+    """Return whether an expression contains an aggregate outside of EXISTS."""
+    return any(isinstance(one, Aggregate) for one in walk(expression, Exists))
 
 
-def rewritten(node: T, change: Callable[[Any], Any]) -> T:
-    """``node`` with each node and term for which ``change`` gives another one replaced by that;
-    where it gives None, the parts of the node are looked at."""
+def rewrite(node: T, change: Callable[[Any], Any]) -> T:
+    """Replace each node and term for which ``change`` returns a value by that value. Where
+    ``change`` returns None, descend into the parts. Unchanged parts are shared."""
     made = change(node)
     if made is not None:
         return made  # type: ignore[no-any-return]
     if isinstance(node, tuple):
-        parts = tuple(rewritten(part, change) for part in node)
+        parts = tuple(rewrite(part, change) for part in node)
         same = all(new is old for new, old in zip(parts, node, strict=True))
         return node if same else parts  # type: ignore[return-value]
     if not isinstance(node, NODES):
@@ -392,7 +386,7 @@ def rewritten(node: T, change: Callable[[Any], Any]) -> T:
     changed = {}
     for name in _FIELDS[type(node)]:
         old = getattr(node, name)
-        new = rewritten(old, change)
+        new = rewrite(old, change)
         if new is not old:
             changed[name] = new
     return replace(node, **changed) if changed else node

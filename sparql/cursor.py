@@ -1,6 +1,7 @@
-"""Steps over the tokens of a text: what is there, what is due, and what a name means.
+"""A cursor over the tokens of a text, with the prefixes and errors that all readers share.
 
-All readers of query texts and requests share it, so that each says alike what it misses and where.
+The readers of queries, clauses and requests extend or use it, so that they report errors in the
+same words.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ _DATATYPE: Final = 'write `"100"^^xsd:integer`'
 
 
 class Cursor:
-    """A place in the tokens of ``source``, and the prefixes and base declared before it.
+    """A position in the tokens of ``source``, with the prefixes and base declared before it.
 
-    ``tokens`` are those that were read so far, ``prefixes`` at first those that need no
+    ``tokens`` are the tokens read so far. ``prefixes`` initially contains those that need no
     declaration.
     """
 
@@ -37,7 +38,7 @@ class Cursor:
         self.prefixes: dict[str, str] = dict(prefixes)
         self.base = ""
         self.here = self._read()
-        """The token that is next; None at the end."""
+        """The next token; None at the end."""
 
     def _read(self) -> Token | None:
         if self.index == len(self.tokens):
@@ -50,25 +51,26 @@ class Cursor:
     # -- errors ----------------------------------------------------------------------------
 
     def error(self, message: str, at: Token | None, hint: str = "") -> LanguageError:
-        """An error at a token, or at the end of the text."""
+        """Return an error at a token, or at the end of the text."""
         end = len(self.source.rstrip())
         span = Span(end, end) if at is None else at.span
         return LanguageError(message, self.source, span, hint)
 
-    def due(self, what: str, hint: str = "") -> LanguageError:
-        """The error that ``what`` is not here."""
+    def expected(self, what: str, hint: str = "") -> LanguageError:
+        """Return the error for a missing ``what``."""
         here = self.here
         if here is None:
-            return self.error(f"{what} is due, but the text ends", None, hint)
-        return self.error(f"{what} is due, not `{self.written(here)}`", here, hint)
+            return self.error(f"expected {what}, but the text ends", None, hint)
+        return self.error(f"expected {what}, found `{self.text_of(here)}`", here, hint)
 
-    def misplaced(self, hint: str = "") -> LanguageError:
-        """The error that no rule of SPARQL goes on here; brackets that do not match come first."""
+    def unexpected(self, hint: str = "") -> LanguageError:
+        """Return the error for a token that fits no rule. It reads the rest of the text first,
+        since an error of the tokenizer, such as an unmatched bracket, explains more."""
         here = self.here
         while self.lexer.next() is not None:
             pass
         if here is None:
-            end = self.before.end if self.index else 0
+            end = self.last_token.end if self.index else 0
             advice = hint or "complete its last part, or remove that"
             return LanguageError("the query ends too early", self.source, Span(end, end), advice)
         before = self.tokens[self.index - 1] if self.index else None
@@ -78,10 +80,10 @@ class Cursor:
                 hint = "is a `.` missing before it, to end the triple?"
             elif here.is_mark("}"):
                 hint = "something is missing before the `}`: is a triple incomplete?"
-        return self.error(f"`{_shown(self.written(here))}` cannot stand here", here, hint)
+        return self.error(f"`{_abbreviate(self.text_of(here))}` is not allowed here", here, hint)
 
-    def written(self, token: Token) -> str:
-        """A token as the text has it."""
+    def text_of(self, token: Token) -> str:
+        """Return a token as written, with its escapes."""
         return self.source[token.start : token.end]
 
     # -- steps -----------------------------------------------------------------------------
@@ -91,8 +93,8 @@ class Cursor:
         return self.here is None
 
     @property
-    def before(self) -> Token:
-        """The token that was taken last."""
+    def last_token(self) -> Token:
+        """The token taken last."""
         return self.tokens[self.index - 1]
 
     def is_word(self, *words: str) -> bool:
@@ -112,20 +114,21 @@ class Cursor:
         return here
 
     def operator(self) -> Token | None:
-        """The next token where an operator is due: ``<`` is less-than there, and begins no IRI."""
+        """Return the next token where an operator may follow: ``<`` is less-than there and begins
+        no IRI."""
         here = self.here
         if here is not None and here.kind is Kind.IRI:
             here = self.here = self.tokens[self.index] = self.lexer.operator_at(here)
         return here
 
-    def takes_word(self, *words: str) -> bool:
-        """Takes one of these words if it is here."""
+    def accept_word(self, *words: str) -> bool:
+        """Take the next token if it is one of these words."""
         found = self.is_word(*words)
         if found:
             self.take()
         return found
 
-    def takes_mark(self, *marks: str) -> bool:
+    def accept_mark(self, *marks: str) -> bool:
         found = self.is_mark(*marks)
         if found:
             self.take()
@@ -133,7 +136,7 @@ class Cursor:
 
     def expect_mark(self, mark: str, hint: str) -> Token:
         if not self.is_mark(mark):
-            raise self.due(f"`{mark}`", hint)
+            raise self.expected(f"`{mark}`", hint)
         return self.take()
 
     # -- names and terms -------------------------------------------------------------------
@@ -142,27 +145,27 @@ class Cursor:
         here = self.here
         if here is None or here.kind not in (Kind.IRI, Kind.PREFIXED):
             hint = "no space may follow `<`" if self.is_mark("<") else "write `<http://…>`"
-            raise self.due(f"an IRI after {after}", hint)
+            raise self.expected(f"an IRI after {after}", hint)
         return self.take()
 
     def variable(self, what: str, hint: str) -> Token:
         here = self.here
         if here is None or here.kind is not Kind.VARIABLE:
-            raise self.due(what, hint)
+            raise self.expected(what, hint)
         return self.take()
 
     def iri_of(self, token: Token) -> str:
-        """What an IRI or prefixed name means by the declarations read so far."""
+        """Resolve an IRI or prefixed name by the declarations read so far."""
         return iri_text(token, self.source, self.prefixes, self.base)
 
     def term(self) -> Term | Variable:
-        """The term or variable that is here; a blank node is refused.
+        """Read a term or variable; a blank node raises `LanguageError`.
 
-        A sign belongs to the number that it touches.
+        A sign belongs to the number directly after it.
         """
         token = self.here
         if token is None:
-            raise self.due("a term", "write an IRI, a number, a text in quotes, or a variable")
+            raise self.expected("a term", "write an IRI, a number, a text in quotes, or a variable")
         match token.kind:
             case Kind.VARIABLE:
                 return Variable(self.take().text[1:])
@@ -174,6 +177,7 @@ class Cursor:
                 return number(self.take().text)
             case Kind.WORD if token.is_word("TRUE", "FALSE"):
                 return Literal(self.take().text.lower() == "true")
+            # The tokenizer separates the sign, since `?v-1` is a subtraction.
             case Kind.MARK if self.is_signed_number():
                 return number(self.take().text + self.take().text)
             case Kind.BLANK:
@@ -187,10 +191,10 @@ class Cursor:
         hint = "write an IRI, a prefixed name, a number, a string, true, false, or a variable"
         if token.kind is Kind.WORD:
             hint = f'write `dyknow:{token.text}` for a name, `"{token.text}"` for a text'
-        raise self.error(f"`{token.text}` is no term", token, hint)
+        raise self.error(f"`{token.text}` is not a term", token, hint)
 
     def is_signed_number(self) -> bool:
-        """Whether a sign is here that belongs to a number ([150]-[155])."""
+        """Return whether the next token is the sign of a number ([150]-[155])."""
         here = self.here
         if here is None or not here.is_mark("+", "-"):
             return False
@@ -208,7 +212,7 @@ class Cursor:
             try:
                 return Literal(text, language=after.text[1:])
             except ValueError as error:
-                raise self.error(f"no language tag: {error}", after) from None
+                raise self.error(f"not a language tag: {error}", after) from None
         if after.is_mark("^"):
             raise self.error("a datatype is joined with `^^`", after, _DATATYPE)
         if not after.is_mark("^^"):
@@ -216,15 +220,15 @@ class Cursor:
         self.take()
         name = self.here
         if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED):
-            raise self.error("a datatype is due after `^^`", after, _DATATYPE)
+            raise self.error("expected a datatype after `^^`", after, _DATATYPE)
         datatype = NamedNode(self.iri_of(self.take()))
         try:
             return Literal(text, datatype=datatype)
         except ValueError as error:
-            raise self.error(f"no literal: {error}", name) from None
+            raise self.error(f"not a literal: {error}", name) from None
 
     def prologue(self) -> None:
-        """PREFIX and BASE ([4]-[6]); they may stand on both sides of REGISTER."""
+        """Read PREFIX and BASE ([4]-[6]), which may stand before and after REGISTER."""
         while self.is_word("PREFIX", "BASE"):
             word = self.take()
             if word.is_word("BASE"):
@@ -236,14 +240,16 @@ class Cursor:
                 or name.kind is not Kind.PREFIXED
                 or name.text.find(":") < len(name.text) - 1
             ):
-                raise self.due("a prefix like `dyknow:`", "write `PREFIX dyknow: <http://…>`")
+                raise self.expected("a prefix like `dyknow:`", "write `PREFIX dyknow: <http://…>`")
             self.take()
             iri = self.here
             if iri is None or iri.kind is not Kind.IRI:
-                raise self.due("the IRI of the prefix", f"write `PREFIX {name.text} <http://…>`")
+                raise self.expected(
+                    "the IRI of the prefix", f"write `PREFIX {name.text} <http://…>`"
+                )
             self.take()
             self.prefixes[name.text[:-1]] = iri_text(iri, self.source, {}, self.base)
 
 
-def _shown(word: str) -> str:
+def _abbreviate(word: str) -> str:
     return word if len(word) <= 40 else word[:40] + "…"

@@ -1,11 +1,13 @@
-"""Expressions of SPARQL 1.1 ([107]-[128]), read by precedence.
+"""The parser of SPARQL 1.1 expressions ([107]-[128]), by precedence.
 
-Contract: what nests is bounded. Brackets are (`tokens.Lexer`), ``!`` in a row are, and the height
-of the tree is: each operator in a row is one higher, since readers make binary operators of them.
+Contract: nesting is bounded. The tokenizer bounds brackets (`tokens.Lexer`); this module bounds
+runs of ``!`` and the height of the tree. Each operator of a chain adds one to the height, since
+later passes turn chains into binary operators.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from pyoxigraph import Literal, NamedNode, Variable
@@ -31,9 +33,11 @@ from .tokens import Kind, Token
 COMPARISONS: Final = ("=", "!=", "<", ">", "<=", ">=")
 AGGREGATES: Final = ("COUNT", "SUM", "MIN", "MAX", "AVG", "SAMPLE", "GROUP_CONCAT")
 MOST_IN_A_ROW: Final = 64
-"""Of so many ``||`` or ``&&`` each is one higher; more of them are halved."""
+"""Up to this length each ``||`` or ``&&`` of a chain adds one to the height; longer chains are
+halved."""
+MOST_NEGATIONS: Final = 64
 _MANY: Final = 1 << 20
-# [121] BuiltInCall: name -> least and most arguments.
+# [121] BuiltInCall: name -> least and greatest number of arguments.
 FUNCTIONS: Final = {
     **dict.fromkeys(("RAND", "NOW", "UUID", "STRUUID"), (0, 0)),
     "BNODE": (0, 1),
@@ -63,18 +67,18 @@ FUNCTIONS: Final = {
 
 
 class ExpressionReader(Cursor):
-    """Reads expressions; `height` is that of the one that was read last."""
+    """Reads expressions. `height` is the height of the expression read last."""
 
     height = 0
     aggregates = False
-    """Whether an aggregate may stand here."""
+    """Whether an aggregate is allowed at this point."""
 
     def group(self) -> Group:
         """[53] GroupGraphPattern."""
         raise NotImplementedError
 
     def check_call(self, call: FunctionCall) -> None:
-        """Raise `LanguageError` for a function by its IRI that is not known."""
+        """Raise `LanguageError` for an unknown function IRI. The base class accepts all."""
 
     def expression(self) -> Expression:
         """[110] Expression."""
@@ -110,32 +114,27 @@ class ExpressionReader(Cursor):
         if not negated and not operator.is_word("IN"):
             return left
         self.take()
-        if negated and not self.takes_word("IN"):
-            raise self.misplaced("write `?x NOT IN (…)`")
-        options = self._listed()
+        if negated and not self.accept_word("IN"):
+            raise self.unexpected("write `?x NOT IN (…)`")
+        options = self._expression_list()
         self.height = max(height, self.height)
         return In(left, options, negated)
 
     def _additive(self) -> Expression:
         """[116] AdditiveExpression."""
-        first = self._multiplicative()
-        rest: list[tuple[str, Expression]] = []
-        height = self.height
-        while self._is_operator("+", "-"):
-            sign = self.take().text
-            rest.append((sign, self._multiplicative()))
-            height = max(height, self.height) + 1
-            self._rise(height)
-        return Arithmetic(first, tuple(rest)) if rest else first
+        return self._chain(self._multiplicative, "+", "-")
 
     def _multiplicative(self) -> Expression:
         """[117] MultiplicativeExpression."""
-        first = self._unary()
+        return self._chain(self._unary, "*", "/")
+
+    def _chain(self, operand: Callable[[], Expression], *operators: str) -> Expression:
+        first = operand()
         rest: list[tuple[str, Expression]] = []
         height = self.height
-        while self._is_operator("*", "/"):
+        while self._is_operator(*operators):
             sign = self.take().text
-            rest.append((sign, self._unary()))
+            rest.append((sign, operand()))
             height = max(height, self.height) + 1
             self._rise(height)
         return Arithmetic(first, tuple(rest)) if rest else first
@@ -145,19 +144,19 @@ class ExpressionReader(Cursor):
         return here is not None and here.kind is Kind.MARK and here.text in marks
 
     def _rise(self, height: int) -> None:
-        """The tree is so high now. Raises `LanguageError` where that is too much."""
+        """Set the height of the tree. Raises `LanguageError` above the limit."""
         self.height = height
         if height > self.limits.operators:
             raise self.error(
-                f"more than {self.limits.operators} operators stand in each other",
-                self.before,
+                f"more than {self.limits.operators} operators are nested",
+                self.last_token,
                 "ask with several queries, one after the other",
             )
 
     def _unary(self) -> Expression:
-        """[118] UnaryExpression; of ``!`` any number, as SPARQL 1.2 has it."""
+        """[118] UnaryExpression, with any number of ``!`` as in SPARQL 1.2."""
         if self.is_signed_number():
-            # The sign is the number's own ([131], [132]).
+            # The sign is part of the number ([131], [132]).
             self.height = 0
             return _constant(self.term())
         if self.is_mark("+", "-"):
@@ -169,8 +168,8 @@ class ExpressionReader(Cursor):
         while self.is_mark("!"):
             token = self.take()
             signs += 1
-            if signs > self.limits.negations:
-                message = f"more than {self.limits.negations} negations after each other"
+            if signs > MOST_NEGATIONS:
+                message = f"more than {MOST_NEGATIONS} negations in a row"
                 raise self.error(message, token)
         found = self._primary()
         for _ in range(signs):
@@ -184,7 +183,7 @@ class ExpressionReader(Cursor):
         here = self.here
         self.height = 0
         if here is None:
-            raise self.misplaced()
+            raise self.unexpected()
         if here.is_mark("("):
             self.take()
             found = self._logical("||")
@@ -198,7 +197,7 @@ class ExpressionReader(Cursor):
             case Kind.VARIABLE | Kind.STRING | Kind.NUMBER | Kind.WORD:
                 return _constant(self.term())
             case _:
-                raise self.misplaced()
+                raise self.unexpected()
 
     def bracketted(self) -> Expression:
         """[120] BrackettedExpression."""
@@ -208,9 +207,9 @@ class ExpressionReader(Cursor):
         return found
 
     def expect(self, mark: str) -> Token:
-        """A mark that alone can stand here."""
+        """Take ``mark``, the only token allowed here."""
         if not self.is_mark(mark):
-            raise self.misplaced()
+            raise self.unexpected()
         return self.take()
 
     def _iri_or_function(self) -> Expression:
@@ -219,7 +218,7 @@ class ExpressionReader(Cursor):
         iri = NamedNode(self.iri_of(token))
         if not self.is_mark("("):
             return iri
-        found = FunctionCall(iri, self._listed(), token.span)
+        found = FunctionCall(iri, self._expression_list(), token.span)
         self.check_call(found)
         return found
 
@@ -227,10 +226,10 @@ class ExpressionReader(Cursor):
         """[70] FunctionCall."""
         found = self._iri_or_function()
         if not isinstance(found, FunctionCall):
-            raise self.misplaced("a function is called with its arguments in brackets")
+            raise self.unexpected("a function is called with its arguments in brackets")
         return found
 
-    def _listed(self) -> tuple[Expression, ...]:
+    def _expression_list(self) -> tuple[Expression, ...]:
         """[72] ExpressionList, [71] ArgList."""
         self.expect("(")
         found: list[Expression] = []
@@ -242,7 +241,7 @@ class ExpressionReader(Cursor):
                 break
             self.expect(",")
             if self.is_mark(")"):
-                raise self.misplaced()
+                raise self.unexpected()
         self.take()
         self.height = height
         return tuple(found)
@@ -254,11 +253,11 @@ class ExpressionReader(Cursor):
         if here is None or not (
             name in FUNCTIONS or name in AGGREGATES or name in ("EXISTS", "NOT")
         ):
-            raise self.misplaced()
+            raise self.unexpected()
         if name in ("EXISTS", "NOT"):
             self.take()
-            if name == "NOT" and not self.takes_word("EXISTS"):
-                raise self.misplaced("write `NOT EXISTS {…}`, or `!` before a condition")
+            if name == "NOT" and not self.accept_word("EXISTS"):
+                raise self.unexpected("write `NOT EXISTS {…}`, or `!` before a condition")
             before, self.aggregates = self.aggregates, False
             found = Exists(self.group(), name == "NOT")
             self.aggregates = before
@@ -266,12 +265,12 @@ class ExpressionReader(Cursor):
             return found
         if name in AGGREGATES:
             if not self.aggregates:
-                raise self.misplaced(
-                    "an aggregate stands in the head, in HAVING or in ORDER BY, in no other one"
+                raise self.unexpected(
+                    "aggregates are allowed in the head, HAVING and ORDER BY, but not nested"
                 )
             return self._aggregate(self.take())
         token = self.take()
-        arguments = self._listed()
+        arguments = self._expression_list()
         least, most = FUNCTIONS[name]
         if not least <= len(arguments) <= most:
             counted = str(least) if least == most else f"{least} to {most}"
@@ -287,7 +286,7 @@ class ExpressionReader(Cursor):
         """[127] Aggregate."""
         name = word.text.upper()
         self.expect("(")
-        distinct = self.takes_word("DISTINCT")
+        distinct = self.accept_word("DISTINCT")
         self.aggregates = False
         argument: Expression | None = None
         if name == "COUNT" and self.is_mark("*"):
@@ -297,12 +296,12 @@ class ExpressionReader(Cursor):
             argument = self.expression()
         self.aggregates = True
         separator = None
-        if name == "GROUP_CONCAT" and self.takes_mark(";"):
-            if not self.takes_word("SEPARATOR"):
-                raise self.misplaced("write `; SEPARATOR = ', '`")
+        if name == "GROUP_CONCAT" and self.accept_mark(";"):
+            if not self.accept_word("SEPARATOR"):
+                raise self.unexpected("write `; SEPARATOR = ', '`")
             self.expect("=")
             if self.here is None or self.here.kind is not Kind.STRING:
-                raise self.misplaced("write `; SEPARATOR = ', '`")
+                raise self.unexpected("write `; SEPARATOR = ', '`")
             separator = string_text(self.take(), self.source)
         self.expect(")")
         return Aggregate(name, argument, distinct, separator)
@@ -317,12 +316,12 @@ class ExpressionReader(Cursor):
             return self.function_call()
         return self.built_in()
 
-    def aliased(self) -> tuple[Expression, Variable, Span]:
-        """``(expression AS ?v)``, and where it stands."""
+    def alias(self) -> tuple[Expression, Variable, Span]:
+        """Read ``(expression AS ?v)`` and return its span too."""
         opened = self.expect("(")
         found = self.expression()
-        if not self.takes_word("AS"):
-            raise self.misplaced("write `(expression AS ?name)`")
+        if not self.accept_word("AS"):
+            raise self.unexpected("write `(expression AS ?name)`")
         name = self.named_variable()
         closed = self.expect(")")
         return found, name, Span(opened.start, closed.end)
@@ -330,7 +329,7 @@ class ExpressionReader(Cursor):
     def named_variable(self) -> Variable:
         """[108] Var."""
         if self.here is None or self.here.kind is not Kind.VARIABLE:
-            raise self.misplaced()
+            raise self.unexpected()
         return Variable(self.take().text[1:])
 
 

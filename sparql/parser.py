@@ -1,8 +1,8 @@
-"""SPARQL 1.1 queries ([1]-[28]): the parser of users' texts.
+"""The parser of SPARQL 1.1 queries ([1]-[28]).
 
-Contract: a text is read in one pass, its cost is linear in its length, and how deep the readers of
-its tree recurse is bounded by `tokens.Limits`. Rules that are no matter of the grammar are checked
-here, too, where the place is known: the scopes of variables and of blank node labels.
+Contract: it reads a text in one pass in linear time. `tokens.Limits` bounds the depth to which
+later passes over the tree recurse. It also checks the scope rules outside of the grammar, since it
+knows the places: scopes of variables and of blank node labels.
 """
 
 from __future__ import annotations
@@ -13,35 +13,36 @@ from typing import Final
 
 from pyoxigraph import NamedNode, Variable
 
-from .ast import Expression, Form, Group, Key, Order, Projected, Query, Triples
+from .ast import Expression, Form, Group, Key, Order, Query, SelectItem, Triples
 from .errors import LanguageError, Span
 from .expressions import AGGREGATES, FUNCTIONS
 from .patterns import PatternReader
-from .scope import ungrouped, visible
+from .scope import ungrouped_variables, visible_variables
 from .tokens import UNLIMITED, Kind, Limits
 
 FORMS: Final = tuple(form.value for form in Form)
 
 
 class QueryReader(PatternReader):
-    """Reads a query. The hooks are for what a language adds to SPARQL (`languages.csparql`)."""
+    """Reads a query. A language that extends SPARQL overrides the hooks (`languages.csparql`)."""
 
-    given: frozenset[str] = frozenset()
-    """Variables that are keys of every group: parameters, which stand for a term."""
+    group_parameters: frozenset[str] = frozenset()
+    """Variables that are implicit keys of every group: the parameters of a template, each bound to
+    one term."""
 
     # -- hooks -----------------------------------------------------------------------------
 
     def after_form(self) -> None:
-        """What may follow SELECT, DISTINCT, CONSTRUCT, ASK or DESCRIBE."""
+        """Read an extension after SELECT, DISTINCT, CONSTRUCT, ASK or DESCRIBE."""
 
     def clauses(self) -> None:
-        """[13] DatasetClause, where FROM may stand, and behind WHERE."""
-        while self.takes_word("FROM"):
-            self.takes_word("NAMED")
+        """Read [13] DatasetClause, at the place of FROM and after WHERE."""
+        while self.accept_word("FROM"):
+            self.accept_word("NAMED")
             self.iri_of(self.iri("FROM"))
 
     def more_clauses(self) -> None:
-        """What may stand behind WHERE, between the modifiers and behind them."""
+        """Read extensions after WHERE and after each modifier."""
 
     # -- queries ---------------------------------------------------------------------------
 
@@ -49,7 +50,7 @@ class QueryReader(PatternReader):
         """[1] QueryUnit without its prologue."""
         here = self.here
         if here is None or not here.is_word(*FORMS):
-            raise self.due("SELECT, CONSTRUCT, ASK or DESCRIBE")
+            raise self.expected("SELECT, CONSTRUCT, ASK or DESCRIBE")
         form = Form(self.take().text.upper())
         self.after_form()
         match form:
@@ -59,11 +60,11 @@ class QueryReader(PatternReader):
                 found = self._construct(here.start)
             case Form.ASK:
                 self.clauses()
-                found = self._modified(Query(form, self.where()), here.start, is_top=True)
+                found = self._add_modifiers(Query(form, self.where()), here.start, is_top=True)
             case Form.DESCRIBE:
                 found = self._describe(here.start)
         if self.here is not None:
-            raise self.misplaced()
+            raise self.unexpected()
         return found
 
     def sub_select(self) -> Query:
@@ -78,31 +79,31 @@ class QueryReader(PatternReader):
             modifier = self.take().text.upper()
             if is_top:
                 self.after_form()
-        projection: list[Projected] | None = None
-        if not self.takes_mark("*"):
+        projection: list[SelectItem] | None = None
+        if not self.accept_mark("*"):
             projection = []
             while self.is_mark("(") or (self.here and self.here.kind is Kind.VARIABLE):
-                projection.append(self._projected())
+                projection.append(self._select_item())
             if not projection:
-                raise self.misplaced()
+                raise self.unexpected()
         if is_top:
             self.clauses()
         where = self.where()
         shown = None if projection is None else tuple(projection)
         query = Query(Form.SELECT, where, modifier, shown)
-        query = self._modified(query, start, is_top=is_top)
+        query = self._add_modifiers(query, start, is_top=is_top)
         self._check_projection(query)
         return query
 
-    def _projected(self) -> Projected:
-        here = self.here
-        assert here is not None
-        if here.kind is Kind.VARIABLE:
-            return Projected(self.named_variable(), None, here.span)
+    def _select_item(self) -> SelectItem:
+        token = self.here
+        assert token is not None
+        if token.kind is Kind.VARIABLE:
+            return SelectItem(self.named_variable(), None, token.span)
         self.aggregates = True
-        expression, variable, span = self.aliased()
+        expression, variable, span = self.alias()
         self.aggregates = False
-        return Projected(variable, expression, span)
+        return SelectItem(variable, expression, span)
 
     def _construct(self, start: int) -> Query:
         """[10] ConstructQuery."""
@@ -112,42 +113,42 @@ class QueryReader(PatternReader):
             self.in_template = False
             self.clauses()
             query = Query(Form.CONSTRUCT, self.where(), template=template)
-            return self._modified(query, start, is_top=True)
+            return self._add_modifiers(query, start, is_top=True)
         self.clauses()
-        self.takes_word("WHERE")
+        self.accept_word("WHERE")
         opened = self.here
         self.in_template = True
         template = self.template()
         self.in_template = False
         assert opened is not None
-        where = Group((Triples(template),), Span(opened.start, self.before.end))
+        where = Group((Triples(template),), Span(opened.start, self.last_token.end))
         query = Query(Form.CONSTRUCT, where, template=template, is_short=True)
-        return self._modified(query, start, is_top=True)
+        return self._add_modifiers(query, start, is_top=True)
 
     def _describe(self, start: int) -> Query:
         """[11] DescribeQuery."""
         described: list[NamedNode | Variable] = []
-        if not self.takes_mark("*"):
+        if not self.accept_mark("*"):
             while self.here and self.here.kind in (Kind.VARIABLE, Kind.IRI, Kind.PREFIXED):
                 described.append(self.graph_name())
             if not described:
-                raise self.misplaced()
+                raise self.unexpected()
         self.clauses()
         where = None
         if self.is_word("WHERE") or self.is_mark("{"):
             where = self.where()
         query = Query(Form.DESCRIBE, where, described=tuple(described))
-        return self._modified(query, start, is_top=True)
+        return self._add_modifiers(query, start, is_top=True)
 
     def where(self) -> Group:
         """[17] WhereClause."""
-        self.takes_word("WHERE")
+        self.accept_word("WHERE")
         return self.group()
 
     # -- what follows WHERE ----------------------------------------------------------------
 
-    def _modified(self, query: Query, start: int, *, is_top: bool) -> Query:
-        """[18] SolutionModifier and [28] ValuesClause around the body of a query."""
+    def _add_modifiers(self, query: Query, start: int, *, is_top: bool) -> Query:
+        """Read [18] SolutionModifier and [28] ValuesClause, and add them to the query."""
 
         def between() -> None:
             if is_top:
@@ -157,7 +158,7 @@ class QueryReader(PatternReader):
         grouped, keys = self._group_by()
         between()
         having: list[Expression] = []
-        if self.takes_word("HAVING"):
+        if self.accept_word("HAVING"):
             self.aggregates = True
             having.append(self.constraint())
             while self._begins_constraint():
@@ -173,7 +174,7 @@ class QueryReader(PatternReader):
             else:
                 offset = self._count_of(offset)
             between()
-        values = self.data_block() if self.takes_word("VALUES") else None
+        values = self.data_block() if self.accept_word("VALUES") else None
         between()
         return replace(
             query,
@@ -184,7 +185,7 @@ class QueryReader(PatternReader):
             offset=offset,
             values=values,
             base=self.base if is_top else "",
-            span=Span(start, self.before.end),
+            span=Span(start, self.last_token.end),
             grouped=grouped,
         )
 
@@ -202,19 +203,19 @@ class QueryReader(PatternReader):
             elif self.is_mark("("):
                 self.take()
                 expression = self.expression()
-                alias = self.named_variable() if self.takes_word("AS") else None
+                alias = self.named_variable() if self.accept_word("AS") else None
                 self.expect(")")
                 keys.append(Key(expression, alias))
             elif self._begins_constraint():
                 keys.append(Key(self.constraint()))
             elif keys:
-                return Span(start, self.before.end), tuple(keys)
+                return Span(start, self.last_token.end), tuple(keys)
             else:
-                raise self.misplaced()
+                raise self.unexpected()
 
     def _order_by(self) -> tuple[Order, ...]:
         """[23] OrderClause, [24] OrderCondition."""
-        if not self.takes_word("ORDER"):
+        if not self.accept_word("ORDER"):
             return ()
         self._by()
         found: list[Order] = []
@@ -231,13 +232,13 @@ class QueryReader(PatternReader):
             elif found:
                 break
             else:
-                raise self.misplaced()
+                raise self.unexpected()
         self.aggregates = False
         return tuple(found)
 
     def _by(self) -> None:
-        if not self.takes_word("BY"):
-            raise self.misplaced()
+        if not self.accept_word("BY"):
+            raise self.unexpected()
 
     def _begins_constraint(self) -> bool:
         here = self.here
@@ -248,67 +249,67 @@ class QueryReader(PatternReader):
             return here.is_word(*words)
         return here.is_mark("(") or here.kind in (Kind.IRI, Kind.PREFIXED)
 
-    def _count_of(self, known: int | None) -> int:
+    def _count_of(self, earlier: int | None) -> int:
         """[26] LimitClause, [27] OffsetClause: an INTEGER, once."""
         here = self.here
-        if known is not None or here is None or not here.text.isdecimal():
-            raise self.misplaced()
+        if earlier is not None or here is None or not here.text.isdecimal():
+            raise self.unexpected()
         if len(here.text) > 18:
             raise self.error("the number is too large", here, "it has 18 digits at most")
         return int(self.take().text)
 
-    # -- what is no matter of the grammar ---------------------------------------------------
+    # -- scope rules ---------------------------------------------------------------------------
 
     def _check_projection(self, query: Query) -> None:
         """SPARQL 1.1 §18.2.1, §18.2.4.1, §19.8 notes 12 to 14."""
-        bound = visible(query.where) if query.where is not None else {}
+        bound = visible_variables(query.where) if query.where is not None else {}
         is_grouped = query.is_aggregated
         if query.projection is None:
             if query.keys:
                 raise LanguageError(
-                    "`SELECT *` of what is grouped",
+                    "`SELECT *` is not allowed with GROUP BY",
                     self.source,
                     Span(query.span.start, query.span.start + len("SELECT")),
                     "name the keys and the aggregates",
                 )
             return
-        known = set(self.given)
+        allowed = set(self.group_parameters)
         for key in query.keys:
             if key.alias is not None:
-                known.add(key.alias.value)
+                allowed.add(key.alias.value)
             elif isinstance(key.expression, Variable):
-                known.add(key.expression.value)
+                allowed.add(key.expression.value)
         aliases: set[str] = set()
         for one in query.projection:
             name = one.variable.value
             if one.expression is None:
                 used = {name: None}
             else:
-                used = ungrouped(one.expression)
+                used = ungrouped_variables(one.expression)
                 if name in bound or name in aliases:
                     raise LanguageError(
                         f"`?{name}` is bound already",
                         self.source,
                         one.span,
-                        "give what is computed a name of its own",
+                        "give the computed value another name",
                     )
             for free in used if is_grouped else ():
-                if free not in known:
+                if free not in allowed:
                     raise LanguageError(
                         f"`?{free}` is neither grouped nor aggregated",
                         self.source,
                         one.span,
-                        f"write `?{free}` behind GROUP BY, or an aggregate of it",
+                        f"write `?{free}` after GROUP BY, or aggregate it",
                     )
             if one.expression is not None:
                 aliases.add(name)
-                known.add(name)
+                allowed.add(name)
 
 
 def parse_sparql(text: str, prefixes: Mapping[str, str], limits: Limits = UNLIMITED) -> Query:
-    """The tree of a SPARQL 1.1 query. ``prefixes`` need no declaration.
+    """Parse a SPARQL 1.1 query. ``prefixes`` need no declaration.
 
-    Raises `LanguageError` with the place. Cost: linear, some 5 µs a token.
+    Raises `LanguageError` with the place. Cost: linear, some 5 µs for each token.
     """
     reader = QueryReader(text, prefixes, limits)
     reader.prologue()

@@ -27,7 +27,7 @@ from .ast import (
 )
 from .errors import LanguageError, Span
 from .paths import PathReader
-from .scope import visible
+from .scope import visible_variables
 from .tokens import UNLIMITED, Kind, Limits, Token
 
 _FIRST: Final = NamedNode(RDF + "first")
@@ -40,7 +40,8 @@ _TERMS: Final = frozenset(
 
 
 class PatternReader(PathReader):
-    """Reads groups. `block` tells basic graph patterns apart: a blank node label is of one."""
+    """Reads groups. `block` numbers basic graph patterns: a blank node label belongs to one of
+    them."""
 
     def __init__(
         self, source: str, prefixes: Mapping[str, str], limits: Limits = UNLIMITED
@@ -61,11 +62,11 @@ class PatternReader(PathReader):
         raise NotImplementedError
 
     def service(self) -> LanguageError:
-        """The error that a SERVICE is here."""
+        """Return the error for SERVICE, which would contact another server."""
         return self.error("SERVICE is refused", self.here)
 
-    def part(self) -> Element | None:
-        """A part of a group that is none of SPARQL 1.1; None where none is here."""
+    def extension_part(self) -> Element | None:
+        """Read a part of a group that an extension adds to SPARQL; None if there is none here."""
         return None
 
     def group(self) -> Group:
@@ -84,23 +85,23 @@ class PatternReader(PathReader):
 
     def _elements(self, elements: list[Element]) -> None:
         """[54] GroupGraphPatternSub."""
-        seen: dict[str, None] = {}
+        bound: dict[str, None] = {}
         while not self.is_mark("}"):
-            element = self.part() or self._part(seen)
+            element = self.extension_part() or self._part(bound)
             if element is None:
                 element = Triples(self._triples_block())
             elif not isinstance(element, Filter):
                 self._next_block()
             elements.append(element)
-            seen.update(visible(element))
+            bound.update(visible_variables(element))
             if not isinstance(element, Triples):
-                self.takes_mark(".")
+                self.accept_mark(".")
 
-    def _part(self, seen: dict[str, None]) -> Element | None:
-        """[56] GraphPatternNotTriples; ``seen``: the variables that the group binds so far."""
+    def _part(self, bound: dict[str, None]) -> Element | None:
+        """[56] GraphPatternNotTriples; ``bound``: the variables that the group binds before it."""
         here = self.here
         if here is None:
-            raise self.misplaced()
+            raise self.unexpected()
         if here.is_mark("{"):
             return self._union()
         if not here.is_word(*_PARTS):
@@ -119,7 +120,7 @@ class PatternReader(PathReader):
                 self.take()
                 return Filter(self.constraint())
             case "BIND":
-                return self._bind(seen)
+                return self._bind(bound)
             case "VALUES":
                 self.take()
                 return self.data_block()
@@ -128,7 +129,7 @@ class PatternReader(PathReader):
     def _union(self) -> Element:
         """[67] GroupOrUnionGraphPattern."""
         groups = [self.group()]
-        while self.takes_word("UNION"):
+        while self.accept_word("UNION"):
             groups.append(self.group())
         return Union(tuple(groups)) if len(groups) > 1 else groups[0]
 
@@ -136,26 +137,26 @@ class PatternReader(PathReader):
         """[107] VarOrIri."""
         here = self.here
         if here is None or here.kind not in (Kind.VARIABLE, Kind.IRI, Kind.PREFIXED):
-            raise self.misplaced()
+            raise self.unexpected()
         found = self.term()
         assert isinstance(found, NamedNode | Variable)
         return found
 
-    def _bind(self, seen: dict[str, None]) -> Bind:
-        """[60] Bind. The variable is a new one in its group (SPARQL 1.1 §18.2.1)."""
+    def _bind(self, bound: dict[str, None]) -> Bind:
+        """[60] Bind. The variable must be new in its group (SPARQL 1.1 §18.2.1)."""
         self.take()
         self.expect("(")
         expression = self.expression()
-        if not self.takes_word("AS"):
-            raise self.misplaced("write `BIND (expression AS ?name)`")
+        if not self.accept_word("AS"):
+            raise self.unexpected("write `BIND (expression AS ?name)`")
         token = self.here
         variable = self.named_variable()
-        if variable.value in seen:
+        if variable.value in bound:
             assert token is not None
             raise self.error(
-                f"`{token.text}` is bound before it in its group",
+                f"`{token.text}` is bound earlier in its group",
                 token,
-                "give what is computed a name of its own",
+                "give the computed value another name",
             )
         self.expect(")")
         return Bind(expression, variable)
@@ -183,7 +184,7 @@ class PatternReader(PathReader):
                 row.append(self._data_value())
             self.take()
             if len(row) != len(names):
-                message = f"a row of {len(row)} for {len(names)} variables"
+                message = f"expected a row of {len(names)}, found a row of {len(row)}"
                 raise self.error(message, opened, "write UNDEF where there is no value")
             rows.append(tuple(row))
         self.take()
@@ -191,11 +192,11 @@ class PatternReader(PathReader):
 
     def _data_value(self) -> NamedNode | Literal | None:
         """[65] DataBlockValue."""
-        if self.takes_word("UNDEF"):
+        if self.accept_word("UNDEF"):
             return None
         here = self.here
         if here is None or here.kind in (Kind.VARIABLE, Kind.BLANK) or not self._is_term(here):
-            raise self.misplaced()
+            raise self.unexpected()
         found = self.term()
         assert isinstance(found, NamedNode | Literal)
         return found
@@ -211,10 +212,10 @@ class PatternReader(PathReader):
         before, self.triples = self.triples, []
         while True:
             self._same_subject()
-            if not self.takes_mark("."):
+            if not self.accept_mark("."):
                 here = self.here
                 if here is not None and not here.is_mark("}", "{") and not self.begins_part(here):
-                    raise self.misplaced()
+                    raise self.unexpected()
                 break
             here = self.here
             if here is None or here.is_mark("}", "{") or self.begins_part(here):
@@ -223,7 +224,7 @@ class PatternReader(PathReader):
         return found
 
     def begins_part(self, token: Token) -> bool:
-        """Whether a part of a group begins with this word."""
+        """Return whether a part of a group begins with this token."""
         return token.is_word(*_PARTS)
 
     def template(self) -> tuple[Triple, ...]:
@@ -242,7 +243,7 @@ class PatternReader(PathReader):
         if self._begins_verb():
             self._properties(subject)
         elif not has_triples:
-            raise self.misplaced()
+            raise self.unexpected()
 
     def _begins_verb(self) -> bool:
         here = self.here
@@ -259,11 +260,11 @@ class PatternReader(PathReader):
         while True:
             verb = self._verb()
             self._object(subject, verb)
-            while self.takes_mark(","):
+            while self.accept_mark(","):
                 self._object(subject, verb)
-            if not self.takes_mark(";"):
+            if not self.accept_mark(";"):
                 return
-            while self.takes_mark(";"):
+            while self.accept_mark(";"):
                 pass
             if not self._begins_verb():
                 return
@@ -272,7 +273,7 @@ class PatternReader(PathReader):
         """[78] Verb, [84] VerbPath, [85] VerbSimple."""
         here = self.here
         if here is None or not self._begins_verb():
-            raise self.misplaced()
+            raise self.unexpected()
         if here.kind is Kind.VARIABLE:
             return Variable(self.take().text[1:])
         if self.in_template:
@@ -283,7 +284,7 @@ class PatternReader(PathReader):
         here = self.here
         place = len(self.triples)
         object, _ = self._node()
-        # In the order of the text: what stands in an object's brackets comes after it.
+        # Keep the order of the text: triples in the brackets of an object follow the object.
         self.triples.insert(place, Triple(subject, verb, object))
         self.count_pattern(here)
 
@@ -291,25 +292,25 @@ class PatternReader(PathReader):
         return token.kind in _TERMS or token.is_word("TRUE", "FALSE") or self.is_signed_number()
 
     def _node(self) -> tuple[Place, bool]:
-        """[104] GraphNode, [105] GraphNodePath; and whether triples came with it."""
+        """[104] GraphNode, [105] GraphNodePath; True if it brought triples of its own."""
         here = self.here
         if here is None:
-            raise self.misplaced()
+            raise self.unexpected()
         if here.is_mark("["):
-            return self._bracketed()
+            return self._blank_node_list()
         if here.is_mark("("):
             return self._collection()
         if not self._is_term(here):
-            raise self.misplaced()
+            raise self.unexpected()
         if here.kind is Kind.BLANK:
-            return self._labelled(), False
+            return self._blank_node(), False
         return self.term(), False
 
-    def _bracketed(self) -> tuple[Place, bool]:
+    def _blank_node_list(self) -> tuple[Place, bool]:
         """[99] BlankNodePropertyList, [163] ANON."""
         self.take()
         node = self._fresh()
-        if self.takes_mark("]"):
+        if self.accept_mark("]"):
             return node, False
         self._properties(node)
         self.expect("]")
@@ -318,7 +319,7 @@ class PatternReader(PathReader):
     def _collection(self) -> tuple[Place, bool]:
         """[102] Collection, [161] NIL."""
         self.take()
-        if self.takes_mark(")"):
+        if self.accept_mark(")"):
             return _NIL, False
         head = node = self._fresh()
         while True:
@@ -337,19 +338,19 @@ class PatternReader(PathReader):
             assert isinstance(rest, BlankNode)
             node = rest
 
-    def _labelled(self) -> BlankNode:
+    def _blank_node(self) -> BlankNode:
         token = self.take()
         key = (self.in_template, token.text)
         if self.labels.setdefault(key, self.block) != self.block:
             raise self.error(
-                f"`{token.text}` stands in two graph patterns",
+                f"`{token.text}` occurs in two graph patterns",
                 token,
-                "a label of a blank node is of one graph pattern: use a variable",
+                "a blank node label is local to one graph pattern: use a variable",
             )
         return BlankNode(token.text[2:])
 
     def _fresh(self) -> BlankNode:
-        """A blank node with a label that the text does not have."""
+        """Return a blank node with a label that the text does not contain."""
         if not self._anonymous:
             self._anonymous = "anon"
             while self._anonymous in self.source:

@@ -1,7 +1,7 @@
-"""A tree as SPARQL 1.1 text, for engines that read texts, and for people.
+"""Prints a tree as SPARQL 1.1 text, for Oxigraph and for people.
 
-Every operator stands in brackets of its own with spaces around it, so that no parser has to guess.
-Law: ``parse_sparql(print_query(q))`` is ``q``, but for the labels of blank nodes.
+It puts brackets and spaces around every operator, so the text does not depend on precedence. Law:
+``parse_sparql(print_query(q))`` is ``q`` up to the labels of blank nodes.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from .ast import (
     Key,
     Logical,
     Minus,
-    Negated,
+    NegatedSet,
     Optional,
     Order,
     Path,
     Place,
-    Projected,
     Query,
-    Repeated,
+    Repetition,
+    SelectItem,
     Sequence,
     SubSelect,
     Triple,
@@ -54,7 +54,7 @@ _STEP = "  "
 
 
 def print_query(query: Query, prefixes: Mapping[str, str] | None = None) -> str:
-    """The text of a query, with a line for each part. Prefixes that are used are declared."""
+    """Return the text of a query, a line for each part. It declares the prefixes that it uses."""
     printer = _Printer(prefixes or {})
     lines = list(printer.query(query, ""))
     declared = [
@@ -79,7 +79,7 @@ class _Printer:
             case Form.SELECT if query.projection is None:
                 words.append("*")
             case Form.SELECT:
-                words += map(self.projected, query.projection or ())
+                words += map(self.select_item, query.projection or ())
             case Form.DESCRIBE:
                 words += map(self.place, query.described) if query.described else ["*"]
             case Form.CONSTRUCT if not query.is_short:
@@ -92,7 +92,7 @@ class _Printer:
         if query.keys:
             yield margin + "GROUP BY " + " ".join(map(self.key, query.keys))
         if query.having:
-            yield margin + "HAVING " + " ".join(map(self.bracketed, query.having))
+            yield margin + "HAVING " + " ".join(map(self.in_brackets, query.having))
         if query.order:
             yield margin + "ORDER BY " + " ".join(map(self.order, query.order))
         if query.limit is not None:
@@ -118,7 +118,7 @@ class _Printer:
             case Group():
                 yield from self.group("", element, margin)
             case Filter(condition):
-                yield f"{margin}FILTER {self.bracketed(condition)}"
+                yield f"{margin}FILTER {self.in_brackets(condition)}"
             case Optional(group):
                 yield from self.group("OPTIONAL ", group, margin)
             case Minus(group):
@@ -145,7 +145,7 @@ class _Printer:
         )
         return f"VALUES ({head}) {{ {rows} }}"
 
-    def projected(self, one: Projected) -> str:
+    def select_item(self, one: SelectItem) -> str:
         if one.expression is None:
             return str(one.variable)
         return f"({self.expression(one.expression)} AS {one.variable})"
@@ -153,15 +153,15 @@ class _Printer:
     def key(self, key: Key) -> str:
         if key.alias is None:
             is_plain = isinstance(key.expression, Variable)
-            return str(key.expression) if is_plain else self.bracketed(key.expression)
+            return str(key.expression) if is_plain else self.in_brackets(key.expression)
         expression = self.expression(key.expression)
         if isinstance(key.expression, Variable):
-            # Oxigraph's parser refuses `(?x AS ?key)` there.
+            # Oxigraph's parser rejects `(?x AS ?key)` as a key.
             expression = f"COALESCE({expression})"
         return f"({expression} AS {key.alias})"
 
     def order(self, order: Order) -> str:
-        return ("DESC " if order.descending else "ASC ") + self.bracketed(order.expression)
+        return ("DESC " if order.descending else "ASC ") + self.in_brackets(order.expression)
 
     # -- triples and paths -----------------------------------------------------------------
 
@@ -200,9 +200,9 @@ class _Printer:
                 return "(" + " / ".join(map(self.path, parts)) + ")"
             case Alternative(parts):
                 return "(" + " | ".join(map(self.path, parts)) + ")"
-            case Repeated(inner, sign):
+            case Repetition(inner, sign):
                 return f"({self.path(inner)}{sign} )"
-            case Negated(forward, backward):
+            case NegatedSet(forward, backward):
                 found = [self.place(iri) for iri in forward]
                 found += [f"^{self.place(iri)}" for iri in backward]
                 return "!(" + " | ".join(found) + ")"
@@ -211,7 +211,7 @@ class _Printer:
 
     # -- expressions -----------------------------------------------------------------------
 
-    def bracketed(self, expression: Expression) -> str:
+    def in_brackets(self, expression: Expression) -> str:
         text = self.expression(expression)
         in_brackets = isinstance(expression, Logical | Comparison | In | Arithmetic | Unary)
         return text if in_brackets else f"({text})"
@@ -226,16 +226,16 @@ class _Printer:
                 return f"({self.expression(left)} {operator} {self.expression(right)})"
             case In(operand, options, negated):
                 word = "NOT IN" if negated else "IN"
-                return f"({self.expression(operand)} {word} {self.listed(options)})"
+                return f"({self.expression(operand)} {word} {self.argument_list(options)})"
             case Arithmetic(first, rest):
                 steps = (f"{operator} {self.expression(one)}" for operator, one in rest)
                 return "(" + " ".join([self.expression(first), *steps]) + ")"
             case Unary(operator, operand):
-                return f"({operator} {self.bracketed(operand)})"
+                return f"({operator} {self.in_brackets(operand)})"
             case Call(name, arguments):
-                return name + self.listed(arguments)
+                return name + self.argument_list(arguments)
             case FunctionCall(iri, arguments):
-                return self.place(iri) + self.listed(arguments)
+                return self.place(iri) + self.argument_list(arguments)
             case Exists(group, negated):
                 inside = " ".join(line.strip() for line in self.group("", group, ""))
                 return f"{'NOT ' if negated else ''}EXISTS {inside}"
@@ -244,7 +244,7 @@ class _Printer:
             case _:
                 assert_never(expression)
 
-    def listed(self, expressions: tuple[Expression, ...]) -> str:
+    def argument_list(self, expressions: tuple[Expression, ...]) -> str:
         return "(" + ", ".join(map(self.expression, expressions)) + ")"
 
     def aggregate(self, one: Aggregate) -> str:

@@ -1,4 +1,4 @@
-"""Which variables a pattern binds, and may so be seen around it (SPARQL 1.1 §18.2.1)."""
+"""The variables that a pattern binds and that are visible around it (SPARQL 1.1 §18.2.1)."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ from .ast import (
     Triples,
     Union,
     Values,
-    children,
     variables_of,
+    walk,
 )
 
 
-def visible(element: Element) -> dict[str, None]:
-    """The names of the variables that an element of a group binds, in reading order."""
+def visible_variables(element: Element) -> dict[str, None]:
+    """Return the names of the variables that an element of a group binds, in reading order."""
     found: dict[str, None] = {}
     match element:
         case Triples(triples):
             found.update(_of_triples(triples))
         case Group(elements):
             for one in elements:
-                found.update(visible(one))
+                found.update(visible_variables(one))
         case Optional(group):
-            return visible(group)
+            return visible_variables(group)
         case Union(groups):
             for one in groups:
-                found.update(visible(one))
+                found.update(visible_variables(one))
         case Graph(name, group):
             if isinstance(name, Variable):
                 found[name.value] = None
-            found.update(visible(group))
+            found.update(visible_variables(group))
         case Bind(_, variable):
             found[variable.value] = None
         case Values(variables, _):
             found.update((variable.value, None) for variable in variables)
         case SubSelect(query):
-            return dict.fromkeys(shown(query))
+            return dict.fromkeys(projected_variables(query))
         case Filter() | Minus():
             pass
     return found
@@ -63,33 +63,26 @@ def _of_triples(triples: Iterable[Triple]) -> dict[str, None]:
     return {place.value: None for place in places if isinstance(place, Variable)}
 
 
-def shown(query: Query) -> tuple[str, ...]:
-    """The names of the variables that a SELECT shows, each once; none of the other forms."""
+def projected_variables(query: Query) -> tuple[str, ...]:
+    """Return the names of the variables that a SELECT returns, each once; () for other forms."""
     if query.form is not Form.SELECT:
         return ()
     if query.projection is None:
-        found = {} if query.where is None else visible(query.where)
+        found = {} if query.where is None else visible_variables(query.where)
         if query.values is not None:
-            found = found | visible(query.values)
+            found = found | visible_variables(query.values)
         return tuple(found)
     return tuple(dict.fromkeys(one.variable.value for one in query.projection))
 
 
-def ungrouped(expression: Expression) -> dict[str, None]:
-    """The names of the variables of an expression that stand in no aggregate and no EXISTS."""
-    found: dict[str, None] = {}
-    waiting: list[object] = [expression]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, Variable):
-            found[one.value] = None
-        elif not isinstance(one, Aggregate | Exists):
-            waiting.extend(reversed(list(children(one))))
-    return found
+def ungrouped_variables(expression: Expression) -> dict[str, None]:
+    """Return the names of the variables of an expression outside of aggregates and EXISTS."""
+    nodes = walk(expression, Aggregate, Exists)
+    return {one.value: None for one in nodes if isinstance(one, Variable)}
 
 
 def head_variables(query: Query) -> dict[str, None]:
-    """The names of the variables that a head uses and does not define, in reading order."""
+    """Return the names of the variables that a head uses but does not define, in reading order."""
     projection = query.projection or ()
     defined = {one.variable.value for one in projection if one.expression is not None}
     used: dict[str, None] = {}

@@ -1,7 +1,7 @@
-"""Tokens to RDF terms and back (SPARQL 1.1 §4.1, §19.7).
+"""Converts tokens to RDF terms and back (SPARQL 1.1 §4.1, §19.7).
 
-A term is written so that no text in it can be taken for syntax: this is what makes binding an
-argument safe, whatever the argument holds.
+A printed term is escaped such that its text cannot be read as syntax. Binding an argument is
+therefore safe, whatever the argument contains.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ _PLAIN_LOCAL: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_\-]*")
 
 
 def suggest_prefix(source: str, token: Token, prefix: str) -> LanguageError:
-    """The error for a prefix that nobody declared."""
+    """Return the error for an undeclared prefix."""
     return LanguageError(
         f"the prefix `{prefix}:` is not declared",
         source,
         Span(token.start, token.start + len(prefix) + 1),
-        f"write `PREFIX {prefix}: <…>` before it is used; known without that are "
+        f"write `PREFIX {prefix}: <…>` before it is used; no declaration is needed for "
         + ", ".join(f"{name}:" for name in PREFIXES),
     )
 
 
 def iri_text(token: Token, source: str, prefixes: Mapping[str, str], base: str = "") -> str:
-    """The IRI that an IRI or prefixed-name token means."""
+    """Return the IRI of an IRI or prefixed-name token."""
     if token.kind is Kind.IRI:
         raw = _IRI_ESCAPE.sub(lambda m: _character(m[1] or m[2], token, source), token.text[1:-1])
-        # `urljoin` drops a `?` or `#` at the end.
+        # An absolute IRI skips `urljoin`, which drops a trailing `?` or `#`.
         text = raw if not base or _ABSOLUTE.match(raw) else urljoin(base, raw)
     else:
         prefix, _, local = token.text.partition(":")
@@ -61,11 +61,11 @@ def iri_text(token: Token, source: str, prefixes: Mapping[str, str], base: str =
         return NamedNode(text).value
     except ValueError as error:
         hint = "an IRI is absolute: `<http://…>`" if ":" not in text else ""
-        raise LanguageError(f"`{text}` is no IRI: {error}", source, token.span, hint) from None
+        raise LanguageError(f"`{text}` is not an IRI: {error}", source, token.span, hint) from None
 
 
 def string_text(token: Token, source: str) -> str:
-    """The characters that a string token means, escapes resolved."""
+    """Return the characters of a string token, with escapes resolved."""
     quotes = 3 if token.text[:3] in ('"""', "'''") and len(token.text) >= 6 else 1
 
     def resolve(match: re.Match[str]) -> str:
@@ -75,7 +75,10 @@ def string_text(token: Token, source: str) -> str:
         if code not in _STRING_ESCAPES:
             start = token.start + quotes + match.start()
             raise LanguageError(
-                f"`\\{code}` is no escape", source, Span(start, start + 2), r"write `\\` for a \ "
+                f"`\\{code}` is not an escape",
+                source,
+                Span(start, start + 2),
+                r"write `\\` for a \ ",
             )
         return _STRING_ESCAPES[code]
 
@@ -86,28 +89,31 @@ def _character(digits: str, token: Token, source: str) -> str:
     code = int(digits, 16)
     if code > 0x10FFFF or 0xD800 <= code <= 0xDFFF:
         raise LanguageError(
-            f"U+{digits} is no character", source, token.span, "write the escape of another one"
+            f"U+{digits} is not a character",
+            source,
+            token.span,
+            "write the escape of another character",
         )
     return chr(code)
 
 
 def number(text: str) -> Literal:
-    """SPARQL's three kinds of number: with an exponent, with a point, or neither."""
+    """Return a number: xsd:double with an exponent, xsd:decimal with a point, else xsd:integer."""
     name = "double" if "e" in text.lower() else "decimal" if "." in text else "integer"
     return Literal(text, datatype=NamedNode(XSD + name))
 
 
 def term_text(term: Term) -> str:
-    """The term as SPARQL text, in full. Raises `ValueError` for a blank node.
+    """Return the term as SPARQL text, without prefixes. Raises `ValueError` for a blank node.
 
-    Readers that resolve ``\\uXXXX`` before they look for strings (SPARQL 1.1 §19.2) read it back
-    unchanged, too: an escaped backslash is never followed by a bare ``u``.
+    Some parsers resolve ``\\uXXXX`` before they look for strings (SPARQL 1.1 §19.2). They read the
+    text back unchanged too, since no escaped backslash is followed by a bare ``u``.
     """
     match term:
         case NamedNode():
             return f"<{term.value}>"
         case Literal():
-            quoted = f'"{_escaped(term.value)}"'
+            quoted = f'"{_escape(term.value)}"'
             if term.language is not None:
                 return f"{quoted}@{term.language}"
             if term.datatype.value == XSD + "string":
@@ -117,14 +123,14 @@ def term_text(term: Term) -> str:
             raise ValueError("a blank node cannot be given as an argument")
 
 
-def _escaped(text: str) -> str:
+def _escape(text: str) -> str:
     text = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     text = text.replace("\r", "\\r").replace("\t", "\\t").replace("\b", "\\b").replace("\f", "\\f")
     return re.sub(r"(?<=\\)([uU])", lambda m: f"\\U{ord(m[1]):08X}", text)
 
 
 def short_text(term: Term, prefixes: Mapping[str, str]) -> str:
-    """The term for people: a prefixed name or a bare number where that says the same."""
+    """Return a short form of the term: a prefixed name or a bare number where it means the same."""
     if isinstance(term, NamedNode):
         for prefix, namespace in prefixes.items():
             local = term.value.removeprefix(namespace)
@@ -134,7 +140,7 @@ def short_text(term: Term, prefixes: Mapping[str, str]) -> str:
         is_integer = term.datatype.value == XSD + "integer"
         if is_integer and _PLAIN_INTEGER.fullmatch(term.value):
             return term.value
-        # A bare `true` is the literal "true", but "1"^^xsd:boolean is another term.
+        # A bare `true` is "true"^^xsd:boolean, but "1"^^xsd:boolean is another term.
         if term.datatype.value == XSD + "boolean" and term.value in ("true", "false"):
             return term.value
     return term_text(term)

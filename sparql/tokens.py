@@ -1,9 +1,9 @@
-"""The tokens of SPARQL 1.1 (its §19.8), with offsets, read one after the other.
+"""The tokenizer of SPARQL 1.1 (§19.8), with offsets. It reads a token when the parser asks for it.
 
-The parser decides what ``<`` means: an IRI begins there unless an operator is due
-(`Lexer.operator_at`). So a text has one reading, and nothing else of it is read twice.
-White space and comments are no tokens. Code point escapes (``\\u0041``, §19.2) are resolved here in
-names, in IRIs and strings by `terms`.
+The parser decides the meaning of ``<``: it begins an IRI unless an operator may follow
+(`Lexer.operator_at`). So each text has one reading and is read once. White space and comments yield
+no tokens. The tokenizer resolves code point escapes (``\\u0041``, §19.2) in names; `terms` resolves
+those in IRIs and strings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .errors import LanguageError, Span
 
 
 class Kind(StrEnum):
-    """What a token is; the names are those of SPARQL's grammar where it has one."""
+    """The kind of a token, named as in SPARQL's grammar."""
 
     IRI = "IRI"
     STRING = "string"
@@ -32,7 +32,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A token and where it stands; ``text`` is as written, but for code point escapes in names."""
+    """A token and its place. ``text`` is as written, except for resolved escapes in names."""
 
     kind: Kind
     text: str
@@ -44,7 +44,7 @@ class Token:
         return Span(self.start, self.end)
 
     def is_word(self, *words: str) -> bool:
-        """True for one of these keywords (given in upper case), in any case."""
+        """Return whether it is one of these keywords (given in upper case), in any case."""
         return self.kind is Kind.WORD and self.text.upper() in words
 
     def is_mark(self, *marks: str) -> bool:
@@ -53,24 +53,24 @@ class Token:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How large a text may be: what is larger would keep its readers busy, or nest too deeply.
+    """Bounds of a text. A larger one would keep later passes busy or nest too deeply.
 
-    ``patterns``: triple patterns; each step and each alternative of a path is one. ``operators``:
-    how high the tree of an expression is. ``parts``: groups in braces, FILTER, BIND and VALUES.
-    ``hint`` says what to do instead.
+    ``patterns`` counts triple patterns and each step and alternative of a path. ``operators``
+    bounds the height of an expression's tree. ``parts`` counts groups in braces, FILTER, BIND and
+    VALUES. ``hint`` tells the user an alternative.
     """
 
     tokens: int = 1 << 20
-    depth: int = 64
     patterns: int = 1 << 20
     operators: int = 1 << 20
     parts: int = 1 << 20
-    negations: int = 64
     hint: str = ""
 
 
 UNLIMITED: Final = Limits()
-"""But for what nests: readers recurse."""
+"""For texts that a bound on characters limits already."""
+DEEPEST: Final = 64
+"""The greatest depth of nested brackets: later passes recurse."""
 
 # [164] PN_CHARS_BASE, [165] PN_CHARS_U, [167] PN_CHARS, and what VARNAME [166] has besides.
 _BASE: Final = (
@@ -116,11 +116,10 @@ _PARTS: Final = ("FILTER", "BIND", "VALUES")
 
 
 class Lexer:
-    """The tokens of ``source``, each when it is asked for.
+    """The tokens of ``source``, read one at a time.
 
-    Brackets match and are at most ``limits.depth`` deep. Raises `LanguageError` for a character
-    that begins no token, a string that is not closed, brackets that do not match, and for more
-    tokens than allowed. Cost: linear.
+    Brackets must match, at most `DEEPEST` deep. Raises `LanguageError` for a character that
+    begins no token, an open string, unmatched brackets, and too many tokens. Cost: linear.
     """
 
     def __init__(self, source: str, limits: Limits) -> None:
@@ -132,7 +131,7 @@ class Lexer:
         self.parts = 0
 
     def next(self) -> Token | None:
-        """The next token; None at the end of the text."""
+        """Return the next token; None at the end of the text."""
         source = self.source
         while self.position < len(source):
             match = _TOKEN.match(source, self.position)
@@ -145,19 +144,19 @@ class Lexer:
             kind = Kind[group]
             token = Token(kind, match[0], match.start(), match.end())
             if kind in _NAMES and "\\" in token.text:
-                token = self._resolved(token)
+                token = self._resolve_escapes(token)
             self._count(token)
             return token
         if self.brackets:
             token = self.brackets[-1]
-            due = _CLOSING[token.text]
+            closing = _CLOSING[token.text]
             raise self._error(
-                f"`{token.text}` is not closed", token, f"write `{due}` where it ends"
+                f"`{token.text}` is not closed", token, f"write `{closing}` where it ends"
             )
         return None
 
     def operator_at(self, token: Token) -> Token:
-        """``token`` where an operator is due: ``<`` begins no IRI there. It is the last token."""
+        """Reread ``token``, the last one, where an operator may follow: ``<`` is a mark there."""
         if token.kind is not Kind.IRI:
             return token
         mark = "<=" if self.source.startswith("<=", token.start) else "<"
@@ -179,22 +178,23 @@ class Lexer:
             return
         if token.text in _CLOSING:
             self.brackets.append(token)
-            if len(self.brackets) > limits.depth:
-                raise self._error(f"brackets are nested more than {limits.depth} deep", token)
+            if len(self.brackets) > DEEPEST:
+                raise self._error(f"brackets are nested more than {DEEPEST} deep", token)
         elif token.text in "})]":
             if not self.brackets or _CLOSING[self.brackets[-1].text] != token.text:
                 raise self._no_match(token)
             self.brackets.pop()
 
-    def _resolved(self, token: Token) -> Token:
-        """A name with its code point escapes resolved; each stands for a character of a name."""
+    def _resolve_escapes(self, token: Token) -> Token:
+        """Return a name with its code point escapes resolved. Each must stand for a character that
+        names allow."""
         text = _ESCAPES.sub(lambda m: _character(m[1] or m[2]), token.text)
         match = _TOKEN.fullmatch(text)
         if match is None or match.lastgroup != token.kind.name or _ESCAPES.search(text):
             raise self._error(
-                f"`{token.text}` is no name",
+                f"`{token.text}` is not a name",
                 token,
-                "an escape in a name stands for a character that a name may have",
+                "an escape in a name must stand for a character that names allow",
             )
         return Token(token.kind, text, token.start, token.end)
 
@@ -221,19 +221,13 @@ class Lexer:
             )
         opened = self.brackets[-1]
         line = self.source.count("\n", 0, opened.start) + 1
-        due = _CLOSING[opened.text]
+        closing = _CLOSING[opened.text]
         hint = f"the `{opened.text}` of line {line} is still open"
-        return self._error(f"`{token.text}` where `{due}` is due", token, hint)
+        return self._error(f"expected `{closing}`, found `{token.text}`", token, hint)
 
 
 def _character(digits: str) -> str:
-    """The character of an escape; one that no name has where there is none."""
+    """Return the character of an escape, or a space, which no name allows, if there is none."""
     code = int(digits, 16)
     is_none = code > 0x10FFFF or 0xD800 <= code <= 0xDFFF or code == 0x5C
     return " " if is_none else chr(code)
-
-
-def tokenize(source: str, limits: Limits = UNLIMITED) -> tuple[Token, ...]:
-    """The tokens of a text without expressions, where ``<`` begins an IRI."""
-    lexer = Lexer(source, limits)
-    return tuple(iter(lexer.next, None))

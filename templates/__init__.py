@@ -1,1 +1,1 @@
-"""Event templates: registration, instantiation, what they need ([Events14 §IV.B, §V.B])."""
+"""Event templates: registration, instantiation, needs ([Events14 §IV.B, §V.B])."""

@@ -1,8 +1,8 @@
-"""Instantiation: a template and its arguments make a continuous query ([Events14 §V.B]).
+"""Instantiation: a template and arguments make a continuous query ([Events14 §V.B]).
 
-``HighSpeedEvent(?o, ?type, ?threshold)`` with ``(dyknow:uav1, dyknow:UAV, 100)`` is Listing 4's
-query with these terms bound. Arguments are checked against where their parameter stands in the
-body, so that a request that could never give an event is refused instead.
+``HighSpeedEvent(?o, ?type, ?threshold)`` with ``(dyknow:uav1, dyknow:UAV, 100)`` is the query of
+Listing 4 with these terms bound. Each argument is checked against the places of its parameter in
+the body, so that a request that can never produce an event is refused.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
 from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
+from ..languages.hints import count
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import DYKNOW, shorten
@@ -26,9 +27,9 @@ _DOUBLE = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 class ArgumentError(ValueError):
-    """An argument that does not fit its parameter. ``index`` counts from 0.
+    """An argument does not fit its parameter. ``index`` counts from 0.
 
-    ``index`` and ``parameter`` are None where the number of arguments is wrong.
+    ``index`` and ``parameter`` are None if the number of arguments is wrong.
     """
 
     def __init__(
@@ -44,17 +45,19 @@ class ArgumentError(ValueError):
 def instantiate(
     template: Template, arguments: Sequence[Term | Variable], vocabulary: Vocabulary
 ) -> ContinuousQuery:
-    """The template's query with ``arguments`` bound as terms, in the order of the parameters.
+    """Return the template's query with ``arguments`` bound as terms, in the order of the
+    parameters.
 
-    A variable (under any name) leaves its parameter free: the query is for all that the body
-    finds there. Raises `ArgumentError` for a wrong number of arguments; a class that is no sort, a
-    predicate that is no feature, a subject that is no IRI, a number that is none, is infinite or
-    NaN; a variable where the body itself finds no value (a threshold).
+    A variable (with any name) leaves its parameter free: the query then covers every object that
+    the body matches. Raises `ArgumentError` for a wrong number of arguments; for an unknown class
+    or predicate; for a subject that is no IRI; for a number that is malformed, infinite or NaN; and
+    for a variable where the body binds no value (a threshold).
     """
     parameters = template.parameters
     if len(arguments) != len(parameters):
         raise ArgumentError(
-            f"{shorten(template.name)} takes {_counted(len(parameters))}, not {len(arguments)}",
+            f"{shorten(template.name)} takes {count(len(parameters), 'argument')}, "
+            f"not {len(arguments)}",
             hint=f"write {_signature(template)}",
         )
     stand = places(body_tree(template.query), vocabulary)
@@ -83,16 +86,17 @@ def _check_variable(
 ) -> None:
     argument = arguments[index]
     if required:
-        due = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
+        needed = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
         raise _error(
             f"?{parameter.value} must be given: nothing in the template finds a value for it",
             index,
             parameter,
-            f"give {due} instead of {argument}" + (", for example 100" if "num" in due else ""),
+            f"give {needed} instead of {argument}"
+            + (", for example 100" if "num" in needed else ""),
         )
     if argument in arguments[:index]:
         raise _error(
-            f"{argument} stands for two arguments",
+            f"{argument} is used for two arguments",
             index,
             parameter,
             f"leave the second free under a name of its own: ?{parameter.value}",
@@ -107,12 +111,12 @@ def _check_term(
             iri = _iri(argument, place, index, parameter, "dyknow:UAV")
             if not vocabulary.is_sort(iri):
                 hint = suggestion(iri, vocabulary.suggest(iri, "sort"))
-                raise _error(f"{shorten(iri)} is no known sort", index, parameter, hint)
+                raise _error(f"{shorten(iri)} is not a known sort", index, parameter, hint)
         case Place.PREDICATE:
             iri = _iri(argument, place, index, parameter, "dyknow:speed")
             if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
                 hint = suggestion(iri, vocabulary.suggest(iri, "feature"))
-                raise _error(f"{shorten(iri)} is no known feature", index, parameter, hint)
+                raise _error(f"{shorten(iri)} is not a known feature", index, parameter, hint)
         case Place.SUBJECT:
             _iri(argument, place, index, parameter, "dyknow:uav1")
         case Place.NUMBER:
@@ -128,7 +132,7 @@ def _iri(argument: Term, place: Place, index: int, parameter: Variable, example:
         return argument.value
     given = "a blank node" if isinstance(argument, BlankNode) else f"the literal {_text(argument)}"
     raise _error(
-        f"?{parameter.value} stands for {place.value}: an IRI is due, not {given}",
+        f"?{parameter.value} stands for {place.value}: expected an IRI, found {given}",
         index,
         parameter,
         f"write a name such as {example}",
@@ -136,11 +140,11 @@ def _iri(argument: Term, place: Place, index: int, parameter: Variable, example:
 
 
 def number_problem(term: Term) -> str:
-    """Why ``term`` is no finite number; empty if it is one."""
+    """Return why ``term`` is no finite number; empty if it is one."""
     if not isinstance(term, Literal):
-        return f"{_text(term)} is no literal"
+        return f"{_text(term)} is not a literal"
     if not is_numeric(term.datatype.value):
-        return f"{_text(term)} is no number"
+        return f"{_text(term)} is not a number"
     kind = term.datatype.value.rpartition("#")[2]
     if kind in ("float", "double"):
         pattern = _DOUBLE
@@ -149,8 +153,8 @@ def number_problem(term: Term) -> str:
     if not pattern.fullmatch(term.value):
         if term.value in ("NaN", "INF", "+INF", "-INF"):
             return f"{term.value} is not finite"
-        return f"{term.value!r} is no xsd:{kind}"
-    # A double overflows to infinity in its text already: 1e999.
+        return f"{term.value!r} is not an xsd:{kind}"
+    # A double may overflow to infinity: 1e999.
     return f"{term.value} is not finite" if _overflows(term.value) else ""
 
 
@@ -159,7 +163,7 @@ def _overflows(text: str) -> bool:
 
 
 def suggestion(iri: str, near: Sequence[str]) -> str:
-    """A hint from local names that are near."""
+    """Return a hint with similar local names."""
     if not near:
         return ""
     namespace = "dyknow:" if iri.startswith(DYKNOW) or ":" not in iri else ""
@@ -176,10 +180,6 @@ def _text(term: Term) -> str:
     if isinstance(term, NamedNode):
         return shorten(term.value)
     return str(term) if isinstance(term, BlankNode) else term_text(term)
-
-
-def _counted(number: int) -> str:
-    return "1 argument" if number == 1 else f"{number} arguments"
 
 
 def _signature(template: Template) -> str:

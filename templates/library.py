@@ -1,8 +1,8 @@
-"""The template library: event templates kept in the ontology ([Events14 §IV.B, §V.B]).
+"""The template library: event templates in the ontology ([Events14 §IV.B, §V.B]).
 
-A template is a property of its event concept, so the ontology is the only place where its text
-is kept and a restart finds it there; this room holds the parsed values. The engine registers,
-gets and removes. Not for threads: the ontology has one writer.
+A template is a property of its event concept, so the ontology is the only storage of its text, also
+across a restart. This module caches the parsed values. The engine registers, gets and removes
+templates. Not thread-safe: the ontology has one writer.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.errors import LanguageError
 from ..ontology.ontology import Ontology
 from ..rdf.namespaces import DYKNOW, PREFIXES, local_name, shorten
-from .needs import Needs, NeedsError, in_ontology, needs, open_predicates
+from .needs import Needs, NeedsError, is_static_in, needs, open_predicates
 
 
 class TemplateExists(Exception):
-    """A template of this name (an IRI) is registered. Nothing was changed."""
+    """A template of this name (an IRI) exists. Nothing was changed."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f"there is a template {shorten(name)}")
@@ -28,7 +28,7 @@ class TemplateExists(Exception):
 
 
 class TemplateRefused(ValueError):
-    """A well-formed template about what the ontology does not know. Nothing was changed."""
+    """A well-formed template uses terms that the ontology does not know. Nothing was changed."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -37,7 +37,7 @@ class TemplateRefused(ValueError):
 
 
 class NoSuchTemplate(LookupError):
-    """No template has this name; ``suggestions`` are names that are close."""
+    """No template has this name; ``suggestions`` are similar names."""
 
     def __init__(self, name: str, suggestions: tuple[str, ...]) -> None:
         super().__init__(f"there is no template {name}")
@@ -48,60 +48,62 @@ class NoSuchTemplate(LookupError):
 class TemplateLibrary:
     """The event templates of an ontology, parsed.
 
-    Law: a library made anew over the same ontology holds the same templates.
+    Law: another library over the same ontology has the same templates.
     """
 
     def __init__(self, ontology: Ontology) -> None:
         self._ontology = ontology
         self._templates: dict[str, Template] = {}
         self.broken: dict[str, str] = {}
-        """Kept texts that cannot be read any more, by event, with the reason: left as they are."""
-        for event, source in ontology.registered.templates().items():
+        """Stored texts that no longer parse, by event, with the reason; they stay stored."""
+        for event, source in ontology.registered.templates.items():
             try:
                 self._templates[event] = parse_template(source)
             except LanguageError as error:
                 self.broken[event] = str(error)
 
     def register(self, text: str, *, replace: bool = False) -> Template:
-        """Parse, check and keep the template; its event concept becomes known by it.
+        """Parse, check and store the template; its event becomes a concept of the ontology.
 
-        Raises `LanguageError` for the text, `TemplateRefused` where it speaks of unknown
-        features or sorts or its name is taken by one, `TemplateExists` unless ``replace``.
+        Raises `LanguageError` for the text; `TemplateRefused` if it uses unknown features or sorts,
+        or if its name is one; `TemplateExists` unless ``replace``.
         """
         template = parse_template(text)
         if template.name in self._templates and not replace:
             raise TemplateExists(template.name)
         self._check(template)
-        self._ontology.registered.set_template(template.name, text)
+        self._ontology.registered.templates[template.name] = text
         self._templates[template.name] = template
         return template
 
     def get(self, name: str) -> Template:
-        """By IRI, ``<IRI>``, prefixed name, or local name. Raises `NoSuchTemplate`."""
+        """Return a template by IRI, ``<IRI>``, prefixed name, or local name. Raises
+        `NoSuchTemplate`."""
         return self._templates[self._resolve(name)]
 
     def remove(self, name: str) -> Template:
-        """Take the template out and give it back. Raises `NoSuchTemplate`."""
+        """Remove the template and return it. Raises `NoSuchTemplate`."""
         iri = self._resolve(name)
-        self._ontology.registered.remove_template(iri)
+        del self._ontology.registered.templates[iri]
         return self._templates.pop(iri)
 
     def __len__(self) -> int:
-        """How many templates there are."""
+        """Return the number of templates."""
         return len(self._templates)
 
     def names(self) -> tuple[str, ...]:
-        """The IRIs of all templates, sorted."""
+        """Return the IRIs of all templates, sorted."""
         return tuple(sorted(self._templates))
 
     def etag(self, name: str) -> str:
-        """A tag that changes with the text: 32 hexadecimal digits. Raises `NoSuchTemplate`."""
+        """Return a tag that changes with the text: 32 hexadecimal digits. Raises
+        `NoSuchTemplate`."""
         source = self._templates[self._resolve(name)].source
         return hashlib.sha256(source.encode()).hexdigest()[:32]
 
     def needs(self, query: ContinuousQuery) -> Needs:
-        """`needs` of a query with what this library's ontology knows. Raises `NeedsError`."""
-        return needs(query, self._ontology.vocabulary, in_ontology(self._ontology.static_store))
+        """Return the `needs` of a query by this library's ontology. Raises `NeedsError`."""
+        return needs(query, self._ontology.vocabulary, is_static_in(self._ontology.static_store))
 
     def _check(self, template: Template) -> None:
         vocabulary = self._ontology.vocabulary
@@ -113,14 +115,14 @@ class TemplateLibrary:
                     f"name the event, for example {shorten(name)}Event",
                 )
         try:
-            # A parameter in a predicate position is known only with its argument.
+            # The argument of a parameter in a predicate position is unknown yet.
             if not open_predicates(template.query):
                 self._check_circle(template)
         except NeedsError as error:
             raise TemplateRefused(error.message, error.hint) from error
 
     def _check_circle(self, template: Template) -> None:
-        """Events may build on events, but not on themselves ([Events14 §VI])."""
+        """Raise `TemplateRefused` if the event would need itself ([Events14 §VI])."""
         came_from: dict[str, str] = {}
         waiting = [template]
         while waiting:
@@ -130,7 +132,7 @@ class TemplateLibrary:
             except NeedsError:
                 if user is template:
                     raise
-                continue  # one that was registered before, and that the ontology lets down now
+                continue  # a registered template whose terms the ontology no longer has
             for event in events:
                 if event == template.name:
                     path = [user.name]
@@ -146,7 +148,7 @@ class TemplateLibrary:
                     waiting.append(self._templates[event])
 
     def _events_of(self, template: Template) -> tuple[str, ...]:
-        """The events that a template needs."""
+        """Return the events that a template needs."""
         if open_predicates(template.query):
             return ()
         wants = self.needs(template.query).wants
@@ -170,8 +172,8 @@ class TemplateLibrary:
         raise NoSuchTemplate(name, tuple(locals_[local] for local in near))
 
 
-def shipped() -> tuple[str, ...]:
-    """The texts of the templates that come with the system, by file name."""
+def shipped_templates() -> tuple[str, ...]:
+    """Return the texts of the templates in the package, by file name."""
     folder = files(__package__) / "library"
     found = sorted(
         (entry for entry in folder.iterdir() if entry.name.endswith(".rq")),

@@ -1,8 +1,8 @@
-"""What a continuous query needs from streams, and what it produces ([Events14 §IV.A, §V.B]).
+"""Infers what a continuous query needs from streams, and what it produces ([Events14 §IV.A, §V.B]).
 
-[Events14 §IV.A]: the predicates of a query that the ontology knows as features must come from
-streams, all others from static graphs; and `?uav a dyknow:UAV` says which objects are meant. The
-paper leaves the second out of its scope ("an even better approach"); it is done here.
+[Events14 §IV.A]: predicates of a query that the ontology knows as features come from streams, all
+others from static graphs. `?uav a dyknow:UAV` states which objects are meant. The paper leaves this
+second inference out of scope ("an even better approach"); this module implements it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .patterns import Pattern, head_subjects, patterns
 
 
 class NeedsError(ValueError):
-    """The streams that a query needs cannot be inferred from it."""
+    """The streams that a query needs cannot be inferred."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -33,10 +33,9 @@ class NeedsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """What a query produces: its event over sorts or objects, ``HighSpeedEvent[UAV]`` (SPEC §5).
+    """The event of a query with its sorts or objects, ``HighSpeedEvent[UAV]`` (SPEC §5).
 
-    ``sorts`` are those of the objects it is about, ``objects`` those that were named. All are
-    IRIs.
+    ``sorts`` are those of the objects in the event, ``objects`` the named ones. All are IRIs.
     """
 
     event: str
@@ -46,7 +45,7 @@ class Product:
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """The wants of a query, and its product (None where the query's name is no IRI)."""
+    """The wants of a query, and its product (None if the query's name is no IRI)."""
 
     wants: tuple[Want, ...]
     product: Product | None
@@ -57,15 +56,15 @@ def needs(
     vocabulary: Vocabulary,
     is_static: Callable[[str], bool] | None = None,
 ) -> Needs:
-    """Which features of which sorts and objects ``query`` needs from streams.
+    """Return the features of the sorts and objects that ``query`` needs from streams.
 
-    A want per feature (or event) and subject, in reading order. Its sort is the narrowest that
-    holds of the subject wherever the pattern must match, dyknow:Thing where none does; its object
-    is a subject that is an IRI, written or bound. ``is_static`` says of a predicate in the
-    ``dyknow:`` namespace that is no feature whether static graphs may hold it (default: never).
+    There is a want for each feature (or event) and subject, in reading order. Its sort is the
+    narrowest that applies to the subject wherever the pattern must match, else dyknow:Thing. Its
+    object is the subject if that is an IRI, written or bound. ``is_static`` tells whether static
+    graphs may contain a ``dyknow:`` predicate that is no feature (default: never).
 
-    Raises `NeedsError` for a variable predicate and for an unknown ``dyknow:`` predicate or
-    class, unless the query names its streams itself.
+    Raises `NeedsError` for a variable predicate and for an unknown ``dyknow:`` predicate or class,
+    unless the query names its streams itself.
     """
     root = body_tree(query)
     reader = _Reader(query, vocabulary, is_static)
@@ -75,7 +74,7 @@ def needs(
 
 
 def open_predicates(query: ContinuousQuery) -> tuple[str, ...]:
-    """Names of the variables in predicate positions that no binding fills."""
+    """Return the names of the variables in predicate positions that no binding fills."""
     bound = {variable.value for variable in query.bindings}
     names = dict.fromkeys(
         pattern.predicate.value
@@ -85,8 +84,9 @@ def open_predicates(query: ContinuousQuery) -> tuple[str, ...]:
     return tuple(names)
 
 
-def in_ontology(store: Store) -> Callable[[str], bool]:
-    """For `needs`: a property is static if the store declares it or uses it in any graph."""
+def is_static_in(store: Store) -> Callable[[str], bool]:
+    """Return an `is_static` for `needs`: true if the store declares or uses the property in any
+    graph."""
 
     def is_static(predicate: str) -> bool:
         node = NamedNode(predicate)
@@ -99,7 +99,7 @@ def in_ontology(store: Store) -> Callable[[str], bool]:
 
 
 class _Reader:
-    """A query's terms with its bindings put in."""
+    """Resolves a query's terms by its bindings."""
 
     def __init__(
         self,
@@ -117,13 +117,13 @@ class _Reader:
         }
 
     def iri(self, term: Any) -> str | None:
-        """The IRI that a term is or is bound to."""
+        """Return the IRI of a term, or of its binding."""
         if isinstance(term, Variable):
             return self._bound.get(term.value)
         return term.value if isinstance(term, NamedNode) else None
 
     def is_streamed(self, pattern: Pattern) -> bool:
-        """The pattern is about a feature or event, so streams must bring it."""
+        """Return whether streams must provide the pattern: its predicate is a feature or event."""
         predicate = self.iri(pattern.predicate)
         if predicate is None:
             if self._named_streams:
@@ -136,26 +136,27 @@ class _Reader:
         if predicate == RDF_TYPE.value:
             self._check_class(pattern.object)
             return False
-        known = self._vocabulary
-        if known.is_feature(predicate) or known.is_event(predicate):
+        vocabulary = self._vocabulary
+        if vocabulary.is_feature(predicate) or vocabulary.is_event(predicate):
             return True
         if predicate.startswith(DYKNOW) and not (
             self._named_streams or (self._is_static is not None and self._is_static(predicate))
         ):
             raise NeedsError(
-                f"{shorten(predicate)} is neither a feature nor anything else that is known",
-                suggestion(predicate, known.suggest(predicate)),
+                f"{shorten(predicate)} is neither a feature nor another known term",
+                suggestion(predicate, vocabulary.suggest(predicate)),
             )
         return False
 
     def _check_class(self, term: Any) -> None:
         iri = self.iri(term)
-        known = self._vocabulary
+        vocabulary = self._vocabulary
         if iri is None or self._named_streams or not iri.startswith(DYKNOW):
             return
-        if not (known.is_sort(iri) or known.is_event(iri) or known.is_feature(iri)):
+        if not (vocabulary.is_sort(iri) or vocabulary.is_event(iri) or vocabulary.is_feature(iri)):
             raise NeedsError(
-                f"{shorten(iri)} is no known sort", suggestion(iri, known.suggest(iri, "sort"))
+                f"{shorten(iri)} is not a known sort",
+                suggestion(iri, vocabulary.suggest(iri, "sort")),
             )
 
     def want(self, pattern: Pattern) -> Want:
@@ -164,12 +165,12 @@ class _Reader:
         return Want(feature, self.sort(pattern.classes), self.iri(pattern.subject))
 
     def sort(self, classes: Iterable[Any]) -> str:
-        """The narrowest sort among the classes, the first by name where none is within others."""
-        known = self._vocabulary
+        """Return the narrowest sort among the classes; the first by name if there are several."""
+        vocabulary = self._vocabulary
         iris = {iri for term in classes if (iri := self.iri(term)) is not None}
-        sorts = sorted(iri for iri in iris if known.is_sort(iri))
-        # The narrower a sort, the more sorts contain it.
-        return min(sorts, key=lambda sort: -len(known.supersorts(sort)), default=THING)
+        sorts = sorted(iri for iri in iris if vocabulary.is_sort(iri))
+        # A narrower sort has more super-sorts.
+        return min(sorts, key=lambda sort: -len(vocabulary.supersorts(sort)), default=THING)
 
 
 def _product(

@@ -1,4 +1,4 @@
-"""Where a parameter stands in a template's body, and so what its argument must be."""
+"""The places of a parameter in a template's body, which restrict its argument."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from pyoxigraph import Literal, NamedNode, Variable
 
-from ..languages.attached import attached
+from ..languages.object_cache import ObjectCache
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.datatypes import NUMBERS
 from ..rdf.namespaces import RDF_TYPE
@@ -21,7 +21,7 @@ _SAME_KIND: Final = ("MIN", "MAX", "SAMPLE")
 
 
 class Place(StrEnum):
-    """A position that restricts what may stand there."""
+    """A position that restricts its term."""
 
     SORT = "a sort"
     PREDICATE = "a feature"
@@ -30,16 +30,17 @@ class Place(StrEnum):
 
 
 def is_numeric(datatype: str | None) -> bool:
-    """The IRI is of a datatype whose values are numbers."""
+    """Return whether the values of the datatype are numbers."""
     return datatype in NUMBERS
 
 
-@attached
+@ObjectCache
 def places(query: ast.Query, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
-    """Variable name -> the restricting positions that it stands in, over the whole body.
+    """Return variable name -> its restricting positions, over the whole body.
 
-    A number is due where a variable is calculated with, or compared with what is a number: a
-    literal, a calculation, an aggregate, a feature whose range is numeric. Cost: found once.
+    A variable must be a number if an operator calculates with it or compares it with a number: a
+    literal, a calculation, an aggregate, or a feature with a numeric range. Cost: computed once for
+    a query.
     """
     found: dict[str, set[Place]] = {}
     for pattern in patterns(query):
@@ -48,7 +49,7 @@ def places(query: ast.Query, vocabulary: Vocabulary) -> dict[str, frozenset[Plac
         if pattern.predicate == RDF_TYPE:
             _note(found, pattern.object, Place.SORT)
     numbers = _Numbers(query, vocabulary)
-    for variable in numbers.demanded():
+    for variable in numbers.required_numbers():
         _note(found, variable, Place.NUMBER)
     return {name: frozenset(kinds) for name, kinds in found.items()}
 
@@ -59,25 +60,25 @@ def _note(found: dict[str, set[Place]], term: Any, place: Place) -> None:
 
 
 class _Numbers:
-    """Which variables and expressions of a body are numbers."""
+    """The variables and expressions of a body that are numbers."""
 
     def __init__(self, query: ast.Query, vocabulary: Vocabulary) -> None:
         self._nodes = list(ast.walk(query))
-        self._known: set[Variable] = set()
+        self._numbers: set[Variable] = set()
         for pattern in patterns(query):
             predicate = pattern.predicate
             info = vocabulary.feature(predicate.value) if isinstance(predicate, NamedNode) else None
             is_number = info is not None and (is_numeric(info.range) or info.unit is not None)
             if is_number and isinstance(pattern.object, Variable):
-                self._known.add(pattern.object)
+                self._numbers.add(pattern.object)
         self._spread()
 
     def _spread(self) -> None:
-        """Numbers through BIND, heads and aggregates, until nothing more is known."""
+        """Propagate numbers through BIND, heads and aggregates to a fixed point."""
         named = [
             (node.variable, node.expression)
             for node in self._nodes
-            if isinstance(node, ast.Bind | ast.Projected) and node.expression is not None
+            if isinstance(node, ast.Bind | ast.SelectItem) and node.expression is not None
         ]
         named += [
             (node.alias, node.expression)
@@ -85,16 +86,16 @@ class _Numbers:
             if isinstance(node, ast.Key) and node.alias is not None
         ]
         before = -1
-        while before != len(self._known):
-            before = len(self._known)
-            self._known.update(name for name, expression in named if self.is_number(expression))
+        while before != len(self._numbers):
+            before = len(self._numbers)
+            self._numbers.update(name for name, expression in named if self.is_number(expression))
 
     def is_number(self, expression: ast.Expression) -> bool:
         match expression:
             case Literal():
                 return is_numeric(expression.datatype.value)
             case Variable():
-                return expression in self._known
+                return expression in self._numbers
             case ast.Arithmetic() | ast.Unary("-" | "+", _):
                 return True
             case ast.Call(name, _):
@@ -106,8 +107,8 @@ class _Numbers:
             case _:
                 return False
 
-    def demanded(self) -> Iterator[Variable]:
-        """The variables that are calculated with or compared with numbers."""
+    def required_numbers(self) -> Iterator[Variable]:
+        """Yield the variables that must be numbers."""
         for node in self._nodes:
             for operand in self._operands(node):
                 if isinstance(operand, Variable):

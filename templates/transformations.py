@@ -1,9 +1,9 @@
 """Event templates as transformations ([Events14 §VI], SPEC §5): events that build on events.
 
-What a template takes and gives is inferred from its query: the features (and events) that it needs
-of its objects, and its event over the sort of these. Parameters in a class position are bound to
-the sort that is wanted, the one that stands for the event's object to the object. A parameter that
-no pattern binds (a threshold) must be given by whoever asks; nothing can give it here.
+The inputs and output are inferred from the template's query: the features (and events) of its
+objects, and its event over their sort. A parameter in a class position is bound to the wanted sort,
+the parameter for the event's object to the wanted object. A parameter that no pattern binds (a
+threshold) needs a value in a direct request; matching cannot supply one.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from .patterns import head_subjects, patterns
 
 @dataclass(frozen=True)
 class EventTransformation(EventDescription):
-    """A template as matching sees it: `wants_of` says what it needs for objects of a subject.
+    """A template as seen by matching: `wants_of` returns its needs for the objects of a subject.
 
-    ``vocabulary`` gives what the ontology knows now, ``needs_of`` the needs of a query; see
-    `TemplateLibrary.needs`.
+    ``vocabulary`` returns the current vocabulary, ``needs_of`` the needs of a query
+    (`TemplateLibrary.needs`).
     """
 
     template: Template | None = None
@@ -41,19 +41,20 @@ class EventTransformation(EventDescription):
     needs_of: Callable[[ContinuousQuery], Needs] | None = field(default=None, compare=False)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, Subject], tuple[Want, ...] | None]:
+    def _wants_cache(self) -> dict[tuple[int, Subject], tuple[Want, ...] | None]:
         return {}
 
     def wants_of(self, subject: Subject) -> tuple[Want, ...] | None:
-        """What the query needs to give the event of ``subject``; None if it cannot give it."""
+        """Return the needs of the query for the event of ``subject``; None if it cannot produce
+        that."""
         assert self.vocabulary is not None
         key = (self.vocabulary().version, subject._replace(bounds=()))
-        if key not in self._known:
-            self._known[key] = self._wants(key[1])
-        return self._known[key]
+        if key not in self._wants_cache:
+            self._wants_cache[key] = self._wants(key[1])
+        return self._wants_cache[key]
 
     def query(self, subject: Subject) -> ContinuousQuery:
-        """The template's query for ``subject``; raises `ArgumentError`."""
+        """Return the template's query for ``subject``. Raises `ArgumentError`."""
         assert self.template is not None
         assert self.vocabulary is not None
         own, sorts = _parameters(self.template)
@@ -68,7 +69,7 @@ class EventTransformation(EventDescription):
         return instantiate(self.template, arguments, self.vocabulary())
 
     def is_selective(self, subject: Subject) -> bool:
-        """Whether a parameter stands for the object."""
+        """Return whether a parameter stands for the object."""
         assert self.template is not None
         return subject.object is not None and _parameters(self.template)[0] is not None
 
@@ -85,7 +86,8 @@ def event_transformation(
     vocabulary: Callable[[], Vocabulary],
     needs_of: Callable[[ContinuousQuery], Needs],
 ) -> EventTransformation:
-    """A template as a transformation; ``lacks`` says why it can only be asked for directly."""
+    """Return a template as a transformation; ``lacks`` states why it allows direct
+    requests only."""
     query = template.query
     lacks, sort, value = "", THING, "value"
     wants: tuple[Want, ...] = ()
@@ -94,7 +96,7 @@ def event_transformation(
         names = " and ".join(f"?{parameter.value}" for parameter in required)
         lacks = f"{names} must be given: request {shorten(template.name)} with a value"
     elif query.form is not Form.CONSTRUCT:
-        lacks = "its answers are a table, which is no stream of an event"
+        lacks = "its results are a table, not a stream of an event"
     else:
         predicates = _predicates(query)
         value = field_names(predicates)[predicates[0]]
@@ -108,7 +110,7 @@ def event_transformation(
             if product is not None and len(product.sorts) == 1:
                 sort = product.sorts[0]
             elif product is not None and len(product.sorts) > 1:
-                lacks = "its head speaks of several kinds of objects"
+                lacks = "its head is about several kinds of objects"
     inputs = tuple(
         PortAnnotation(want.feature, want.feature, (), (Argument("o", want.wanted_sort),))
         for want in wants
@@ -137,7 +139,7 @@ def _predicates(query: ContinuousQuery) -> list[str]:
 
 
 def _parameters(template: Template) -> tuple[str | None, frozenset[str]]:
-    """The parameter that stands for the event's object, and those that stand for its classes."""
+    """Return the parameter for the event's object, and those for its classes."""
     root = body_tree(template.query)
     names = {parameter.value for parameter in template.parameters}
     subjects = [subject.value for subject in head_subjects(root)]

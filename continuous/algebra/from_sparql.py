@@ -15,8 +15,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import RDF_TYPE
 from ...sparql import ast
-from ...sparql.algebra import split
-from ...sparql.scope import shown, visible
+from ...sparql.algebra import split_group
+from ...sparql.scope import projected_variables, visible_variables
 from ..values.literals import canonical
 from .expressions import Const, Expression, Var
 from .expressions_from_sparql import ExpressionTranslation
@@ -90,7 +90,7 @@ class _Translation:
             raise Unsupported("the form DESCRIBE")
         plan = self.solutions(query)
         if query.form is ast.Form.SELECT:
-            return Query(Select(shown(query)), with_times(plan))
+            return Query(Select(projected_variables(query)), with_times(plan))
         # CONSTRUCT and ASK show no variables.
         head: Head = Ask()
         if query.form is ast.Form.CONSTRUCT:
@@ -119,7 +119,7 @@ class _Translation:
                 plan = self.marked(plan)
             plan = Order(tuple(keys), plan)
         if query.form is ast.Form.SELECT:
-            plan = self._shown(shown(query), plan)
+            plan = self._shown(projected_variables(query), plan)
         if query.modifier:
             plan = Distinct(plan)
         if query.limit is not None or query.offset is not None:
@@ -145,7 +145,7 @@ class _Translation:
         given += [*query.having, *(order.expression for order in query.order)]
         named: dict[ast.Aggregate, Variable] = {}
         assert query.where is not None, "only DESCRIBE has no WHERE"
-        sampled = visible(query.where).keys() - set(keys)
+        sampled = visible_variables(query.where).keys() - set(keys)
 
         def over_groups(expression: ast.Expression) -> ast.Expression:
             def change(node: object) -> object:
@@ -157,7 +157,7 @@ class _Translation:
                     return named.setdefault(node, Variable(f"__agg_{len(named) + 1}__"))
                 return None
 
-            return ast.rewritten(expression, change)
+            return ast.rewrite(expression, change)
 
         expressions = {expression: over_groups(expression) for expression in given}
         aggregations = []
@@ -186,7 +186,7 @@ class _Translation:
 
     def _unfiltered(self, group: ast.Group) -> tuple[Plan, list[ast.Expression]]:
         """A group without its filters, and these."""
-        parts, conditions = split(group)
+        parts, conditions = split_group(group)
         plan: Plan | None = None
         for part in parts:
             before = Join(()) if plan is None else plan

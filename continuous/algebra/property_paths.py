@@ -39,9 +39,9 @@ def path_plan(
                 return sequence(parts, s, o)
             case ast.Alternative(parts):
                 return Union(tuple(go(part, s, o) for part in parts))
-            case ast.Negated(forward, backward):
+            case ast.NegatedSet(forward, backward):
                 return negated(forward, backward, s, o)
-            case ast.Repeated(inner, sign):
+            case ast.Repetition(inner, sign):
                 step = go(inner, Var(START), Var(STOP))
                 return Closure(s, o, step, sign != "+", sign != "?", graph)
             case _:

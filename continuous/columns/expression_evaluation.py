@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ...languages.attached import attached
+from ...languages.object_cache import ObjectCache
 from ...rdf.dictionary import Term
 from ...rdf.timed import Kind, ObjectColumn, split_term
 from ...streams.sample import Mask
@@ -119,7 +119,7 @@ def _parted(expression: Expression) -> _Parted:
     return _parted_call(expression)
 
 
-@attached
+@ObjectCache
 def _parted_call(expression: Call) -> _Parted:
     strange: dict[Call, str] = {}
 

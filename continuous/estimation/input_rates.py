@@ -131,7 +131,7 @@ class Traffic:
                 elif counted.objects is not None:
                     counted.objects |= set(np.unique(column.values[there]).tolist())
 
-    def held(self) -> Iterator[Sequence[int]]:
+    def held_ids(self) -> Iterator[Sequence[int]]:
         """See `dictionary.Holder`."""
         yield list(self._subjects)
         for predicate, counted in self._counted.items():

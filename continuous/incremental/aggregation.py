@@ -81,13 +81,13 @@ class Incremental:
         self._compact_at = COMPACT
         terms.dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[Any]]:
+    def held_ids(self) -> Iterator[NDArray[Any]]:
         """See `dictionary.Holder`: groups keep their subjects until they are compacted, a static
         triple may have been given another spelling."""
         yield self.groups.members[: self.groups.used]
-        yield from self._sorts.held()
+        yield from self._sorts.held_ids()
         for column in self._static_pairs or ():
-            yield column.held
+            yield column.held_ids
 
     def fold(self, end: int, tables: Sequence[TripleRows]) -> None:
         """The rows of the pane that ends at ``end``, in order."""

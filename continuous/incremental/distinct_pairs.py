@@ -31,7 +31,7 @@ class DistinctRows:
         self._kinds: dict[Kind, SeenPairs] = {}
         terms.dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[Any]]:
+    def held_ids(self) -> Iterator[NDArray[Any]]:
         """See `dictionary.Holder`."""
         for kind, seen in self._kinds.items():
             subjects, keys = seen.pairs()

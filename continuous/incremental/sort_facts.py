@@ -56,7 +56,7 @@ class SortFacts:
         self._panes.append((end, ids))
         return ids
 
-    def held(self) -> Iterator[Ids]:
+    def held_ids(self) -> Iterator[Ids]:
         """The ids that the panes are about; `StaticSide` holds its own."""
         return (ids for _, ids in self._panes)
 
@@ -111,10 +111,10 @@ class GroupSorts:
             for ids in facts.evict(until):
                 yield self._changed(ids)
 
-    def held(self) -> Iterator[Ids]:
+    def held_ids(self) -> Iterator[Ids]:
         """The ids that somebody has told something of; groups hold their members."""
         for facts in self._facts:
-            yield from facts.held()
+            yield from facts.held_ids()
 
     def forget(self) -> None:
         """The groups are others now."""

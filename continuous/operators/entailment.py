@@ -21,7 +21,7 @@ from pyoxigraph import NamedNode
 from ...ontology.entailment import Consequences, Rules
 from ...ontology.hierarchy import Node
 from ...ontology.units import Conversion
-from ...rdf.dictionary import Named, TermTable
+from ...rdf.dictionary import HeldTerms, TermTable
 from ...rdf.namespaces import RDF_TYPE, XSD, shorten
 from ...rdf.timed import Kind, ObjectColumn, TripleRows, make_literal
 from ..algebra.expressions import Const
@@ -75,7 +75,7 @@ class _Effect:
     back: tuple[int, ...]
     subject: tuple[int, ...]
     object: tuple[int, ...]
-    named: Named
+    named: HeldTerms
     """Holds the ids."""
 
 
@@ -117,7 +117,7 @@ class StreamEntailment(TermTable):
         rules = self._background.rules
         if rules is not self._rules:
             self._rules, self._effects = rules, {}
-        if rules.says_nothing:
+        if rules.is_empty:
             return []
         rdf_type = self._terms.dictionary.find(RDF_TYPE)
         found: list[TripleRows] = []
@@ -189,7 +189,7 @@ class StreamEntailment(TermTable):
         )
         if not any(groups):
             return None
-        named = Named(dictionary, [term for group in groups for term in group])
+        named = HeldTerms(dictionary, [term for group in groups for term in group])
         ids = iter(named.ids.tolist())
         along, back, subject, object = (tuple(next(ids) for _ in group) for group in groups)
         changes = [self._background.conversion(predicate.value, p.value) for p in groups[0]]

@@ -30,10 +30,10 @@ class Solutions:
     def __len__(self) -> int:
         return self.length
 
-    def held(self) -> Iterator[NDArray[np.int32]]:
+    def held_ids(self) -> Iterator[NDArray[np.int32]]:
         """See `dictionary.Holder`."""
         for column in self.columns.values():
-            yield column.held
+            yield column.held_ids
 
     def take(self, rows: NDArray[np.int64]) -> Solutions:
         """The solutions at ``rows``."""

@@ -79,12 +79,12 @@ class StaticSide:
             found = self._triples[graph] = Relation(columns, len(rows))
         return found
 
-    def held(self) -> Iterator[NDArray[np.int32]]:
+    def held_ids(self) -> Iterator[NDArray[np.int32]]:
         """See `dictionary.Holder`."""
         for pair in list(self._pairs.values()):
-            yield from (column.held for column in pair)
+            yield from (column.held_ids for column in pair)
         for relation in list(self._triples.values()):
-            yield from (column.held for column in relation.columns.values())
+            yield from (column.held_ids for column in relation.columns.values())
 
     def _follow(self) -> None:
         version = self.background.version

@@ -96,6 +96,6 @@ def _counts(verb: ast.Path | Variable) -> bool:
     match verb:
         case NamedNode() | Variable():
             return verb != RDF_TYPE
-        case ast.Repeated(NamedNode(), _):
+        case ast.Repetition(NamedNode(), _):
             return False
     raise Unsupported("a property path")

@@ -215,7 +215,7 @@ class _Text:
             is_now = isinstance(node, ast.Call) and node.name == "NOW"
             return NamedNode(mark) if is_now else None
 
-        self._parts = print_query(ast.rewritten(query, marked)).split(f"<{mark}>")
+        self._parts = print_query(ast.rewrite(query, marked)).split(f"<{mark}>")
 
     def at(self, end: int) -> str:
         """The text for the window that ends then."""
@@ -235,10 +235,10 @@ def _restricted(query: ast.Query, graphs: Graphs) -> ast.Query:
                 windows = one.name.value in graphs.window_variables
                 names = graphs.windows if windows else graphs.static
                 elements.append(ast.Values((one.name,), tuple((NamedNode(n),) for n in names)))
-            elements.append(ast.rewritten(one, change))
+            elements.append(ast.rewrite(one, change))
         return ast.Group(tuple(elements), node.span)
 
-    return ast.rewritten(query, change)
+    return ast.rewrite(query, change)
 
 
 def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ...rdf.dictionary import Named
+from ...rdf.dictionary import HeldTerms
 from ...rdf.namespaces import RDF_TYPE
 from ...rdf.timed import Kind, ObjectColumn
 from ..algebra.expressions import (
@@ -85,7 +85,7 @@ class PatternJoin:
         self.filter_needs = np.array(needs, np.bool_)
         self.filter_needs = self.filter_needs.reshape(len(needs), len(self.variables))
         # In the spelling that is compared: the loop has their ids as long as there is one.
-        self._named = Named(terms.dictionary, (canonical(one.term) for one in constants))
+        self._named = HeldTerms(terms.dictionary, (canonical(one.term) for one in constants))
         encoded = terms.encoded(ObjectColumn(Kind.TERM, self._named.ids))
         self.constant_tags, self.constant_bits = encoded
         self._uniform = np.zeros(len(self._shown), np.int8)
@@ -262,7 +262,7 @@ class PatternSolver:
         self._version: int | None = None
         self._expanded: tuple[int, int] | None = None
         self._expansion: tuple[NDArray[np.int64], ...] = ()
-        self._expanded_sorts: list[Named] = []
+        self._expanded_sorts: list[HeldTerms] = []
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_joins": None}
@@ -310,7 +310,7 @@ class PatternSolver:
                     slot = self.rows.slots.get(Slot(graph, RDF_TYPE))
                     if slot is not None:
                         names = sorted(self.static.supersorts(sort))
-                        named = Named(self.static.terms.dictionary, map(NamedNode, names))
+                        named = HeldTerms(self.static.terms.dictionary, map(NamedNode, names))
                         self._expanded_sorts.append(named)
                         facts += [(window, slot, int(id)) for id in named.ids]
                 starts.append(len(facts))

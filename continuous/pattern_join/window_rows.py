@@ -106,7 +106,7 @@ class PatternRows:
         """How many rows are here, those that have gone and are not forgotten among them."""
         return int(self.marks[COUNT])
 
-    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+    def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
         """See `dictionary.Holder`. Rows that have gone are passed by, whatever their ids are."""
         count = self.count
         rows = self.rows[:count][self.rows[:count, PLACE] >> STATE_SHIFT != GONE]

@@ -117,7 +117,7 @@ class _Key:
         self._of_id: NDArray[np.int64] | None = None
         terms.dictionary.hold(self)
 
-    def held(self) -> Iterator[Rows]:
+    def held_ids(self) -> Iterator[Rows]:
         """The terms that numbers have been given, to be found by id; the others are the table's."""
         if self._of_id is not None:
             yield np.flatnonzero(self._of_id >= 0)

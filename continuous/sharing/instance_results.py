@@ -141,10 +141,10 @@ class Joined:
     def __post_init__(self) -> None:
         self.terms.dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[np.int32]]:
+    def held_ids(self) -> Iterator[NDArray[np.int32]]:
         """See `dictionary.Holder`."""
         for column in self.relation.columns.values():
-            yield column.held
+            yield column.held_ids
 
     @property
     def reported(self) -> Numbers:

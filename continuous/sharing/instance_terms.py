@@ -56,7 +56,7 @@ class Terms:
         self._waiting: list[Term] = []
         dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[np.int64]]:
+    def held_ids(self) -> Iterator[NDArray[np.int64]]:
         """See `dictionary.Holder`."""
         yield self.bits[self.tags == Kind.TERM]
 

@@ -37,7 +37,7 @@ class CountingIntake:
         """How many settled triples have been forgotten."""
         dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[np.int64]]:
+    def held_ids(self) -> Iterator[NDArray[np.int64]]:
         """See `dictionary.Holder`."""
         for part in (*self._waiting, self._settled):
             yield part.subject

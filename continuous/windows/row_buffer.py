@@ -60,11 +60,11 @@ class Intake(TermTable):
             _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
         )
 
-    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+    def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
         """See `dictionary.Holder`."""
         for chunks in self._chunks.values():
             for chunk in chunks:
-                yield from chunk.rows.held()
+                yield from chunk.rows.held_ids()
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """Names of predicates that no row has are found anew."""

@@ -16,7 +16,7 @@ from ...languages.ssl.annotation import (
     Role,
     StreamAnnotation,
 )
-from ...languages.ssl.annotation_text import in_ssl
+from ...languages.ssl.annotation_text import with_ssl_source
 from ...ontology.ontology import Ontology
 from ...ontology.units import parse_unit
 from ...ontology.vocabulary import Vocabulary
@@ -45,7 +45,7 @@ class Annotations:
         self._registered = registered
         self._transformations = transformations
         self._changed = changed
-        self._left = ontology.registered.annotations()
+        self._left = dict(ontology.registered.annotations)
         """Those that an earlier run was told and that are still to be restored."""
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
@@ -191,4 +191,4 @@ def _of_json(stream: str, kept: str, vocabulary: Vocabulary) -> StreamAnnotation
         )
         for content in json.loads(kept)["contents"]
     )
-    return in_ssl(StreamAnnotation(stream, contents, ""), vocabulary)
+    return with_ssl_source(StreamAnnotation(stream, contents, ""), vocabulary)

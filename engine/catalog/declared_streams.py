@@ -106,7 +106,7 @@ class DeclaredStreams:
             self._extend(existing, declaration)
         else:
             existing = self._replace(existing, declaration)
-        self._ontology.registered.set_stream(declaration.name, _declaration_json(declaration))
+        self._ontology.registered.streams[declaration.name] = _declaration_json(declaration)
         return existing
 
     def _extends(self, existing: StreamGenerator, declaration: StreamDeclaration) -> bool:
@@ -155,14 +155,13 @@ class DeclaredStreams:
                 "cancel the requests that need it first",
             )
         self.forget_annotation(name)
-        if name in self._ontology.registered.streams():
-            self._ontology.registered.remove_stream(name)
+        self._ontology.registered.streams.pop(name, None)
         self._configuration.remove_stream(name)
 
     def forget_annotation(self, name: str) -> None:
         """A stream is no more, and so is what it meant."""
         if self._annotations.pop(name, None) is not None:
-            self._ontology.registered.remove_annotation(name)
+            del self._ontology.registered.annotations[name]
 
     def annotate(self, annotation: StreamAnnotation, kept: str | None = None) -> None:
         """Say what a stream contains; one that does not exist comes into being. ``kept`` is the
@@ -176,7 +175,7 @@ class DeclaredStreams:
         elif existing.is_open:
             texts = [field.name for field in inferred if field.type is FieldType.STRING]
             existing.adopt(Schema(inferred), {name: StringPool() for name in texts})
-        self._ontology.registered.set_annotation(annotation.stream, kept or annotation.source)
+        self._ontology.registered.annotations[annotation.stream] = kept or annotation.source
         self._tell_annotation(annotation)
 
     def _tell_annotation(self, annotation: StreamAnnotation) -> None:
@@ -222,7 +221,7 @@ class DeclaredStreams:
         What cannot be read or does not hold any more (the ontology has changed since) is told on
         the status stream and left out; its text is kept.
         """
-        for name, text in self._ontology.registered.streams().items():
+        for name, text in [*self._ontology.registered.streams.items()]:
             try:
                 declaration = _declaration_of(name, text)
             except (KeyError, TypeError, ValueError) as error:
@@ -256,7 +255,7 @@ class DeclaredStreams:
             name in _SYSTEM
             or name.startswith(SYSTEMS_OWN)
             or name.endswith(SUFFIX)
-            or (name.endswith(LATE) and name not in self._ontology.registered.streams())
+            or (name.endswith(LATE) and name not in self._ontology.registered.streams)
             or name in IMPLEMENTATIONS
             or self._is_term(name)
         ):

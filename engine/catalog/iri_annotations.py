@@ -20,7 +20,7 @@ from ...languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
-from ...languages.ssl.annotation_text import Annotation, declaration_of, in_ssl
+from ...languages.ssl.annotation_text import Annotation, declaration_of, with_ssl_source
 from ...languages.ssl.check import check_ssl, variable_name
 from ...ontology.units import (
     DIMENSIONLESS,
@@ -138,7 +138,7 @@ class Describer:
 
     def _checked(self, annotation: Annotation) -> Annotation:
         """The annotation with its SSL, which is held to the rules of SSL."""
-        written = in_ssl(annotation, self._vocabulary)
+        written = with_ssl_source(annotation, self._vocabulary)
         try:
             check_ssl([declaration_of(annotation, self._vocabulary)], "", self._vocabulary)
         except LanguageError as error:

@@ -12,7 +12,7 @@ from ...matching.strategy import Strategy, UnknownStrategy
 from ...matching.subject import Subject
 from ...matching.want import Want
 from ...ontology.vocabulary import SELF, Vocabulary
-from ...rdf.namespaces import DYKNOW, PREFIXES, shorten
+from ...rdf.namespaces import DYKNOW, shorten
 from ..model.errors import BadArguments, UnknownFeature
 
 
@@ -55,7 +55,7 @@ def iri_of(text: str) -> str:
         return DYKNOW + text
     if re.match(r"(https?|urn|tag):", text):
         text = f"<{text}>"
-    argument = parse_argument(text, PREFIXES)
+    argument = parse_argument(text)
     if not isinstance(argument, NamedNode):
         raise UnknownFeature(f"{text!r} is no name of a term", "write dyknow:speed or an IRI")
     return argument.value

@@ -191,7 +191,7 @@ class RegisteredTransformations:
     def _keep(self, transformation: Transformation) -> None:
         name = transformation.name
         if self._transformations.get(name) != transformation:
-            self._ontology.registered.set_transformation(name, _json_of(transformation))
+            self._ontology.registered.transformations[name] = _json_of(transformation)
             self._put(transformation)
 
     def check(self, annotation: TransformationAnnotation | SourceAnnotation) -> None:
@@ -202,10 +202,10 @@ class RegisteredTransformations:
         """Say of a transformation what it takes and gives. One that nobody registered is
         registered with the implementation of its name. Contract: `check` has passed."""
         known = self._annotated(annotation)
-        if annotation.name in self._ontology.registered.transformations():
-            self._ontology.registered.set_transformation(annotation.name, _json_of(known))
+        if annotation.name in self._ontology.registered.transformations:
+            self._ontology.registered.transformations[annotation.name] = _json_of(known)
         else:
-            self._ontology.registered.set_annotation(annotation.name, annotation.source)
+            self._ontology.registered.annotations[annotation.name] = annotation.source
         self._put(known)
 
     def change(
@@ -221,7 +221,7 @@ class RegisteredTransformations:
         )
         if changed != known:
             self._check(changed)
-            self._ontology.registered.set_transformation(name, _json_of(changed))
+            self._ontology.registered.transformations[name] = _json_of(changed)
             self._put(changed, ChangeKind.QUALITY_CHANGED)
         return changed
 
@@ -237,10 +237,8 @@ class RegisteredTransformations:
                 f"transformation {name!r} is used by {', '.join(units)}",
                 "cancel the requests and subscriptions that need it first",
             )
-        if name in self._ontology.registered.transformations():
-            self._ontology.registered.remove_transformation(name)
-        if name in self._ontology.registered.annotations():
-            self._ontology.registered.remove_annotation(name)
+        self._ontology.registered.transformations.pop(name, None)
+        self._ontology.registered.annotations.pop(name, None)
         self._transformations.discard(name)
         self._changed(Change(ChangeKind.TRANSFORMATION_REMOVED, transformation=name))
 
@@ -252,7 +250,7 @@ class RegisteredTransformations:
     def restore(self) -> None:
         """The transformations that an earlier run was told of. One whose code is gone is there and
         cannot be used; what cannot be read is told on the status stream and left out."""
-        for name, text in self._ontology.registered.transformations().items():
+        for name, text in [*self._ontology.registered.transformations.items()]:
             try:
                 known = _of_json(name, text)
             except (KeyError, TypeError, ValueError) as error:

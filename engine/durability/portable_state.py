@@ -99,7 +99,7 @@ def portable_of(
 ) -> Portable:
     """What of ``engine`` any version understands. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
-    named = engine.ontology.registered.queries()
+    named = dict(engine.ontology.registered.queries)
     unnamed: dict[str, Command] = {}
     waiting: list[tuple[str, int, Command]] = []
     for key, asked in standing.all():
@@ -135,7 +135,7 @@ def engine_from(
     engine = Engine(
         now=max(now, portable.now),
         first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
-        ontology=Ontology.of_quads(portable.quads),
+        ontology=Ontology.from_quads(portable.quads),
         rules=portable.rules,
         **outside.given(),
     )

@@ -181,7 +181,7 @@ class Recovering:
         """The engine where there is no checkpoint, and the position after which commands are to be
         done."""
         store = self._directory.old_store
-        ontology = None if store is None else Ontology.copied(store)
+        ontology = None if store is None else Ontology.open_copy(store)
         if not self._log.position:
             known = origins(self._outside.processes)
             begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)

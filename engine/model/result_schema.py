@@ -19,10 +19,10 @@ from ...converters.to_samples import (
     field_names,
     result_schema,
 )
-from ...languages.attached import attached
 from ...languages.csparql import body_tree
 from ...languages.csparql.ast import ContinuousQuery, Form
 from ...languages.errors import LanguageError, Span
+from ...languages.object_cache import ObjectCache
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...matching.want import THING
 from ...ontology.units import Unit
@@ -31,7 +31,7 @@ from ...rdf.datatypes import NUMBERS
 from ...rdf.namespaces import RDF, RDF_TYPE, RDFS, XSD, local_name, shorten
 from ...rdf.timed import DATATYPES, Kind
 from ...sparql import ast
-from ...sparql.scope import shown
+from ...sparql.scope import projected_variables
 from ...streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ...streams.string_pool import StringPool
 from ...templates.patterns import patterns
@@ -98,13 +98,13 @@ def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
     return _form(body_tree(query), vocabulary)
 
 
-@attached
+@ObjectCache
 def _form(tree: ast.Query, vocabulary: Vocabulary) -> ResultForm:
     if tree.form is Form.ASK:
         return ResultForm(result_schema(ask=True), (), {})
     kinds_of = _kinds(tree, vocabulary)
     if tree.form is not Form.CONSTRUCT:
-        schema = result_schema(variables=list(shown(tree)), kinds=kinds_of)
+        schema = result_schema(variables=list(projected_variables(tree)), kinds=kinds_of)
         return ResultForm(schema, (), {}, ordered=bool(tree.order))
     predicates: dict[str, Kind | None] = {}
     for triple in tree.template or ():
@@ -151,7 +151,7 @@ def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
                 told = _no_number(query, vocabulary)
                 hint = "write another predicate for it" if told else hint
         case Form.SELECT:
-            names = list(shown(query.body))
+            names = list(projected_variables(query.body))
             taken = [name for name in names if name in TIME_FIELDS]
             if not names:
                 told, hint = "the head has no variable", "write ASK to know whether there is any"
@@ -298,7 +298,7 @@ def _ranges(
 
 def _computed(nodes: Iterable[object]) -> Iterable[tuple[str, ast.Expression]]:
     for node in nodes:
-        if isinstance(node, ast.Bind | ast.Projected) and node.expression is not None:
+        if isinstance(node, ast.Bind | ast.SelectItem) and node.expression is not None:
             yield node.variable.value, node.expression
         elif isinstance(node, ast.Key) and node.alias is not None:
             yield node.alias.value, node.expression
@@ -315,7 +315,7 @@ def _translated(
         return aggregates.setdefault(node, Variable(f"__agg_{len(aggregates) + 1}__"))
 
     try:
-        return _EXPRESSIONS.of(ast.rewritten(expression, change))
+        return _EXPRESSIONS.of(ast.rewrite(expression, change))
     except Unsupported:
         return None
 

@@ -35,7 +35,7 @@ from ...matching.plan import (
 from ...matching.space import StreamSpace
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
-from ...rdf.dictionary import Named, TermDictionary
+from ...rdf.dictionary import HeldTerms, TermDictionary
 from ...rdf.namespaces import DYKNOW, shorten
 from ...streams.generator import StreamGenerator
 from ...streams.recall import Moment
@@ -317,7 +317,7 @@ class Plans:
         return SelectionUnit(
             *self._configuration.identity(SELECT_OBJECT, [source], output, parameters),
             id_field=id_field,
-            object=Named(self._dictionary, [NamedNode(object)]),
+            object=HeldTerms(self._dictionary, [NamedNode(object)]),
             objects=ObjectTable(self._dictionary, namespace),
         )
 

@@ -21,7 +21,7 @@ def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
     """The graphs that a query names are loaded ontologies; raises `NoPlan`."""
     named = (("FROM", query.static), ("FROM NAMED", query.static_named))
     for clause, graph in ((clause, graph) for clause, graphs in named for graph in graphs):
-        if not ontology.static_graph(graph):
+        if not ontology.has_ontology(graph):
             known = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
             raise NoPlan(
                 f"{clause} <{graph}> names no loaded ontology",

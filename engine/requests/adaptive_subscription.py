@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
-from ...languages.ssl.annotation_text import in_ssl
+from ...languages.ssl.annotation_text import with_ssl_source
 from ...languages.ssl.check import variable_name
 from ...matching.plan import (
     Compute,
@@ -180,7 +180,7 @@ class AdaptiveSubscription:
         others = [Role(s.sort, s.object, f"{OBJECT}{i}") for i, s in enumerate(want.others, 2)]
         roles = (Role(want.wanted_sort, None, OBJECT), *others)
         contents = (Content(want.feature, value_field(want), unit or (), roles),)
-        return in_ssl(StreamAnnotation(name, contents, ""), vocabulary)
+        return with_ssl_source(StreamAnnotation(name, contents, ""), vocabulary)
 
 
 def value_field(want: Want) -> str:

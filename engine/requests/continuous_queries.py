@@ -172,7 +172,7 @@ class RegisteredQueries:
             running.users = running.unit.users = known.users + 1
         if query.name and not any(each.name.startswith(RESERVED) for each in running.started.reads):
             # Another run may give such a name to another stream.
-            self._ontology.registered.set_query(name, registration.json())
+            self._ontology.registered.queries[name] = registration.json()
         self._lost.pop(name, None)
         return self.view(name)
 
@@ -181,7 +181,7 @@ class RegisteredQueries:
         the last one while others read its stream."""
         if name in self._lost:
             del self._lost[name]
-            self._ontology.registered.remove_query(name)
+            self._ontology.registered.queries.pop(name, None)
             return
         running = self._get(name)
         if running.users > 1:
@@ -196,7 +196,7 @@ class RegisteredQueries:
             )
         self._stop(running)
         self._declared.forget_annotation(name)
-        self._ontology.registered.remove_query(name)
+        self._ontology.registered.queries.pop(name, None)
 
     # -- asking ------------------------------------------------------------------------------
 
@@ -310,7 +310,7 @@ class RegisteredQueries:
 
     def recall(self) -> tuple[str, ...]:
         """The names of the queries that an earlier run was told of; `restore` starts them."""
-        kept = self._ontology.registered.queries()
+        kept = dict(self._ontology.registered.queries)
         for name, text in kept.items():
             try:
                 self._lost[name] = _Lost(registration_of(text), "not started yet")

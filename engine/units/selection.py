@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...converters.objects import ObjectTable
-from ...rdf.dictionary import Named
+from ...rdf.dictionary import HeldTerms
 from ...streams.generator import StreamGenerator
 from ...streams.sample import SampleBatch
 from .base import ComputationalUnit
@@ -17,7 +17,7 @@ class SelectionUnit(ComputationalUnit):
     Cost: a table look-up per sample; the table grows with the distinct ids of the stream.
     """
 
-    def __init__(self, *args: Any, id_field: str, object: Named, objects: ObjectTable) -> None:
+    def __init__(self, *args: Any, id_field: str, object: HeldTerms, objects: ObjectTable) -> None:
         super().__init__(*args)
         self._id_field = id_field
         self._object = object

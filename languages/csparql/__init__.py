@@ -21,7 +21,6 @@ from .body import (
     body_tree,
     body_with_rows,
     group_keys,
-    nested_parameters,
     with_streams,
 )
 from .functions import TIMESTAMP, VALID_TIME
@@ -50,7 +49,6 @@ __all__ = [
     "body_with_rows",
     "format_query",
     "group_keys",
-    "nested_parameters",
     "parse_argument",
     "parse_event_request",
     "parse_query",

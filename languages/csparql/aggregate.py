@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Final
 
 from pyoxigraph import Variable
@@ -12,6 +11,7 @@ from ...sparql.cursor import Cursor
 from ...sparql.expressions import ExpressionReader
 from ...sparql.tokens import Kind
 from ..errors import Span
+from ..hints import suggest_name
 from .ast import Aggregation
 
 FUNCTIONS: Final = ("AVG", "SUM", "COUNT", "MIN", "MAX")
@@ -23,7 +23,7 @@ def read_aggregate(
     aggregations: list[Aggregation],
     filters: list[tuple[Expression, Span]],
 ) -> None:
-    """``{(?a, AVG, {?x}) FILTER (…)}`` behind AGGREGATE, in any order, into both lists."""
+    """Read ``{(?a, AVG, {?x}) FILTER (…)}`` after AGGREGATE, in any order, into both lists."""
     at.expect_mark("{", _EXAMPLE)
     while not at.is_mark("}"):
         if at.is_word("FILTER"):
@@ -33,7 +33,7 @@ def read_aggregate(
         elif at.is_mark(".", ",", ";"):
             at.take()
         else:
-            raise at.due("`(` or FILTER", _EXAMPLE)
+            raise at.expected("`(` or FILTER", _EXAMPLE)
     close = at.take()
     if not aggregations:
         raise at.error("the AGGREGATE clause aggregates nothing", close, _EXAMPLE)
@@ -43,21 +43,21 @@ def _filter(at: ExpressionReader) -> tuple[Expression, Span]:
     at.take()
     start = at.here
     if start is None or at.is_mark("}", ")", "]"):
-        raise at.due("a condition", "write `FILTER (?avg > 100)`")
+        raise at.expected("a condition", "write `FILTER (?avg > 100)`")
     condition = at.constraint()
-    return condition, Span(start.start, at.before.end)
+    return condition, Span(start.start, at.last_token.end)
 
 
 def _aggregation(at: Cursor) -> Aggregation:
     first = at.take()
-    alias = at.variable("the name of the aggregate, like `?avg`,", _EXAMPLE)
+    alias = at.variable("the name of the aggregate, like `?avg`", _EXAMPLE)
     at.expect_mark(",", _EXAMPLE)
     function = _function(at)
     at.expect_mark(",", _EXAMPLE)
     at.expect_mark("{", _EXAMPLE)
     argument = at.variable("a variable of WHERE", _EXAMPLE)
     if at.is_mark(","):
-        raise at.error("an aggregate is taken over one variable", at.here, _EXAMPLE)
+        raise at.error("an aggregate has one variable", at.here, _EXAMPLE)
     at.expect_mark("}", _EXAMPLE)
     close = at.expect_mark(")", _EXAMPLE)
     span = Span(first.start, close.end)
@@ -65,14 +65,12 @@ def _aggregation(at: Cursor) -> Aggregation:
 
 
 def _function(at: Cursor) -> str:
-    known = f"known are {', '.join(FUNCTIONS)}"
     word = at.here
     if word is None or word.kind is not Kind.WORD:
-        raise at.due("a function", known)
+        raise at.expected("a function", suggest_name("", FUNCTIONS))
     name = word.text.upper()
     if name not in FUNCTIONS:
-        near = difflib.get_close_matches(name, FUNCTIONS, n=1)
-        hint = f"did you mean {near[0]}?" if near else known
-        raise at.error(f"`{word.text}` is no aggregate function", word, hint)
+        hint = suggest_name(name, FUNCTIONS)
+        raise at.error(f"`{word.text}` is not an aggregate function", word, hint)
     at.take()
     return name

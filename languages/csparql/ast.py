@@ -1,7 +1,7 @@
 """The AST of continuous queries and event templates ([Events14 §III-IV], SPEC §5).
 
-The header (REGISTER, streams, windows, AGGREGATE) is ours; `ContinuousQuery.body` is the SPARQL in
-it, as `dyknow.sparql` reads it.
+The header (REGISTER, streams, windows, AGGREGATE) is defined here; `ContinuousQuery.body` is the
+SPARQL query in it, a tree of `dyknow.sparql`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from ..errors import Span
 
 
 class Dialect(StrEnum):
-    """Whose rules hold where the text says nothing: RSP-QL has sets, C-SPARQL bags."""
+    """The dialect, which decides what the text leaves open: RSP-QL has sets, C-SPARQL has bags."""
 
     C_SPARQL = "C-SPARQL"
     RSP_QL = "RSP-QL"
 
 
 class StreamOperator(StrEnum):
-    """What of the present result goes on: all of it, what is new in it, or what has left it."""
+    """The part of a result that goes to the output: all of it, the new rows, or the rows that are
+    gone."""
 
     RSTREAM = "RSTREAM"
     ISTREAM = "ISTREAM"
@@ -44,7 +45,7 @@ class TimeWindow:
 
 @dataclass(frozen=True, slots=True)
 class CountWindow:
-    """``[TRIPLES 10 STEP 2]``: the last ``size`` triples, each time ``step`` more have come."""
+    """``[TRIPLES 10 STEP 2]``: the last ``size`` triples, after each ``step`` new ones."""
 
     size: int
     step: int
@@ -52,8 +53,8 @@ class CountWindow:
 
 @dataclass(frozen=True, slots=True)
 class LandmarkWindow:
-    """``[LANDMARK STEP 1s]``: content ``[start, t]`` at each multiple of ``step``, in ns; all that
-    has come by ``t`` where ``start`` is None."""
+    """``[LANDMARK STEP 1s]``: content ``[start, t]`` at each multiple of ``step``, in ns. Without
+    ``start`` the content is everything up to ``t``."""
 
     start: int | None
     step: int
@@ -66,8 +67,8 @@ Window: TypeAlias = TimeWindow | CountWindow | LandmarkWindow
 class StreamClause:
     """``FROM STREAM <iri> [RANGE … STEP …]``; RSP-QL's ``FROM NAMED WINDOW <name> ON <iri> […]``.
 
-    ``name`` is the IRI of the window, whose triples only ``WINDOW <name> {…}`` sees; without one
-    they are part of the default graph.
+    ``name`` is the IRI of a named window, whose triples only ``WINDOW <name> {…}`` reads. The
+    triples of a window without a name belong to the default graph.
     """
 
     iri: str
@@ -80,8 +81,8 @@ class StreamClause:
 class Aggregation:
     """``(?alias, FUNCTION, {?argument})`` of an AGGREGATE clause.
 
-    It is grouped by the other head variables.
-    ``function`` is upper case: AVG, SUM, COUNT, MIN, MAX.
+    The other variables of the head are the group keys. ``function`` is upper case: AVG, SUM, COUNT,
+    MIN, MAX.
     """
 
     alias: Variable
@@ -92,16 +93,19 @@ class Aggregation:
 
 @dataclass(frozen=True, slots=True)
 class ContinuousQuery:
-    """A continuous query, or the body of a template (then with `Template.parameters` free).
+    """A continuous query, or the body of a template (whose `Template.parameters` are free).
 
-    ``name`` is as registered (a plain name or an IRI; "" without REGISTER), ``every`` the COMPUTE
-    EVERY period in ns (None where absent), ``static`` the FROM graphs, ``static_named`` the FROM
-    NAMED graphs, ``streams`` the FROM STREAM and FROM NAMED WINDOW clauses (empty where they are to
-    be inferred), ``window`` the WINDOW clause (templates) which holds for every stream that is
-    inferred. ``aggregations`` and ``aggregate_filters`` (the conditions of its FILTERs, with their
-    spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in ``body``, where RSP-QL's
-    ``WINDOW <name> {…}`` is a graph; ``window_variables`` are the names of those of
-    ``WINDOW ?w {…}``. ``bindings`` are the template arguments that were given as terms.
+    | field | content |
+    |---|---|
+    | ``name`` | as registered, a plain name or an IRI; "" without REGISTER |
+    | ``every`` | the period of COMPUTE EVERY in ns, or None |
+    | ``static``, ``static_named`` | the graphs of FROM and FROM NAMED |
+    | ``streams`` | the clauses that name streams; empty if matching finds the streams |
+    | ``window`` | the WINDOW clause, for each stream that matching finds |
+    | ``aggregations``, ``aggregate_filters`` | the AGGREGATE clause; conditions with spans |
+    | ``body`` | the SPARQL query, with its own aggregates; ``WINDOW <name> {…}`` is a graph |
+    | ``bindings`` | the template arguments that were given as terms |
+    | ``window_variables`` | the names of the variables in ``WINDOW ?w {…}`` |
     """
 
     name: str
@@ -138,7 +142,8 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class EventRequest:
-    """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``: an argument is a term or stays a variable."""
+    """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``: each argument is a term or a free
+    variable."""
 
     event: str
     arguments: tuple[Term | Variable, ...]

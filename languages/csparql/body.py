@@ -1,13 +1,13 @@
-"""The plain SPARQL 1.1 of a continuous query: what is planned, or runs on Oxigraph a window
-([Events14 §III.A]).
+"""Translates a continuous query to plain SPARQL 1.1, which is planned or runs on Oxigraph for each
+window ([Events14 §III.A]).
 
-It is made of the tree that the parser gave:
+It transforms the tree of the parser:
 
 - AGGREGATE becomes a sub-select with GROUP BY and HAVING (`SPEC §5`);
-- an alias in HAVING or in a later expression of the head becomes what it stands for: SPARQL 1.1
-  defines no alias there (§18.2.4.4), C-SPARQL's texts use them;
-- a bound parameter is a VALUES row inside each group that uses it (a group does not see the
-  bindings around it), and a group key, so that HAVING sees it.
+- an alias in HAVING or in a later expression of the head becomes the expression that it names.
+  SPARQL 1.1 defines no alias there (§18.2.4.4), but texts in C-SPARQL use them;
+- a bound parameter becomes a VALUES row inside each group that uses it, since a group does not see
+  the bindings around it. It also becomes a group key, so that HAVING sees it.
 """
 
 from __future__ import annotations
@@ -32,38 +32,38 @@ from ...sparql.ast import (
     Key,
     Minus,
     Optional,
-    Projected,
     Query,
+    SelectItem,
     SubSelect,
     Union,
     Values,
     children,
-    rewritten,
+    rewrite,
     variables_of,
     walk,
 )
 from ...sparql.printer import print_query
 from ...sparql.scope import head_variables
-from ..attached import attached
 from ..errors import Span
+from ..object_cache import ObjectCache
 from .ast import Aggregation, ContinuousQuery, StreamClause
 
 _LARGEST: Final = 4096
-"""Nodes of an expression with its aliases put in."""
+"""The greatest number of nodes of an expression after alias substitution."""
 _HIGHEST: Final = 256
-_KNOWN: Final = 8
-"""Of so many ways to bind the parameters of a query its tree is remembered."""
+_CACHED_TREES: Final = 8
+"""The number of ways to bind a query's parameters whose trees are cached."""
 
 
 def bind(query: ContinuousQuery, arguments: Mapping[Variable, Term]) -> ContinuousQuery:
-    """The query with template arguments given: recorded as terms, never pasted as text.
+    """Bind template arguments: it records terms and never pastes text.
 
-    Meaning: a join with the row of parameters. Raises `ValueError` for a variable that the query
-    does not use or assigns, and for a blank node, which names nothing outside its own text.
+    Meaning: a join with a row of the parameters. Raises `ValueError` for a variable that the query
+    does not use or assigns itself, and for a blank node, which names nothing outside its own text.
     """
-    known, assigned = _used_variables(query.body), _assigned_variables(query.body)
+    used, assigned = _used_variables(query.body), _assigned_variables(query.body)
     for variable, term in arguments.items():
-        if variable.value not in known and not _is_filtered(query, variable.value):
+        if variable.value not in used and not _is_filtered(query, variable.value):
             raise ValueError(f"the query does not use {variable}")
         if variable.value in assigned:
             raise ValueError(f"the query assigns {variable} itself")
@@ -72,17 +72,17 @@ def bind(query: ContinuousQuery, arguments: Mapping[Variable, Term]) -> Continuo
     return replace(query, bindings={**query.bindings, **arguments})
 
 
-@attached
+@ObjectCache
 def _used_variables(body: Query) -> frozenset[str]:
     return frozenset(variables_of(body))
 
 
-@attached
+@ObjectCache
 def _assigned_variables(body: Query) -> frozenset[str]:
-    """The names of the variables of ``AS`` in WHERE."""
+    """Return the names of the variables that ``AS`` assigns in WHERE."""
     found: set[str] = set()
     for node in walk(body.where):
-        if isinstance(node, Bind | Projected) and node.expression is not None:
+        if isinstance(node, Bind | SelectItem) and node.expression is not None:
             found.add(node.variable.value)
         elif isinstance(node, Key) and node.alias is not None:
             found.add(node.alias.value)
@@ -94,17 +94,15 @@ def _is_filtered(query: ContinuousQuery, name: str) -> bool:
 
 
 def with_streams(query: ContinuousQuery, streams: Sequence[str]) -> ContinuousQuery:
-    """The query reading these streams (IRIs or names) through its WINDOW ([Events14 §V.C]).
+    """Replace the query's streams by these (IRIs or names), with its window ([Events14 §V.C]).
 
-    A name becomes ``http://www.ida.liu.se/dyknow/NAME.trdf``. Raises `ValueError` if the query
-    has neither a WINDOW clause nor a FROM STREAM clause to take the window from, and if it names
-    windows: then each pattern says which stream it is about.
+    A name becomes ``http://www.ida.liu.se/dyknow/NAME.trdf``. Raises `ValueError` if neither a
+    WINDOW clause nor a FROM STREAM clause gives a window, and if the query names windows: then each
+    pattern states its stream.
     """
     named = next((clause.name for clause in query.streams if clause.name is not None), None)
     if named is not None:
-        raise ValueError(
-            f"the query's streams cannot be replaced: it asks the window <{named}> by its name"
-        )
+        raise ValueError(f"the query's streams cannot be replaced: it names the window <{named}>")
     window = query.window or (query.streams[0].window if query.streams else None)
     if window is None:
         raise ValueError(f"{query.name or 'the query'} has no window")
@@ -114,65 +112,52 @@ def with_streams(query: ContinuousQuery, streams: Sequence[str]) -> ContinuousQu
 
 
 def stream_iri(name: str) -> str:
-    """The IRI of a stream in FROM STREAM; an IRI is left as it is."""
+    """Return the IRI of a stream in FROM STREAM; an IRI stays unchanged."""
     return name if ":" in name else f"{PREFIXES['dyknow']}{name}.trdf"
 
 
 def group_keys(query: ContinuousQuery) -> tuple[Variable, ...]:
-    """The group keys of an AGGREGATE query: the other head variables and every bound parameter.
+    """Return the group keys of an AGGREGATE query: the other head variables and every bound
+    parameter.
 
-    Empty for a query without AGGREGATE (SPARQL's GROUP BY says it, see `body_tree`).
+    Empty for a query without AGGREGATE, where SPARQL's GROUP BY states them (`body_tree`).
     """
     if not query.aggregations:
         return ()
     return tuple(map(Variable, _keys(query, [v.value for v in query.bindings])))
 
 
-def nested_parameters(query: ContinuousQuery) -> frozenset[Variable]:
-    """Bound parameters used in a nested group or sub-query of WHERE.
-
-    There a join with the row of parameters at the top is not enough, since SPARQL evaluates a
-    group without the bindings around it. `body_tree` puts the row into the group itself.
-    """
-    names: set[str] = set()
-    for part in parts_of(query.body):
-        if part.group is not query.body.where:
-            names |= part.names
-    return frozenset(variable for variable in query.bindings if variable.value in names)
-
-
 def body_sparql(query: ContinuousQuery) -> str:
-    """The equivalent SPARQL 1.1 query, bindings as VALUES rows, FROM clauses taken away."""
-    rows = {variable.value: term for variable, term in query.bindings.items()}
-    return print_query(_rewritten(query, rows, list(rows)), query.prefixes)
+    """Return the equivalent SPARQL 1.1 text: bindings as VALUES rows, no FROM clauses."""
+    return print_query(body_with_rows(query), query.prefixes)
 
 
 def body_with_rows(query: ContinuousQuery) -> Query:
-    """The tree of `body_sparql`."""
+    """Return the tree of `body_sparql`."""
     rows = {variable.value: term for variable, term in query.bindings.items()}
-    return _rewritten(query, rows, list(rows))
+    return _translate(query, rows, list(rows))
 
 
 def body_tree(query: ContinuousQuery) -> Query:
-    """The equivalent SPARQL 1.1 query without the values of its bindings.
+    """Return the equivalent SPARQL 1.1 query without the values of its bindings.
 
-    Bound parameters are free variables there and group keys where the query groups, so every
-    instance of one template has the same tree. Raises `ValueError` where names of the head stand
-    for too much.
+    Bound parameters are free variables in it, and group keys where the query groups, so all
+    instances of a template share one tree. Raises `ValueError` if alias substitution makes an
+    expression too large.
     """
     names = tuple(variable.value for variable in query.bindings)
-    known = _trees(query.body)
+    trees = _trees(query.body)
     key = (names, query.aggregations, query.aggregate_filters)
-    found = known.get(key)
+    found = trees.get(key)
     if found is None:
-        found = _rewritten(query, {}, names)
-        while len(known) >= _KNOWN:
-            known.pop(next(iter(known), key), None)
-        found = known.setdefault(key, found)
+        found = _translate(query, {}, names)
+        while len(trees) >= _CACHED_TREES:
+            trees.pop(next(iter(trees), key), None)
+        found = trees.setdefault(key, found)
     return found
 
 
-@attached
+@ObjectCache
 def _trees(_body: Query) -> dict[Any, Query]:
     return {}
 
@@ -182,10 +167,11 @@ def _trees(_body: Query) -> dict[Any, Query]:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A group, or a sub-query of which the group is; the names of the variables of its own.
+    """A group with the variables of its own; ``select`` is its sub-query, if it is the WHERE of
+    one.
 
-    Those in nested groups are theirs, but not those in EXISTS, which sees the solutions of the
-    group it stands in. ``outer``: what a sub-query names beside its WHERE.
+    Nested groups own their variables. EXISTS does not, since it sees the solutions of the group
+    around it. ``outer`` are the variables that a sub-query names outside its WHERE.
     """
 
     group: Group
@@ -195,14 +181,14 @@ class Part:
     select: Query | None = None
 
     def parameters(self, names: Sequence[str]) -> list[str]:
-        """Which of these parameters need a row in the group."""
-        # A filter directly in OPTIONAL sees what is around it; nowhere else it does.
+        """Return the parameters that need a row in the group."""
+        # A filter directly in OPTIONAL sees the bindings around it, as no other filter does.
         own = frozenset() if self.is_optional else self.names
         return [name for name in names if name in own or name in self.outer]
 
 
 def parts_of(query: Query) -> Iterator[Part]:
-    """The groups of WHERE, outermost first, in reading order; those of EXISTS are left out."""
+    """Yield the groups of WHERE, outermost first, in reading order, without those of EXISTS."""
     if query.where is not None:
         yield from _parts(query.where)
 
@@ -216,7 +202,7 @@ def _parts(
 ) -> Iterator[Part]:
     match group.elements:
         case (SubSelect(query),) if query.where is not None:
-            yield from _parts(query.where, outer=_outside(query), select=query)
+            yield from _parts(query.where, outer=_variables_outside(query), select=query)
             return
     names: set[str] = set()
     nested: list[tuple[Group, bool]] = []
@@ -244,15 +230,15 @@ def _groups_in(element: Element) -> Iterator[tuple[Group, bool]]:
             yield from ((group, False) for group in groups)
 
 
-def _outside(select: Query) -> frozenset[str]:
-    """The names of the variables of a sub-query outside its WHERE."""
+def _variables_outside(select: Query) -> frozenset[str]:
+    """Return the names of the variables of a sub-query outside its WHERE."""
     return frozenset(variables_of(replace(select, where=None)))
 
 
 # -- rewriting -----------------------------------------------------------------------------------
 
 
-def _rewritten(
+def _translate(
     query: ContinuousQuery, rows: Mapping[str, Term], parameters: Sequence[str]
 ) -> Query:
     body = query.body
@@ -264,24 +250,26 @@ def _rewritten(
         if isinstance(node, Exists):
             return node
         if isinstance(node, Query) and node is not body:
-            return _resolved(_grouped(rewritten_parts(node), _used(node, parameters)))
+            return _substitute_aliases(
+                _with_group_keys(translate_where(node), _used_parameters(node, parameters))
+            )
         if isinstance(node, Group) and id(node) in own:
             names = list(rows) if node is top else own[id(node)].parameters(list(rows))
-            elements = rewritten(node.elements, change)
+            elements = rewrite(node.elements, change)
             if names:
                 return Group((_row(names, rows), *elements), node.span)
             return replace(node, elements=elements)
         return None
 
-    def rewritten_parts(node: Query) -> Query:
-        return replace(node, where=rewritten(node.where, change))
+    def translate_where(node: Query) -> Query:
+        return replace(node, where=rewrite(node.where, change))
 
-    made = rewritten_parts(body)
+    made = translate_where(body)
     if query.aggregations:
         assert made.where is not None
-        made = replace(made, where=_aggregated(query, made.where, parameters))
+        made = replace(made, where=_aggregate_sub_select(query, made.where, parameters))
     else:
-        made = _resolved(_grouped(made, parameters))
+        made = _substitute_aliases(_with_group_keys(made, parameters))
     return replace(made, is_short=body.is_short and not rows)
 
 
@@ -291,13 +279,13 @@ def _row(names: Sequence[str], rows: Mapping[str, Term]) -> Values:
     return Values(tuple(map(Variable, names)), (terms,))  # type: ignore[arg-type]
 
 
-def _used(query: Query, parameters: Sequence[str]) -> list[str]:
+def _used_parameters(query: Query, parameters: Sequence[str]) -> list[str]:
     used = variables_of(query)
     return [name for name in parameters if name in used]
 
 
-def _grouped(query: Query, parameters: Sequence[str]) -> Query:
-    """Make the parameters group keys where the query groups at all."""
+def _with_group_keys(query: Query, parameters: Sequence[str]) -> Query:
+    """Add the parameters to the group keys, if the query groups."""
     if not parameters or not query.is_aggregated:
         return query
     present = variables_of(query.keys)
@@ -305,10 +293,11 @@ def _grouped(query: Query, parameters: Sequence[str]) -> Query:
     return replace(query, keys=(*query.keys, *missing)) if missing else query
 
 
-def _resolved(query: Query) -> Query:
-    """HAVING (?avg > 100) becomes HAVING (AVG(?spd) > 100); likewise in the head after it.
+def _substitute_aliases(query: Query) -> Query:
+    """Substitute aliases: HAVING (?avg > 100) becomes HAVING (AVG(?spd) > 100), likewise later in
+    the head.
 
-    An alias may use the aliases before it. Raises `ValueError` where that makes too much of it.
+    An alias may use earlier aliases. Raises `ValueError` if an expression becomes too large.
     """
     if not query.is_aggregated:
         return query
@@ -316,16 +305,16 @@ def _resolved(query: Query) -> Query:
     sizes: dict[str, tuple[int, int]] = {}
 
     def put_in(expression: Expression) -> Expression:
-        size, height = _measured(expression, sizes)
+        size, height = _measure(expression, sizes)
         if size > _LARGEST or height > _HIGHEST:
-            raise ValueError("names in the head stand for each other too often")
-        return rewritten(expression, _by_name(aliases)) if aliases else expression
+            raise ValueError("aliases in the head expand to too large an expression")
+        return rewrite(expression, _by_name(aliases)) if aliases else expression
 
     projection = []
     for one in query.projection or ():
         if one.expression is not None:
             name = one.variable.value
-            size = _measured(one.expression, sizes)
+            size = _measure(one.expression, sizes)
             aliases[name] = expression = put_in(one.expression)
             sizes[name] = size
             one = replace(one, expression=expression)
@@ -336,13 +325,13 @@ def _resolved(query: Query) -> Query:
     return replace(query, projection=tuple(projection), having=having)
 
 
-def _measured(node: Any, sizes: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
-    """The nodes and the height of a tree, with what its names stand for."""
+def _measure(node: Any, sizes: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
+    """Return the number of nodes and the height of a tree after substitution."""
     if isinstance(node, Variable):
         return sizes.get(node.value, (1, 1))
     size, height = 1, 0
     for child in children(node):
-        inner, level = _measured(child, sizes)
+        inner, level = _measure(child, sizes)
         size, height = size + inner, max(height, level)
     return size, height + 1
 
@@ -356,13 +345,13 @@ def _by_name(terms: Mapping[str, Expression]) -> Any:
     return change
 
 
-def _aggregated(query: ContinuousQuery, where: Group, parameters: Sequence[str]) -> Group:
-    """{P} becomes {{SELECT keys (F(?x) AS ?a) WHERE {P} GROUP BY … HAVING …}}."""
+def _aggregate_sub_select(query: ContinuousQuery, where: Group, parameters: Sequence[str]) -> Group:
+    """Wrap the pattern: {P} becomes {{SELECT keys (F(?x) AS ?a) WHERE {P} GROUP BY … HAVING …}}."""
     names = _keys(query, parameters)
     calls: dict[str, Expression] = {a.alias.value: _call(a) for a in query.aggregations}
-    projection = [Projected(Variable(name)) for name in names]
-    projection += [Projected(Variable(alias), call) for alias, call in calls.items()]
-    having = tuple(rewritten(c, _by_name(calls)) for c, _ in query.aggregate_filters)
+    projection = [SelectItem(Variable(name)) for name in names]
+    projection += [SelectItem(Variable(alias), call) for alias, call in calls.items()]
+    having = tuple(rewrite(c, _by_name(calls)) for c, _ in query.aggregate_filters)
     select = Query(
         Form.SELECT,
         where,

@@ -1,12 +1,12 @@
-"""Names and variables of a query: what the head and AGGREGATE use is bound, parameters are used."""
+"""Checks the variables of a query: the head and AGGREGATE use bound ones, the body uses each
+parameter."""
 
 from __future__ import annotations
 
-import difflib
 from itertools import pairwise
 
 from ...sparql.ast import Aggregate, Form, Query, variables_of, walk
-from ...sparql.scope import head_variables, visible
+from ...sparql.scope import head_variables, visible_variables
 from ...sparql.tokens import Kind, Token
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
@@ -14,7 +14,8 @@ from .clauses import ClauseReader, Clauses
 
 
 class Check:
-    """Variables: the head's are bound, AGGREGATE's fit in, a template's parameters are used."""
+    """Checks variables: those of the head are bound, those of AGGREGATE are consistent, parameters
+    are used."""
 
     def __init__(self, reader: ClauseReader, found: Clauses, body: Query) -> None:
         assert body.where is not None
@@ -22,7 +23,7 @@ class Check:
         self.found = found
         self.body = body
         self.where = body.where
-        self.bound = set(visible(self.where))
+        self.bound = set(visible_variables(self.where))
         self.head = head_variables(body)
         self.parameters = {token.text[1:] for token in found.parameters}
         self.aliases = {aggregation.alias.value for aggregation in found.aggregations}
@@ -35,22 +36,23 @@ class Check:
         self.check_parameters()
 
     def check_head(self) -> None:
-        known = self.bound | self.aliases | self.parameters
-        known |= {one.variable.value for one in self.body.projection or () if one.expression}
-        known |= set(variables_of(self.body.values))
-        known |= {key.alias.value for key in self.body.keys if key.alias is not None}
+        bound = self.bound | self.aliases | self.parameters
+        bound |= {one.variable.value for one in self.body.projection or () if one.expression}
+        bound |= set(variables_of(self.body.values))
+        bound |= {key.alias.value for key in self.body.keys if key.alias is not None}
         for name in self.head:
-            # SPARQL shows a variable that nothing binds as unbound; where the name is nearly that
-            # of another one, or a graph is to be made of it, it is a mistake.
-            shown = self.body.form is Form.SELECT and not self.found.aggregations
-            if name not in known and not (shown and not did_you_mean(name, known)):
+            # In SPARQL an unbound variable of the head stays unbound. It is an error here if its
+            # name resembles a bound one, or if the head constructs a graph.
+            is_shown = self.body.form is Form.SELECT and not self.found.aggregations
+            if name not in bound and not (is_shown and not did_you_mean(name, bound)):
                 token = self._token(name, self.body.span)
                 raise self.reader.error(
-                    f"`{token.text}` is not bound in the query", token, _near(name, known)
+                    f"`{token.text}` is not bound in the query", token, _near(name, bound)
                 )
 
     def check_aliases(self) -> None:
-        """An aggregate is over what WHERE binds: nothing else has a value in each row."""
+        """Check that aggregates of the head read variables of WHERE: nothing else has a value in
+        each row."""
         aliases: set[str] = set()
         for one in self.body.projection or ():
             if one.expression is None:
@@ -59,7 +61,7 @@ class Check:
             for name in (name for node in inside for name in variables_of(node)):
                 if name in aliases - self.bound:
                     raise LanguageError(
-                        f"`?{name}` is computed in the head, and no aggregate is taken of it",
+                        f"`?{name}` is computed in the head, so it cannot be aggregated",
                         self.reader.source,
                         one.span,
                         "compute it in a sub-query",
@@ -67,18 +69,20 @@ class Check:
             aliases.add(one.variable.value)
 
     def check_aggregate(self) -> None:
-        """The AGGREGATE clause against head and WHERE."""
+        """Check the AGGREGATE clause against head and WHERE."""
         source = self.reader.source
         body = self.body
-        for word, there, hint in (
-            ("GROUP BY", body.keys, "say it one way or the other"),
-            ("HAVING", body.having, "say it one way or the other"),
+        for word, is_present, hint in (
+            ("GROUP BY", body.keys, "use one of the two"),
+            ("HAVING", body.having, "use one of the two"),
             ("VALUES", body.values, "put VALUES inside WHERE"),
         ):
-            if there:
-                behind = (t for t in self.reader.tokens if t.start >= self.where.span.end)
-                first = next(t for t in behind if t.is_word(word.split()[0]))
-                raise self.reader.error(f"{word} and AGGREGATE in one query", first, hint)
+            if is_present:
+                after_where = (t for t in self.reader.tokens if t.start >= self.where.span.end)
+                first = next(t for t in after_where if t.is_word(word.split()[0]))
+                raise self.reader.error(
+                    f"a query cannot have both {word} and AGGREGATE", first, hint
+                )
         if body.selects_all or body.is_short:
             raise self.reader.error(
                 "the head must name its variables, since AGGREGATE groups by them",
@@ -86,12 +90,12 @@ class Check:
                 "write `SELECT ?uav ?avg` or `CONSTRUCT {?uav dyknow:speed ?avg}`",
             )
         filtered = {name for condition, _ in self.found.filters for name in variables_of(condition)}
-        seen: set[str] = set()
+        aliases: set[str] = set()
         for aggregation in self.found.aggregations:
             alias, argument = aggregation.alias.value, aggregation.argument.value
-            if alias in seen:
+            if alias in aliases:
                 raise LanguageError(f"`?{alias}` is aggregated twice", source, aggregation.span)
-            seen.add(alias)
+            aliases.add(alias)
             if alias in self.bound:
                 raise LanguageError(
                     f"`?{alias}` is bound in WHERE already",
@@ -116,13 +120,13 @@ class Check:
         self.check_filters()
 
     def check_filters(self) -> None:
-        known = self.aliases | set(self.head) | self.parameters
+        allowed = self.aliases | set(self.head) | self.parameters
         for condition, span in self.found.filters:
             for name in variables_of(condition):
-                if name not in known:
+                if name not in allowed:
                     token = self._token(name, span)
                     raise self.reader.error(
-                        f"`{token.text}` is no aggregate and no variable of the head",
+                        f"`{token.text}` is neither an aggregate nor a variable of the head",
                         token,
                         "filter on an aggregate here, on other variables inside WHERE",
                     )
@@ -154,13 +158,11 @@ class Check:
                 )
 
     def _token(self, name: str, span: Span) -> Token:
-        """The first token of a variable in ``span``."""
+        """Return the first token of a variable in ``span``."""
         inside = (t for t in self.reader.tokens if span.start <= t.start < span.end)
         return next(t for t in inside if t.kind is Kind.VARIABLE and t.text[1:] == name)
 
 
-def _near(name: str, known: set[str]) -> str:
-    near = difflib.get_close_matches(name, sorted(known), n=1)
-    if near:
-        return f"did you mean `?{near[0]}`?"
-    return f"the body has {', '.join(f'`?{k}`' for k in sorted(known))}" if known else ""
+def _near(name: str, names: set[str]) -> str:
+    meant = did_you_mean(f"?{name}", (f"?{each}" for each in names))
+    return meant or (f"the body has {', '.join(f'`?{k}`' for k in sorted(names))}" if names else "")

@@ -1,9 +1,9 @@
-"""The grammar of continuous queries: SPARQL's, with our clauses in it ([Events14 §III.A, §IV.B],
-SPEC §5).
+"""The grammar of continuous queries: SPARQL with additional clauses ([Events14 §III.A, §IV.B], SPEC
+§5).
 
-REGISTER, COMPUTE EVERY, FROM in all its forms, WINDOW, AGGREGATE and RSP-QL's stream operators
-stand outside all brackets, but for ``WINDOW name {…}``; `Clauses.ours` lists the spans that are not
-SPARQL.
+REGISTER, COMPUTE EVERY, all forms of FROM, WINDOW, AGGREGATE and RSP-QL's stream operators stand
+outside all brackets; only ``WINDOW name {…}`` is a part of a group. `Clauses.ours` lists the spans
+that are not SPARQL.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ _BEGINNING: Final = "a query begins with `REGISTER STREAM name AS` or with `SELE
 
 @dataclass(slots=True)
 class Clauses:
-    """What the clauses say, gathered while reading. Windows are completed at the end.
+    """The contents of the clauses, collected while reading.
 
-    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``registered`` and ``written``
-    are the stream operators of REGISTER and of the head.
+    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``register_operator`` and
+    ``head_operator`` are the stream operators of REGISTER and of the head. A stream without a
+    window gets that of the WINDOW clause at the end (`ClauseReader.stream_clauses`).
     """
 
     kind: str = ""
@@ -49,12 +50,12 @@ class Clauses:
     groups: list[NamedGroup] = field(default_factory=list)
     ours: list[Span] = field(default_factory=list)
     form: Token | None = None
-    registered: StreamOperator | None = None
-    written: StreamOperator | None = None
+    register_operator: StreamOperator | None = None
+    head_operator: StreamOperator | None = None
 
 
 class ClauseReader(QueryReader):
-    """One pass over a text; raises `LanguageError` where it stops."""
+    """Reads a text in one pass. Raises `LanguageError` at the first error."""
 
     def __init__(self, source: str) -> None:
         check_length(source)
@@ -62,13 +63,13 @@ class ClauseReader(QueryReader):
         self.found = Clauses()
 
     def mark_ours(self, first: Token) -> None:
-        """What was read since ``first`` is no SPARQL."""
-        self.found.ours.append(Span(first.start, self.before.end))
+        """Mark the tokens since ``first`` as not SPARQL."""
+        self.found.ours.append(Span(first.start, self.last_token.end))
 
-    # -- in the order of a text ------------------------------------------------------------
+    # -- in the order of the text ----------------------------------------------------------
 
     def read(self) -> tuple[Clauses, Query]:
-        """All clauses, and the SPARQL among them."""
+        """Read the whole text: the clauses, and the SPARQL query among them."""
         if self.here is None:
             raise self.error("the text is empty", None, _BEGINNING)
         self.prologue()
@@ -76,7 +77,7 @@ class ClauseReader(QueryReader):
             self.register()
             self.prologue()
         elif not self.is_word(*FORMS):
-            raise self.due("REGISTER, SELECT, CONSTRUCT, ASK or DESCRIBE", _BEGINNING)
+            raise self.expected("REGISTER, SELECT, CONSTRUCT, ASK or DESCRIBE", _BEGINNING)
         self.found.form = self.here
         return self.found, self.query()
 
@@ -84,11 +85,11 @@ class ClauseReader(QueryReader):
         first = self.take()
         kind = self.here
         if kind is None or not kind.is_word("STREAM", "QUERY", "TEMPLATE", *_OPERATORS):
-            raise self.due("STREAM, QUERY, TEMPLATE, RSTREAM, ISTREAM or DSTREAM")
+            raise self.expected("STREAM, QUERY, TEMPLATE, RSTREAM, ISTREAM or DSTREAM")
         self.take()
         if kind.is_word(*_OPERATORS):
             self.found.kind = "STREAM"
-            self.found.registered = StreamOperator(kind.text.upper())
+            self.found.register_operator = StreamOperator(kind.text.upper())
         else:
             self.found.kind = kind.text.upper()
         self.found.name = self.registered_name()
@@ -96,22 +97,22 @@ class ClauseReader(QueryReader):
             self.parameters()
         self.period()
         if not self.is_word("AS"):
-            raise self.due("AS", "write `… COMPUTE EVERY 1s AS` before the query")
+            raise self.expected("AS", "write `… COMPUTE EVERY 1s AS` before the query")
         self.take()
         self.mark_ours(first)
 
     def registered_name(self) -> Token:
         name = self.here
         if name is None or name.kind not in (Kind.WORD, Kind.PREFIXED, Kind.IRI):
-            raise self.due("a name")
+            raise self.expected("a name")
         return self.take()
 
     def period(self) -> None:
-        """``COMPUTE EVERY 1s``, ``COMPUTED EVERY 1s``, ``EVERY 1s``, or nothing."""
+        """Read ``COMPUTE EVERY 1s``, ``COMPUTED EVERY 1s``, ``EVERY 1s``, or nothing."""
         if self.is_word("COMPUTE", "COMPUTED"):
             self.take()
             if not self.is_word("EVERY"):
-                raise self.due("EVERY", "write `COMPUTE EVERY 1s`")
+                raise self.expected("EVERY", "write `COMPUTE EVERY 1s`")
         if self.is_word("EVERY"):
             self.take()
             self.found.every = read_duration(self, "the period")
@@ -127,34 +128,34 @@ class ClauseReader(QueryReader):
         while not self.is_mark(")"):
             token = self.here
             if token is None or token.kind is not Kind.VARIABLE:
-                raise self.due("a parameter like `?o`")
+                raise self.expected("a parameter like `?o`")
             if any(token.text[1:] == other.text[1:] for other in self.found.parameters):
-                raise self.error(f"the parameter `{token.text}` is there twice", token)
+                raise self.error(f"the parameter `{token.text}` occurs twice", token)
             self.found.parameters.append(self.take())
             if not self.is_mark(")"):
-                self.expect_mark(",", "parameters are parted by commas")
+                self.expect_mark(",", "separate parameters by commas")
         self.take()
-        self.given = frozenset(token.text[1:] for token in self.found.parameters)
+        self.group_parameters = frozenset(token.text[1:] for token in self.found.parameters)
 
     def after_form(self) -> None:
-        """The stream operator of the head: ``SELECT ISTREAM``, ``SELECT DISTINCT ISTREAM``."""
+        """Read the stream operator of the head: ``SELECT ISTREAM``, ``SELECT DISTINCT ISTREAM``."""
         if self.is_word(*_OPERATORS):
-            self.head_operator(self.take())
+            self.check_operator(self.take())
 
-    def head_operator(self, word: Token) -> None:
+    def check_operator(self, word: Token) -> None:
         written = StreamOperator(word.text.upper())
-        registered = self.found.registered
+        registered = self.found.register_operator
         if registered not in (None, written):
             raise self.error(
                 f"`{word.text}`, but the query is registered as {registered}",
                 word,
-                "say it in one place",
+                "state it in one place",
             )
-        self.found.written = written
+        self.found.head_operator = written
         self.mark_ours(word)
 
     def clauses(self) -> None:
-        """Our clauses, where FROM may stand, and behind WHERE."""
+        """Read the additional clauses, at the place of FROM and after WHERE."""
         while self.is_word("FROM", "AGGREGATE", "WINDOW", "REGISTER"):
             first = self.take()
             if first.is_word("FROM"):
@@ -167,7 +168,7 @@ class ClauseReader(QueryReader):
                 self.window_clause(first)
             else:
                 raise self.error(
-                    "one text registers one query", first, "send the second on its own"
+                    "one text registers one query", first, "send the second one separately"
                 )
 
     def more_clauses(self) -> None:
@@ -182,7 +183,7 @@ class ClauseReader(QueryReader):
                 f"write `WHERE {{ WINDOW {here.text} {{ … }} }}`",
             )
         if self.found.window is not None:
-            raise self.error("a second WINDOW clause", first, "one window holds for all streams")
+            raise self.error("a second WINDOW clause", first, "one window applies to all streams")
         self.found.window = read_window(self, "WINDOW", self.found.every)
         self.mark_ours(first)
 
@@ -192,27 +193,27 @@ class ClauseReader(QueryReader):
         if not self.is_word("WHERE") and not self.is_mark("{"):
             if self.here is None:
                 raise self.error("the query has no WHERE", self.found.form, "write `WHERE { … }`")
-            raise self.misplaced()
+            raise self.unexpected()
         return super().where()
 
-    def part(self) -> Graph | None:
-        """``WINDOW name {…}``: a graph whose triples are those of a named window."""
+    def extension_part(self) -> Graph | None:
+        """Read ``WINDOW name {…}``: a graph with the triples of a named window."""
         if not self.is_word("WINDOW"):
             return None
         word = self.take()
         if self.is_mark("["):
             raise self.error(
-                "the WINDOW clause stands inside a group", word, "write it behind the last `}`"
+                "the WINDOW clause is inside a group", word, "write it after the last `}`"
             )
         name = self.here
         if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.VARIABLE):
             raise self.error(
-                "the name of a window is due after WINDOW", name, "write `WINDOW :w { … }`"
+                "expected the name of a window after WINDOW", name, "write `WINDOW :w { … }`"
             )
         return Graph(self.graph_name(), self.group(), is_window=True)
 
     def graph_name(self) -> NamedNode | Variable:
-        word, name = self.before, self.here
+        word, name = self.last_token, self.here
         found = super().graph_name()
         if name is not None and word.is_word("GRAPH", "WINDOW"):
             self.found.groups.append(NamedGroup(word, name))
@@ -231,25 +232,26 @@ class ClauseReader(QueryReader):
             "load the data into the ontology and name it with FROM",
         )
 
-    def misplaced(self, hint: str = "") -> LanguageError:
+    def unexpected(self, hint: str = "") -> LanguageError:
         if self.in_template and self.is_word("WINDOW"):
             word = self.take()
             name = "" if self.here is None else f" {self.here.text}"
             return self.error(
-                f"`WINDOW{name}` in what is constructed",
+                f"`WINDOW{name}` in the constructed triples",
                 word,
-                "triples are constructed without a window: write it inside WHERE",
+                "constructed triples have no window: write it inside WHERE",
             )
         if self.is_word("STREAM", "ON"):
             hint = (
                 "name streams with `FROM STREAM <iri> […]` or `FROM NAMED WINDOW :w ON <iri> […]`"
             )
-        return super().misplaced(hint)
+        return super().unexpected(hint)
 
-    # -- when all is read ------------------------------------------------------------------
+    # -- at the end ------------------------------------------------------------------------
 
     def stream_clauses(self) -> tuple[StreamClause, ...]:
-        """The streams with their windows; none only where a WINDOW clause says what they have."""
+        """Return the streams with their windows. Without streams a WINDOW clause must give the
+        window of those that matching finds."""
         clauses = stream_clauses(self, self.found.dataset, self.found.window)
         if not clauses and self.found.window is None:
             raise self.error(

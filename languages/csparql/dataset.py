@@ -1,8 +1,8 @@
 """FROM clauses: static graphs and streams, of C-SPARQL and of RSP-QL ([Events14 §III.A], SPEC §5).
 
-C-SPARQL: ``FROM <g>`` and ``FROM STREAM <s> […]``. RSP-QL: ``FROM NAMED WINDOW <w> ON <s> […]``,
-whose triples only ``WINDOW <w> {…}`` sees, and ``FROM WINDOW <w> ON <s> […]``, which is FROM STREAM
-with a name that nobody can use.
+C-SPARQL has ``FROM <g>`` and ``FROM STREAM <s> […]``. RSP-QL has ``FROM NAMED WINDOW <w> ON <s>
+[…]``, whose triples only ``WINDOW <w> {…}`` reads, and ``FROM WINDOW <w> ON <s> […]``, which is
+FROM STREAM with an unused name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _NAMED_EXAMPLE: Final = "write `FROM NAMED WINDOW :w ON <stream> [RANGE PT5S STE
 
 
 class Source(Enum):
-    """How a stream is named."""
+    """The clause that names a stream."""
 
     STREAM = "FROM STREAM"
     WINDOW = "FROM WINDOW"
@@ -30,7 +30,8 @@ class Source(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StreamSource:
-    """A clause that names a stream, as read. ``name`` is that of its window, if it has one."""
+    """A clause that names a stream, as written. ``name`` is the name of its window, if it
+    has one."""
 
     source: Source
     iri: Token
@@ -41,7 +42,7 @@ class StreamSource:
 
 @dataclass(slots=True)
 class Dataset:
-    """What the FROM clauses name, in their order."""
+    """The tokens of the FROM clauses, in their order."""
 
     static: list[Token] = field(default_factory=list)
     static_named: list[Token] = field(default_factory=list)
@@ -49,7 +50,7 @@ class Dataset:
 
     @property
     def has_windows(self) -> bool:
-        """Whether a stream is named as RSP-QL does."""
+        """True if a clause of RSP-QL names a stream."""
         return any(source.source is not Source.STREAM for source in self.streams)
 
     def of(self, kind: Source) -> list[StreamSource]:
@@ -57,8 +58,8 @@ class Dataset:
 
 
 def read_from(at: Cursor, dataset: Dataset, every: Every) -> None:
-    """What follows FROM, which was taken, in any of its forms."""
-    first = at.before
+    """Read any form of FROM clause, after the word FROM."""
+    first = at.last_token
     if at.is_word("STREAM"):
         at.take()
         dataset.streams.append(_stream(at, first, Source.STREAM, None, every))
@@ -69,7 +70,7 @@ def read_from(at: Cursor, dataset: Dataset, every: Every) -> None:
     elif at.is_word("NAMED"):
         at.take()
         if at.is_word("STREAM"):
-            raise at.error("only windows of streams are named", at.here, _NAMED_EXAMPLE)
+            raise at.error("a stream has no name, only its window has", at.here, _NAMED_EXAMPLE)
         if at.is_word("WINDOW"):
             at.take()
             name = at.iri("FROM NAMED WINDOW")
@@ -93,7 +94,7 @@ def _on_stream(
     at: Cursor, first: Token, source: Source, name: Token | None, every: Every
 ) -> StreamSource:
     if not at.is_word("ON"):
-        raise at.due("ON", _NAMED_EXAMPLE)
+        raise at.expected("ON", _NAMED_EXAMPLE)
     at.take()
     if at.is_word("STREAM"):
         at.take()
@@ -105,11 +106,11 @@ def _stream(
 ) -> StreamSource:
     iri = at.iri("FROM STREAM" if source is Source.STREAM else "ON")
     window = read_window(at, "a stream's window", every) if at.is_mark("[") else None
-    return StreamSource(source, iri, name, window, Span(first.start, at.before.end))
+    return StreamSource(source, iri, name, window, Span(first.start, at.last_token.end))
 
 
 def stream_clauses(at: Cursor, dataset: Dataset, default: Window | None) -> list[StreamClause]:
-    """The clauses with their IRIs; one without a window of its own has the WINDOW clause."""
+    """Resolve the IRIs of the clauses. A stream without a window gets that of the WINDOW clause."""
     clauses: list[StreamClause] = []
     streams: set[str] = set()
     windows: set[str] = set()
@@ -145,7 +146,7 @@ def _twice(at: Cursor, token: Token) -> LanguageError:
 def _check_name(at: Cursor, token: Token, is_window: bool, is_graph: bool) -> None:
     if is_window:
         raise at.error(
-            f"the window `{token.text}` is there twice", token, "give each window its own name"
+            f"the window `{token.text}` occurs twice", token, "give each window its own name"
         )
     if is_graph:
         raise at.error(

@@ -1,4 +1,4 @@
-"""Lengths of time in clauses: C-SPARQL's ``5s``, RSP-QL's ``PT5S`` and ``"PT5S"^^xsd:duration``."""
+"""Durations in clauses: C-SPARQL's ``5s``, RSP-QL's ``PT5S`` and ``"PT5S"^^xsd:duration``."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ _SPELLED_OUT: Final = {
 _LONGEST: Final = 2**62
 _EXAMPLE: Final = "write a whole number and a unit (ns us ms s m h d): `5s`"
 _XSD_EXAMPLE: Final = (
-    "write `PT5S`, `PT0.5S` or `P1DT2H`; years and months are of no one length, "
+    "write `PT5S`, `PT0.5S` or `P1DT2H`; years and months vary in length, "
     "and nothing is finer than a nanosecond"
 )
 _DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 
 
 def read_duration(at: Cursor, what: str) -> int:
-    """The length of time that is due here, in ns; more than nothing, less than 146 years."""
+    """Read a duration, in ns; more than 0 and less than 146 years."""
     here = at.here
     if here is not None and here.kind is Kind.STRING:
         return _literal(at, what)
     if here is not None and here.kind is Kind.WORD and here.text[0] in "Pp":
         return _xsd(at, what)
     if here is None or here.kind is not Kind.NUMBER or not here.text.isdigit():
-        raise at.due(what, _EXAMPLE)
+        raise at.expected(what, _EXAMPLE)
     at.take()
     factor = _unit(at, what, here)
-    # A longer text than any length of time is not handed to int().
+    # Rejects longer texts before int(), whose cost is quadratic in the digits.
     value = int(here.text) * factor if len(here.text) <= 20 else _LONGEST
     return _in_range(at, what, value, here.span)
 
 
 def _unit(at: Cursor, what: str, number: Token) -> int:
-    # Units are lower case; the engines of C-SPARQL accept both.
+    # Units are lower case; the engines of C-SPARQL accept upper case too.
     unit = at.here
     word = unit.text.lower() if unit is not None and unit.kind is Kind.WORD else ""
     if word in _UNITS:
@@ -69,37 +69,40 @@ def _unit(at: Cursor, what: str, number: Token) -> int:
         hint = f"write `{number.text}{meant}`"
     elif word in ("", "step", "slide", "tumbling"):
         hint = f"a bare number has no unit: write `{number.text}ms` or `{number.text}s`"
-    raise at.due(f"the unit of {what}", hint)
+    raise at.expected(f"the unit of {what}", hint)
 
 
 def _xsd(at: Cursor, what: str) -> int:
-    """``PT0.5S`` is several tokens that touch each other."""
+    """Read ``PT0.5S``, which is several adjacent tokens."""
     start = at.take().start
-    while at.here is not None and at.here.start == at.before.end and not at.is_mark("]"):
+    while at.here is not None and at.here.start == at.last_token.end and not at.is_mark("]"):
         at.take()
-    span = Span(start, at.before.end)
-    return _parsed(at, what, at.source[span.start : span.end], span)
+    span = Span(start, at.last_token.end)
+    return _parse_xsd(at, what, at.source[span.start : span.end], span)
 
 
 def _literal(at: Cursor, what: str) -> int:
     start = 0 if at.here is None else at.here.start
     term = at.term()
-    span = Span(start, at.before.end)
+    span = Span(start, at.last_token.end)
     if not isinstance(term, Literal) or term.datatype.value not in _DURATIONS:
         raise LanguageError(
-            f"{what} is no xsd:duration", at.source, span, 'write `"PT5S"^^xsd:duration` or `PT5S`'
+            f"{what} is not an xsd:duration",
+            at.source,
+            span,
+            'write `"PT5S"^^xsd:duration` or `PT5S`',
         )
-    return _parsed(at, what, term.value, span)
+    return _parse_xsd(at, what, term.value, span)
 
 
-def _parsed(at: Cursor, what: str, text: str, span: Span) -> int:
+def _parse_xsd(at: Cursor, what: str, text: str, span: Span) -> int:
     try:
-        # ISO forms only: parse_duration reads 5s as well, which is no xsd:duration.
+        # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
         if not text.upper().startswith("P"):
             raise ValueError
         value = parse_duration(text.upper())
     except ValueError:
-        message = f"{what} is no length of time: `{text}`"
+        message = f"{what} is not a duration: `{text}`"
         raise LanguageError(message, at.source, span, _XSD_EXAMPLE) from None
     return _in_range(at, what, value, span)
 

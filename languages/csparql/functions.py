@@ -1,9 +1,9 @@
-"""Functions that are called by their IRI: the accessors of time, and casts (SPEC §5).
+"""Functions called by their IRI: the accessors of time, and casts (SPEC §5).
 
 ``f:timestamp`` is the C-SPARQL engine's: τ, when a triple became known; ``dyknow-o:validTime`` is
-ours. Of one variable they tell the time of the triple that binds it, of three terms that of the
-triple ``(s, p, o)``. They are no SPARQL 1.1, so no engine looks after them: their calls are checked
-here.
+DyKnow's. With one variable they return the time of the triple that binds it, with three terms that
+of the triple ``(s, p, o)``. They are not in SPARQL 1.1, so no engine checks their calls: this
+module does.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ACCESSORS: Final = (TIMESTAMP, VALID_TIME)
 UNCALLED: Final[dict[NamedNode, Callable[..., Any]]] = {
     NamedNode(iri): lambda *_: None for iri in ACCESSORS
 }
-"""The accessors as functions for Oxigraph, which has to read their calls, but never makes one."""
+"""The accessors as functions for Oxigraph, which must parse their calls but never makes one."""
 
 QUERY_PREFIXES: Final[Mapping[str, str]] = {
     **PREFIXES,
@@ -32,7 +32,7 @@ QUERY_PREFIXES: Final[Mapping[str, str]] = {
 }
 """Prefixes that need no declaration in a query text: the shared ones and the C-SPARQL engine's."""
 
-# SPARQL 1.1 §17.1, then those that Oxigraph has besides.
+# SPARQL 1.1 §17.1, then the additional ones of Oxigraph.
 _CASTS: Final = (
     *("boolean", "dateTime", "decimal", "double", "float", "integer", "string"),
     *("date", "time", "duration", "dayTimeDuration", "yearMonthDuration"),
@@ -40,7 +40,7 @@ _CASTS: Final = (
 )
 _KNOWN: Final = ("f:timestamp", "dyknow-o:validTime", *(f"xsd:{name}" for name in _CASTS))
 _IRIS: Final = frozenset({*ACCESSORS, *(XSD + name for name in _CASTS)})
-# Oxigraph has functions of GeoSPARQL, and says itself which.
+# Oxigraph checks its GeoSPARQL functions itself.
 _GEOSPARQL: Final = "http://www.opengis.net/def/function/geosparql/"
 
 
@@ -61,11 +61,11 @@ def check_call(call: FunctionCall, source: str) -> None:
 
 
 def _wrong_arguments(arguments: Sequence[Expression]) -> str:
-    """What is wrong with the arguments of an accessor; "" if nothing is."""
+    """Return the error in the arguments of an accessor; "" if there is none."""
     if len(arguments) not in (1, 3):
         return f"takes 1 or 3 arguments, not {len(arguments)}"
     if not all(isinstance(one, Variable | NamedNode | Literal) for one in arguments):
-        return "takes variables and terms, no expressions"
+        return "takes variables and terms, not expressions"
     if not any(isinstance(one, Variable) for one in arguments):
         return "takes a variable" if len(arguments) == 1 else "takes at least one variable"
     return ""

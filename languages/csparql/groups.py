@@ -1,4 +1,4 @@
-"""RSP-QL's ``WINDOW <name> {…}``: a GRAPH whose triples are those of a named window (SPEC §5)."""
+"""RSP-QL's ``WINDOW <name> {…}``: a GRAPH with the triples of a named window (SPEC §5)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ...sparql.cursor import Cursor
 from ...sparql.tokens import Kind, Token
-from ..hints import near
+from ..hints import suggest_name
 from .dataset import Dataset, Source
 
 
@@ -27,7 +27,7 @@ class NamedGroup:
 
 
 def check_groups(at: Cursor, groups: list[NamedGroup], dataset: Dataset) -> None:
-    """Each WINDOW names a window, each GRAPH none, and no variable stands for both."""
+    """Check that each WINDOW names a window, no GRAPH does, and no variable names both."""
     named = {at.iri_of(s.name): s.name.text for s in dataset.of(Source.NAMED_WINDOW) if s.name}
     unnamed = {at.iri_of(s.name) for s in dataset.of(Source.WINDOW) if s.name}
     graph_variables = {group.variable for group in groups if not group.is_window}
@@ -49,7 +49,7 @@ def check_groups(at: Cursor, groups: list[NamedGroup], dataset: Dataset) -> None
                 f"write `FROM NAMED WINDOW {name.text} ON …`, or leave `WINDOW {name.text}` out",
             )
         if group.is_window and iri not in named:
-            hint = near(name.text, named.values()) if named else _declare(name.text)
+            hint = suggest_name(name.text, named.values()) if named else _declare(name.text)
             raise at.error(f"the window `{name.text}` is not declared", name, hint)
 
 
@@ -62,7 +62,7 @@ def _check_variable(at: Cursor, name: Token, has_windows: bool, is_graph: bool) 
         raise at.error(
             f"`{name.text}` names a window here and a graph elsewhere",
             name,
-            "no window is a graph: use two variables",
+            "a window is not a graph: use two variables",
         )
     if not has_windows:
         raise at.error("the query has no named window", name, _declare(":w"))

@@ -1,4 +1,4 @@
-"""How large a query text may be: what is larger would keep the engine busy for seconds."""
+"""Bounds of query texts. A larger text would keep the engine busy for seconds."""
 
 from __future__ import annotations
 
@@ -8,27 +8,15 @@ from ...sparql.tokens import Limits
 from ..errors import LanguageError, Span
 
 LONGEST: Final = 64 * 1024
-"""Characters of a text."""
-MOST_TOKENS: Final = 4096
-MOST_PATTERNS: Final = 128
-"""Triple patterns; each step and each alternative of a property path is one."""
-MOST_OPERATORS: Final = 128
-"""Operators that stand in each other: readers of an expression recurse."""
-MOST_PARTS: Final = 160
-"""Groups in braces, FILTER, BIND and VALUES: each stands in the plan on top of those before it."""
-_HINT: Final = "load what it lists as an ontology, or ask with several queries"
-LIMITS: Final = Limits(
-    tokens=MOST_TOKENS,
-    patterns=MOST_PATTERNS,
-    operators=MOST_OPERATORS,
-    parts=MOST_PARTS,
-    hint=_HINT,
-)
-"""Those of continuous queries and templates."""
+"""The greatest number of characters."""
+_HINT: Final = "load its data as an ontology, or ask with several queries"
+LIMITS: Final = Limits(tokens=4096, patterns=128, operators=128, parts=160, hint=_HINT)
+"""The bounds of continuous queries and templates (`Limits` explains them). Later passes recurse
+over the height of an expression; each part adds a level to the plan."""
 
 
 def check_length(source: str) -> None:
-    """Raises `LanguageError` for a text that is not even to be split into tokens."""
+    """Raise `LanguageError` for a text that is too long to be tokenized."""
     if len(source) > LONGEST:
         raise LanguageError(
             f"the text has more than {LONGEST} characters", source[:1000], Span(0, 0), _HINT

@@ -1,7 +1,7 @@
-"""Text to `ContinuousQuery` and `Template` ([Events14 Listings 3 and 4], SPEC §5).
+"""Parses text to `ContinuousQuery` and `Template` ([Events14 Listings 3 and 4], SPEC §5).
 
-`clauses` has the grammar: SPARQL's with ours in it. Then names and variables are checked. A text is
-read once; the last ones are remembered.
+`clauses` implements the grammar; then names and variables are checked. Each text is parsed once:
+the last ones are cached.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from pyoxigraph import Variable
 
 from ...rdf.namespaces import DYKNOW
 from ...sparql.ast import Query
-from ...sparql.scope import visible
+from ...sparql.scope import visible_variables
 from ...sparql.tokens import Kind
 from ...streams.sample import LONGEST_NAME
-from ..remembered import remembered
+from ..text_cache import TextCache
 from .ast import ContinuousQuery, Dialect, StreamOperator, Template
 from .body import body_tree
 from .check import Check
@@ -30,26 +30,26 @@ _PLAIN_NAME: Final = re.compile(r"[A-Za-z_]\w*")
 
 
 def parse_query(source: str) -> ContinuousQuery:
-    """The query of a ``REGISTER STREAM|QUERY|RSTREAM … name AS`` text, or of one without REGISTER.
+    """Parse a ``REGISTER STREAM|QUERY|RSTREAM … name AS`` text, or one without REGISTER.
 
-    Raises `LanguageError` with the place for a wrong clause, SPARQL that is none, a prefix that
-    is not declared, a variable that nothing binds, or a missing window.
+    Raises `LanguageError` with the place for a wrong clause, malformed SPARQL, an undeclared
+    prefix, an unbound variable, or a missing window.
     """
     reader, found, _ = read(source)
     if found.kind == "TEMPLATE":
         raise reader.error(
             "this text registers a template, not a query",
             found.name,
-            "write `REGISTER STREAM name AS` for a query that runs as it stands",
+            "write `REGISTER STREAM name AS` for a query without parameters",
         )
     return _query(source)
 
 
 def parse_template(source: str) -> Template:
-    """The template of a ``REGISTER TEMPLATE name(?parameters) … AS`` text ([Events14 §IV.B]).
+    """Parse a ``REGISTER TEMPLATE name(?parameters) … AS`` text ([Events14 §IV.B]).
 
-    Raises `LanguageError` as `parse_query`, and for a parameter that the body does not use or
-    assigns itself.
+    Raises the errors of `parse_query`, and `LanguageError` for a parameter that the body does not
+    use or assigns itself.
     """
     reader, found, _ = read(source)
     if found.kind != "TEMPLATE":
@@ -72,23 +72,24 @@ def parse_template(source: str) -> Template:
 
 
 def required_parameters(template: Template) -> tuple[Variable, ...]:
-    """Parameters that no pattern of WHERE binds (a threshold): they must be given a term.
+    """Return the parameters that no pattern of WHERE binds (a threshold): they must be given as
+    terms.
 
-    Left a variable they would be unbound, and a condition over them would never hold.
+    A variable would leave them unbound, and a condition over them would never be true.
     """
     where = template.query.body.where
-    bound = {} if where is None else visible(where)
+    bound = {} if where is None else visible_variables(where)
     return tuple(p for p in template.parameters if p.value not in bound)
 
 
-@remembered
+@TextCache
 def read(source: str) -> tuple[ClauseReader, Clauses, Query]:
-    """What was read of a text: its tokens, its clauses, its SPARQL. Names are not checked."""
+    """Parse a text to its tokens, clauses and SPARQL query. Names are not checked."""
     reader = ClauseReader(source)
     return reader, *reader.read()
 
 
-@remembered
+@TextCache
 def _query(source: str) -> ContinuousQuery:
     reader, found, body = read(source)
     assert found.form is not None
@@ -111,7 +112,7 @@ def _query(source: str) -> ContinuousQuery:
         body=body,
         source=source,
         dialect=_dialect(found, found.groups),
-        operator=found.registered or found.written or StreamOperator.RSTREAM,
+        operator=found.register_operator or found.head_operator or StreamOperator.RSTREAM,
         static_named=tuple(reader.iri_of(t) for t in found.dataset.static_named),
         window_variables=frozenset(
             group.variable
@@ -127,9 +128,10 @@ def _query(source: str) -> ContinuousQuery:
 
 
 def _name(found: Clauses, reader: ClauseReader) -> str:
-    """A plain name stays one for a query; a template's is the IRI of the event concept.
+    """Return the registered name. A query keeps a plain name; a template gets the IRI of its event
+    concept.
 
-    RSP-QL's engines name an output ``<out>``: relative to nothing, it is a plain name too.
+    RSP-QL's engines name an output ``<out>``. Without a base that is a plain name too.
     """
     token = found.name
     if token is None:
@@ -146,12 +148,12 @@ def _name(found: Clauses, reader: ClauseReader) -> str:
 
 
 def _dialect(found: Clauses, groups: Sequence[NamedGroup]) -> Dialect:
-    """RSP-QL where anything is said that only RSP-QL has."""
+    """Return RSP-QL if the text uses a feature that only RSP-QL has."""
     windows = found.dataset.has_windows or any(group.is_window for group in groups)
-    return Dialect.RSP_QL if found.registered or windows else Dialect.C_SPARQL
+    return Dialect.RSP_QL if found.register_operator or windows else Dialect.C_SPARQL
 
 
 def _used_prefixes(reader: ClauseReader) -> dict[str, str]:
-    """Declared prefixes, and of the shared ones those that the text uses."""
+    """Return the declared prefixes, and the shared ones that the text uses."""
     used = {t.text.partition(":")[0] for t in reader.tokens if t.kind is Kind.PREFIXED}
     return {name: iri for name, iri in reader.prefixes.items() if name in used}

@@ -1,8 +1,8 @@
-"""A query back to text in its dialect: what the papers' engine would be given ([Events14 §V.C]).
+"""Prints a query in its dialect, as text for the papers' engine ([Events14 §V.C]).
 
-Law: ``parse_query(format_query(q))`` means what ``q`` means. The streams are filled in, and the
-template's arguments are visible: a parameter that is not in the head is replaced by its term,
-one of the head stays a variable and gets a VALUES row.
+Law: ``parse_query(format_query(q))`` has the meaning of ``q``. The text contains the query's
+streams and the template's arguments. A parameter outside of the head is replaced by its term; one
+in the head stays a variable and gets a VALUES row.
 """
 
 from __future__ import annotations
@@ -35,14 +35,13 @@ from .clauses import ClauseReader
 from .parser import read
 
 _DIGITS = re.compile("[0-9]+")
-_FITTING: dict[bytes, bool] = {}
-"""By a digest: of texts of 64 KiB these would be as many bytes, a thousand times."""
-_REMEMBERED = 1_000
-"""Of so many ways to fill in a text it is remembered whether it can be read."""
+_FIT_CACHE: dict[bytes, bool] = {}
+"""Keyed by a digest: a thousand texts of 64 KiB would need 64 MB."""
+_MOST_CACHED = 1_000
+"""The number of cached results of `_fits`."""
 MOST_READ = 200
-"""A text of more tokens is not read for that."""
-# It begins where white space does: from within a long line of it, it would be looked for in vain
-# again and again.
+"""The greatest number of tokens of a text that `_fits` parses."""
+# It starts where white space starts: a start at each blank of a long run would cost quadratic time.
 _BLANK_LINES: Final = r"(?<![ \t])[ \t]*(?:\r?\n[ \t]*)*\r?\n"
 _LINES: Final = re.compile(
     rf"""
@@ -57,7 +56,7 @@ _LINES: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """Replace ``text[start:end]``; an insertion where both are equal."""
+    """A replacement of ``text[start:end]``; an insertion if both are equal."""
 
     start: int
     end: int
@@ -66,7 +65,7 @@ class Edit:
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    """The source of a query, its SPARQL with our clauses blanked out, and what is there."""
+    """The source of a query, its SPARQL with the other clauses blanked out, and its parts."""
 
     sparql: str
     tokens: Sequence[Token]
@@ -79,53 +78,56 @@ class _Text:
         assert body.where is not None, "parse_query refuses a text without WHERE"
         ours = found.ours
         tokens = [t for t in reader.tokens if not any(s.start <= t.start < s.end for s in ours)]
-        return cls(_blanked(query.source, ours), tokens, body, body.where.span)
+        return cls(_blank(query.source, ours), tokens, body, body.where.span)
 
-    def edited(self, edits: Sequence[Edit], start: int, end: int) -> str:
-        """A stretch of the SPARQL with the disjoint edits in it made; insertions at one place keep
-        their order."""
-        parts: list[str] = []
-        position = start
-        for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
-            if start <= edit.start < end:
-                parts += (self.sparql[position : edit.start], edit.text)
-                position = edit.end
-        parts.append(self.sparql[position:end])
-        return "".join(parts)
+    def apply(self, edits: Sequence[Edit], start: int, end: int) -> str:
+        """Apply the disjoint edits within a range of the SPARQL; insertions at one place keep their
+        order."""
+        return _apply_edits(self.sparql, edits, start, end)
+
+
+def _apply_edits(text: str, edits: Sequence[Edit], start: int, end: int) -> str:
+    parts: list[str] = []
+    position = start
+    for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
+        if start <= edit.start < end:
+            parts += (text[position : edit.start], edit.text)
+            position = edit.end
+    return "".join([*parts, text[position:end]])
 
 
 def format_query(query: ContinuousQuery) -> str:
-    """Valid C-SPARQL or RSP-QL text of the query with its bindings and streams."""
+    """Return valid C-SPARQL or RSP-QL text of the query with its bindings and streams."""
     text = _Text.of(query)
     terms = {
         variable.value: short_text(term, query.prefixes)
         for variable, term in query.bindings.items()
     }
-    kept = head_variables(text.body).keys() | query.window_variables
-    replaced = {name: term for name, term in terms.items() if name not in kept}
-    rows = {name: term for name, term in terms.items() if name in kept}
+    head_names = head_variables(text.body).keys() | query.window_variables
+    replaced = {name: term for name, term in terms.items() if name not in head_names}
+    rows = {name: term for name, term in terms.items() if name in head_names}
     edits = _binding_edits(text, rows, replaced)
     if replaced and (len(text.tokens) > MOST_READ or not _fits(query, edits, replaced)):
-        # A term cannot stand in every place of a variable (a projection, f:timestamp).
+        # Some places of a variable allow no term (a projection, f:timestamp).
         edits, replaced = _binding_edits(text, terms, {}), {}
-    return _assembled(query, text, [*edits, *_window_edits(text)], replaced)
+    return _assemble(query, text, [*edits, *_window_edits(text)], replaced)
 
 
 def _fits(query: ContinuousQuery, edits: Sequence[Edit], terms: Mapping[str, str]) -> bool:
-    """Whether the terms can stand where the edits put them. Terms that are written alike fit
-    alike: of the many instances of a template few have to be read."""
+    """Return whether the text with the edits still parses. Terms of one form fit alike, so few of a
+    template's many instances need parsing."""
     kinds = tuple((name, _DIGITS.sub("0", _kind(text))) for name, text in sorted(terms.items()))
-    told = repr((query.source, sorted(query.prefixes.items()), kinds))
-    key = blake2b(told.encode(), digest_size=16).digest()
-    if key not in _FITTING:
-        if len(_FITTING) >= _REMEMBERED:
-            _FITTING.clear()
-        _FITTING[key] = _is_query(query, edits)
-    return _FITTING[key]
+    description = repr((query.source, sorted(query.prefixes.items()), kinds))
+    key = blake2b(description.encode(), digest_size=16).digest()
+    if key not in _FIT_CACHE:
+        if len(_FIT_CACHE) >= _MOST_CACHED:
+            _FIT_CACHE.clear()
+        _FIT_CACHE[key] = _is_query(query, edits)
+    return _FIT_CACHE[key]
 
 
 def _kind(text: str) -> str:
-    """A term with what may be anything taken out: the name in an IRI, the text of a string."""
+    """Return the form of a term: without the name in an IRI and the text of a string."""
     if text.startswith("<"):
         return "<>"
     if text.startswith(("'", '"')):
@@ -134,14 +136,8 @@ def _kind(text: str) -> str:
 
 
 def _is_query(query: ContinuousQuery, edits: Sequence[Edit]) -> bool:
-    parts: list[str] = []
-    position = 0
-    for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
-        parts += (query.source[position : edit.start], edit.text)
-        position = edit.end
-    parts.append(query.source[position:])
     try:
-        ClauseReader("".join(parts)).read()
+        ClauseReader(_apply_edits(query.source, edits, 0, len(query.source))).read()
     except LanguageError:
         return False
     return True
@@ -159,7 +155,7 @@ def _binding_edits(text: _Text, rows: Mapping[str, str], replaced: Mapping[str, 
         for part in parts_of(text.body):
             edits += _row_edits(part, rows, is_top=part.group.span == text.where)
         if text.body.is_short:
-            # The short form bars VALUES.
+            # The short form allows no VALUES.
             pattern = text.sparql[text.where.start : text.where.end]
             place = text.body.span.start + len("CONSTRUCT")
             edits.append(Edit(place, place, f" {pattern}"))
@@ -167,7 +163,8 @@ def _binding_edits(text: _Text, rows: Mapping[str, str], replaced: Mapping[str, 
 
 
 def _row_edits(part: Part, rows: Mapping[str, str], *, is_top: bool) -> list[Edit]:
-    """A VALUES row in a group that uses a parameter, and it as a key where a sub-query groups."""
+    """Insert a VALUES row into a group that uses a parameter, and a group key where a sub-query
+    groups."""
     edits: list[Edit] = []
     names = list(rows) if is_top else part.parameters(list(rows))
     if names:
@@ -187,18 +184,19 @@ def _row_edits(part: Part, rows: Mapping[str, str], *, is_top: bool) -> list[Edi
 
 
 def _window_edits(text: _Text) -> list[Edit]:
-    """WINDOW in capitals."""
+    """Write WINDOW in capitals."""
     words = (token for token in text.tokens if token.is_word("WINDOW"))
     return [Edit(token.start, token.end, "WINDOW") for token in words]
 
 
-def _assembled(
+def _assemble(
     query: ContinuousQuery, text: _Text, edits: Sequence[Edit], replaced: Mapping[str, str]
 ) -> str:
-    """Header, head, FROM clauses, WHERE and modifiers, AGGREGATE, WINDOW, each on its lines."""
+    """Join header, head, FROM clauses, WHERE and modifiers, AGGREGATE and WINDOW, each on its
+    lines."""
     start, where = text.body.span.start, text.where
     lines = _register(query)
-    prologue = compact(_prefix_lines(query, text) + text.edited(edits, 0, start))
+    prologue = compact(_prefix_lines(query, text) + text.apply(edits, 0, start))
     lines += [prologue] if prologue else []
     before = [t for t in text.tokens if t.start < where.start][-1]
     end = before.start if before.is_word("WHERE") else where.start
@@ -206,8 +204,8 @@ def _assembled(
     lines += [f"FROM <{iri}>" for iri in query.static]
     lines += [f"FROM NAMED <{iri}>" for iri in query.static_named]
     lines += [f"{_from(query, clause)} {_window(clause.window, query)}" for clause in query.streams]
-    lines.append("WHERE " + text.edited(edits, where.start, where.end))
-    modifiers = compact(text.edited(edits, where.end, len(text.sparql)))
+    lines.append("WHERE " + text.apply(edits, where.start, where.end))
+    modifiers = compact(text.apply(edits, where.end, len(text.sparql)))
     lines += [modifiers] if modifiers else []
     if query.aggregations:
         lines.append(_aggregate(query, replaced))
@@ -217,7 +215,7 @@ def _assembled(
 
 
 def _prefix_lines(query: ContinuousQuery, text: _Text) -> str:
-    """PREFIX lines for shared prefixes that the query uses without declaring them."""
+    """Return PREFIX lines for the shared prefixes that the query uses without a declaration."""
     pairs = zip(text.tokens, text.tokens[1:], strict=False)
     declared = {name.text[:-1] for word, name in pairs if word.is_word("PREFIX")}
     used = query.prefixes.items()
@@ -225,7 +223,7 @@ def _prefix_lines(query: ContinuousQuery, text: _Text) -> str:
 
 
 def _register(query: ContinuousQuery) -> list[str]:
-    """The line of REGISTER, none for a query without a name."""
+    """Return the REGISTER line; none for a query without a name."""
     if not query.name:
         return []
     name = f"<{query.name}>" if ":" in query.name else query.name
@@ -237,37 +235,36 @@ def _register(query: ContinuousQuery) -> list[str]:
 
 
 def _registers_operator(query: ContinuousQuery) -> bool:
-    """RSP-QL says what goes on in REGISTER, unless nothing is registered as a stream."""
+    """Return whether REGISTER states the stream operator, as RSP-QL does for registered streams."""
     return query.dialect is Dialect.RSP_QL and bool(query.name) and query.produces_stream
 
 
 def _head(query: ContinuousQuery, text: _Text, edits: Sequence[Edit], end: int) -> str:
-    """The form and what stands before WHERE; the gaps that a blanked operator left are closed."""
+    """Return the form and the rest of the head before WHERE, without the gap of a blanked
+    operator."""
     tokens = [token for token in text.tokens if token.start >= text.body.span.start]
     operator = ""
     if query.operator is not StreamOperator.RSTREAM and not _registers_operator(query):
         operator = f" {query.operator}"
     form, after = tokens[0], tokens[1]
-    gap = _closed(text.sparql[form.end : after.start])
+    gap = _one_space(text.sparql[form.end : after.start])
     closed = [Edit(form.end, after.start, gap)]
     if after.is_word("DISTINCT", "REDUCED"):
-        gap = _closed(text.sparql[after.end : tokens[2].start])
+        gap = _one_space(text.sparql[after.end : tokens[2].start])
         closed.append(Edit(after.end, tokens[2].start, gap))
     return compact(
-        text.edited(
-            [Edit(form.end, form.end, operator), *edits, *closed], text.body.span.start, end
-        )
+        text.apply([Edit(form.end, form.end, operator), *edits, *closed], text.body.span.start, end)
     )
 
 
-def _closed(gap: str) -> str:
+def _one_space(gap: str) -> str:
     return re.sub(r"[ \t]+", " ", gap)
 
 
 def _from(query: ContinuousQuery, clause: StreamClause) -> str:
     if clause.name is not None:
         return f"FROM NAMED WINDOW <{clause.name}> ON <{clause.iri}>"
-    # FROM WINDOW keeps the dialect, and may name a stream twice.
+    # FROM WINDOW keeps the dialect, and allows a stream twice.
     words = "FROM WINDOW ON" if query.dialect is Dialect.RSP_QL else "FROM STREAM"
     return f"{words} <{clause.iri}>"
 
@@ -291,7 +288,7 @@ def _window(window: Window, query: ContinuousQuery) -> str:
 
 
 def _duration(nanoseconds: int, query: ContinuousQuery) -> str:
-    """``5s``; in RSP-QL ``PT5S``."""
+    """Return ``5s``; in RSP-QL ``PT5S``."""
     if query.dialect is Dialect.C_SPARQL:
         return format_duration(nanoseconds)
     seconds, fraction = divmod(nanoseconds, SECOND)
@@ -315,21 +312,15 @@ def _aggregate(query: ContinuousQuery, replaced: Mapping[str, str]) -> str:
     return f"AGGREGATE {{{' '.join(parts)}}}"
 
 
-def _blanked(source: str, spans: Sequence[Span]) -> str:
-    """The text with spaces for every character in ``spans``; line ends and offsets stay."""
-    parts: list[str] = []
-    position = 0
-    for span in sorted(spans, key=lambda span: span.start):
-        parts.append(source[position : span.start])
-        parts.append(re.sub(r"[^\r\n]", " ", source[span.start : span.end]))
-        position = span.end
-    parts.append(source[position:])
-    return "".join(parts)
+def _blank(source: str, spans: Sequence[Span]) -> str:
+    """Replace the characters of ``spans`` by spaces; line ends and offsets stay."""
+    blanks = [Edit(s.start, s.end, re.sub(r"[^\r\n]", " ", source[s.start : s.end])) for s in spans]
+    return _apply_edits(source, blanks, 0, len(source))
 
 
 def compact(text: str) -> str:
-    """The text without the blank lines that blanked clauses leave; literals are not touched.
+    """Remove the blank lines that blanked clauses leave; literals stay unchanged.
 
-    The text is one that the tokenizer takes. Cost: linear, and a part of that of tokens.
+    The text must be valid for the tokenizer. Cost: linear, and less than tokenizing.
     """
     return _LINES.sub(lambda found: found[0] if found["lines"] is None else "\n", text).strip()

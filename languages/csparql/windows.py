@@ -1,6 +1,6 @@
-"""The windows of clauses: ``[RANGE 5s STEP 1s]``, ``[TRIPLES 10 STEP 2]``, ``[LANDMARK STEP 1s]``.
+"""Reads windows: ``[RANGE 5s STEP 1s]``, ``[TRIPLES 10 STEP 2]``, ``[LANDMARK STEP 1s]``.
 
-Read as the engines write them: C-SPARQL's SLIDE and TUMBLING, RSP-QL's ELEMENTS for TRIPLES.
+It accepts the words of both engines: C-SPARQL's SLIDE and TUMBLING, RSP-QL's ELEMENTS for TRIPLES.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _ELSEWHERE: Final = {
     "TUPLES": _COUNT_EXAMPLE,
     "ALL": _LANDMARK_EXAMPLE,
     "NOW": "write `[RANGE 1s STEP 1s]` for the newest second",
-    "FROM": "write the length of what `FROM NOW - 5s TO NOW` holds: `[RANGE 5s STEP 1s]`",
+    "FROM": "write the length of `FROM NOW - 5s TO NOW`: `[RANGE 5s STEP 1s]`",
 }
-"""Words of CQELS, CQL and SPARQLStream, with what says the same here."""
+"""Words of CQELS, CQL and SPARQLStream, with the equivalent here."""
 
 Every: TypeAlias = int | None
-"""The COMPUTE EVERY period of the query, in ns: the STEP of a window of time that has none."""
+"""The COMPUTE EVERY period of the query in ns: the STEP of a time window without one."""
 
 
 def read_window(at: Cursor, what: str, every: Every) -> Window:
-    """A window in its brackets; ``what`` names it in errors."""
+    """Read a window in brackets; ``what`` names it in errors."""
     opened = at.expect_mark("[", EXAMPLE)
     window: Window
     if at.is_word("RANGE"):
@@ -53,7 +53,7 @@ def read_window(at: Cursor, what: str, every: Every) -> Window:
     else:
         here = at.here
         word = "" if here is None or here.kind is not Kind.WORD else here.text.upper()
-        raise at.due("RANGE, TRIPLES or LANDMARK", _ELSEWHERE.get(word, EXAMPLE))
+        raise at.expected("RANGE, TRIPLES or LANDMARK", _ELSEWHERE.get(word, EXAMPLE))
     at.expect_mark("]", _COUNT_EXAMPLE if isinstance(window, CountWindow) else EXAMPLE)
     return window
 
@@ -82,7 +82,7 @@ def _step(at: Cursor, what: str, every: Every, opened: Token, example: str) -> i
         at.take()
         return read_duration(at, f"the STEP of {what}")
     if not at.is_mark("]"):
-        raise at.due("STEP or `]`", example)
+        raise at.expected("STEP or `]`", example)
     if every is None:
         raise at.error(
             "the window has no STEP, and the query no COMPUTE EVERY to take it from",
@@ -93,20 +93,22 @@ def _step(at: Cursor, what: str, every: Every, opened: Token, example: str) -> i
 
 
 def _instant(at: Cursor) -> int:
-    """``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC where it says no zone."""
+    """Read ``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC if it has no zone."""
     start = 0 if at.here is None else at.here.start
     term = at.term()
-    span = Span(start, at.before.end)
+    span = Span(start, at.last_token.end)
     if not isinstance(term, Literal) or term.datatype.value != _DATE_TIME:
         raise LanguageError("a landmark is an xsd:dateTime", at.source, span, _LANDMARK_EXAMPLE)
     try:
         return parse_time(term.value)
     except ValueError as error:
-        raise LanguageError(f"no landmark: {error}", at.source, span, _LANDMARK_EXAMPLE) from None
+        raise LanguageError(
+            f"not a landmark: {error}", at.source, span, _LANDMARK_EXAMPLE
+        ) from None
 
 
 def _count(at: Cursor, what: str) -> CountWindow:
-    """Without STEP it moves with each triple, like CQL's windows of rows."""
+    """Read a count window. Without STEP it moves with each triple, like CQL's windows of rows."""
     at.take()
     size = _number(at, f"the size of {what}")
     if at.is_word("TUMBLING"):
@@ -121,12 +123,12 @@ def _count(at: Cursor, what: str) -> CountWindow:
 def _number(at: Cursor, what: str) -> int:
     number = at.here
     if number is None or number.kind is not Kind.NUMBER or not number.text.isdigit():
-        raise at.due(what, f"{_COUNT_EXAMPLE}: triples are counted in whole numbers")
+        raise at.expected(what, f"{_COUNT_EXAMPLE}: triples are counted in whole numbers")
     at.take()
     unit = at.here
     if unit is not None and unit.kind is Kind.WORD and unit.start == number.end:
         raise at.error(
-            f"{what} is a number of triples, not a length of time",
+            f"{what} is a number of triples, not a duration",
             unit,
             f"write `{number.text}`, or a window of time: `[RANGE 5s STEP 1s]`",
         )

@@ -1,5 +1,5 @@
-"""KPL, the knowledge processing language: processes, and the streams between them
-([DyKnow10 §5.2-5.3], SPEC §1)."""
+"""KPL, the Knowledge Processing Language: processes, and the streams between them ([DyKnow10
+§5.2-5.3], SPEC §1)."""
 
 from .ast import Specification
 from .check import check_kpl, parse_label, parse_policy

@@ -1,7 +1,7 @@
-"""The AST of KPL ([DyKnow10 §5.2], SPEC §1): what was written, nothing resolved.
+"""The AST of KPL ([DyKnow10 §5.2], SPEC §1): the text as written, with unresolved names.
 
-Spans say where a thing stands and are no part of what it is: two declarations that differ in
-their spans only are equal. `check` makes what is in `declarations` out of these.
+Spans take no part in comparisons: two declarations that differ only in spans are equal. `check`
+converts these values to those of `declarations`. *Extension* marks additions to the paper.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ KEYWORDS: Final = frozenset(
         *("strict", "strmgen", "to", "update", "use", "with"),
     ]
 )
-"""Def. 5.12: no symbol is called like these. Our `unit`, `sort`, `foreach`, `in` and `sink` are
-free as names."""
+"""Def. 5.12: these words are no symbols. Our `unit`, `sort`, `foreach`, `in` and `sink` may be
+symbols."""
 
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A symbol as written: ``pos_car1``, ``dyknow:speed``; an object's without its quotes."""
+    """A symbol as written: ``pos_car1``, ``dyknow:speed``; an object without its quotes."""
 
     text: str
     span: Span = attribute(compare=False)
@@ -42,8 +42,8 @@ class Time:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Def. 5.22; ``period`` belongs to ``sample every`` alone, ``difference`` to ``change by``
-    ([DyKnow10 §4.3.1]), as written: ``10``, ``0.5``."""
+    """Def. 5.22. ``period`` belongs to ``sample every`` only, ``difference`` to ``change by`` only
+    ([DyKnow10 §4.3.1]); it is as written: ``10``, ``0.5``."""
 
     kind: Literal["any update", "any change", "change by", "sample every"]
     period: Time | None
@@ -53,7 +53,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """Def. 5.23; None is ``oo``."""
+    """Def. 5.23; None stands for ``oo``."""
 
     delay: Time | None
     span: Span = attribute(compare=False)
@@ -61,7 +61,7 @@ class Delay:
 
 @dataclass(frozen=True, slots=True)
 class Duration:
-    """Def. 5.24; ``to_oo`` tells a written ``to oo`` from no ``to``."""
+    """Def. 5.24; ``to_oo`` distinguishes a written ``to oo`` from a missing ``to``."""
 
     start: Time | None
     end: Time | None
@@ -90,7 +90,7 @@ Constraint: TypeAlias = Change | Delay | Duration | Ordering | Approximating
 
 @dataclass(frozen=True, slots=True)
 class LabelTerm:
-    """Def. 5.17: ``pos[car1]``; ``pos`` and ``pos[]`` are the same."""
+    """Def. 5.17: ``pos[car1]``; ``pos`` and ``pos[]`` are equal."""
 
     feature: Name
     objects: tuple[Name, ...]
@@ -99,7 +99,7 @@ class LabelTerm:
 
 @dataclass(frozen=True, slots=True)
 class StreamTerm:
-    """Def. 5.19: a label and the constraints after ``with`` (none: no ``with`` was written)."""
+    """Def. 5.19: a label and the constraints after ``with``; empty without ``with``."""
 
     label: LabelTerm
     policy: tuple[Constraint, ...]
@@ -127,7 +127,8 @@ class Compunit:
 
 @dataclass(frozen=True, slots=True)
 class Mediation:
-    """Ours (Def. 4.7): ``(pos[car] foreach car in cars)``, the inputs of a mediation process."""
+    """Extension (Def. 4.7): ``(pos[car] foreach car in cars)``, the inputs of a mediation
+    process."""
 
     pattern: StreamTerm
     variable: Name
@@ -137,9 +138,9 @@ class Mediation:
 
 @dataclass(frozen=True, slots=True)
 class Strmgen:
-    """Def. 5.18. Without ``terms`` and ``mediation`` nothing in parentheses was written, so a
-    source is meant. ``synchronization`` are the constraints after ``;``, ``inner_times`` is
-    ``; inner times`` (both ours)."""
+    """Def. 5.18. Without ``terms`` and ``mediation`` the process is a source, since the text had no
+    parentheses. ``synchronization`` are the constraints after ``;``, ``inner_times`` is ``; inner
+    times`` (both extensions)."""
 
     label: LabelTerm
     process: Name
@@ -161,7 +162,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Sort:
-    """Ours: ``sort altitude = float`` (one sort) or ``sort pos = (x float, y float)``."""
+    """Extension: ``sort altitude = float`` (one sort) or ``sort pos = (x float, y float)``."""
 
     name: Name
     value: Name | tuple[tuple[Name, Name], ...]
@@ -170,7 +171,8 @@ class Sort:
 
 @dataclass(frozen=True, slots=True)
 class Foreach:
-    """Ours, a configuration process (Def. 4.6): ``generators`` for each object in ``members``."""
+    """Extension, a configuration process (Def. 4.6): ``generators`` for each object in
+    ``members``."""
 
     variable: Name
     members: StreamTerm
@@ -180,7 +182,7 @@ class Foreach:
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """Ours: ``sink Log(speed[car1] with any change)``, a process without output."""
+    """Extension: ``sink Log(speed[car1] with any change)``, a process without output."""
 
     name: Name
     terms: tuple[StreamTerm, ...]
@@ -192,7 +194,7 @@ Declaration: TypeAlias = Source | Compunit | Strmgen | Stream | Sort | Foreach |
 
 @dataclass(frozen=True, slots=True)
 class Specification:
-    """Def. 5.14. ``unit`` says what integers are; None: whoever reads it decides."""
+    """Def. 5.14. ``unit`` is that of integers; None: the caller decides."""
 
     unit: Name | None
     declarations: tuple[Declaration, ...]

@@ -1,8 +1,8 @@
-"""KPL declarations against what is declared and the ontology ([DyKnow10 Def. 4.6, 5.13-5.20]).
+"""Checks KPL declarations against earlier ones and the ontology ([DyKnow10 Def. 4.6, 5.13-5.20]).
 
-What the paper leaves open is settled here. A symbol is declared before it is used. Declaring a
-symbol again exactly as it is changes nothing. Symbols are unique, but a sort and a feature may
-share a name, as in Example 5.5. All generators of a feature have as many objects.
+The paper leaves these rules open. A declaration precedes the uses of its symbol. Repeating a
+declaration exactly changes nothing. Symbols are unique, but a sort and a feature may share a name,
+as in Example 5.5. All generators of a feature have the same number of objects.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from .declarations import (
     SourceDeclaration,
     StreamDeclaration,
 )
+from .dependencies import generator_needs
 from .generators import Generators
-from .needs import generator_needs
 from .parser import parse_constraints, parse_label_term
 from .printer import format_kpl
 from .scope import Scope, check_unit, label_of
@@ -44,18 +44,19 @@ def check_kpl(
     signature: Signature = EMPTY,
     unit: str = "ms",
 ) -> tuple[tuple[CheckedDeclaration, ...], Signature]:
-    """What ``parse_kpl(source)`` adds to ``signature``: the new declarations, and all of them.
+    """Return what ``parse_kpl(source)`` adds to ``signature``: the new declarations, and all of
+    them.
 
-    ``unit`` is what integers are where the text does not say. Without ``vocabulary`` no sort is a
-    feature's. Raises `LanguageError` at the first declaration that makes no sense; nothing of the
-    text is then declared. Cost: linear in the text and the signature.
+    ``unit`` is the unit of integers if the text states none. Without ``vocabulary`` no sort belongs
+    to a feature. Raises `LanguageError` at the first invalid declaration; then nothing of the text
+    is declared. Cost: linear in the text and the signature.
     """
     if specification.unit is not None:
         written = specification.unit
         unit = written.text
         if unit not in UNITS:
             raise LanguageError(
-                f"`{unit}` is no unit of abstract time", source, written.span, "ns, us, ms or s"
+                f"`{unit}` is not a unit of abstract time", source, written.span, "ns, us, ms or s"
             )
     check_unit(unit)
     symbols = Symbols(BUILT_IN, signature.declarations)
@@ -69,20 +70,20 @@ def check_kpl(
 
 
 def parse_policy(source: str, unit: str = "ms") -> Policy:
-    """A policy by itself, as a subscription gives it: ``any change, max delay 5s``; may be empty.
-    Raises `LanguageError`."""
+    """Parse a single policy, such as that of a subscription: ``any change, max delay 5s``; may be
+    empty. Raises `LanguageError`."""
     check_unit(unit)
     return to_policy(parse_constraints(source), source, unit)
 
 
 def parse_label(source: str) -> Label:
-    """A label by itself in its one spelling: ``dyknow:pos[ car1 ]`` is ``pos[car1]``.
-    Raises `LanguageError`."""
+    """Parse a single label to its canonical form: ``dyknow:pos[ car1 ]`` is ``pos[car1]``. Raises
+    `LanguageError`."""
     return label_of(parse_label_term(source), source)
 
 
 class _Checker:
-    """Declares a text's declarations one after the other; ``new`` are those that were not there."""
+    """Declares a text's declarations in order; ``new`` are those that did not exist."""
 
     def __init__(self, scope: Scope) -> None:
         self.new: list[CheckedDeclaration] = []
@@ -119,30 +120,30 @@ class _Checker:
             case _:
                 assert_never(declaration)
 
-    def add(self, made: CheckedDeclaration, span: Span) -> None:
-        """Declare it, unless it is declared exactly so already."""
-        there = self._scope.by_key.get(made.key)
-        if there is None:
-            self._scope.by_key[made.key] = made
-            self._scope.symbols.add(made)
-            self.new.append(made)
-        elif there != made:
-            hint = "it makes the same for the same objects: remove the other one first"
-            if not isinstance(there, ForeachDeclaration):
-                # Behind the line that says the unit.
-                text = format_kpl(there, self._scope.unit).splitlines()[-1]
+    def add(self, declaration: CheckedDeclaration, span: Span) -> None:
+        """Declare it, unless an equal declaration exists."""
+        existing = self._scope.by_key.get(declaration.key)
+        if existing is None:
+            self._scope.by_key[declaration.key] = declaration
+            self._scope.symbols.add(declaration)
+            self.new.append(declaration)
+        elif existing != declaration:
+            hint = "it makes the same generators for the same objects: remove the other one first"
+            if not isinstance(existing, ForeachDeclaration):
+                # The last line: the first may state the unit.
+                text = format_kpl(existing, self._scope.unit).splitlines()[-1]
                 hint = f"there is `{text}`: remove it first, or choose another name"
             raise self._scope.error(
-                f"`{made.key}` is declared already, and differently", span, hint
+                f"`{declaration.key}` is declared already, and differently", span, hint
             )
 
     def check_name(self, name: str, kind: str, span: Span) -> None:
-        """Of a symbol that is declared: it is not the language's own, and of one kind only."""
+        """Check that a declared symbol is not predefined, and is of one kind only."""
         if name in PROCESSES:
             raise self._scope.error(
                 f"`{name}` is a process of the language",
                 span,
-                f"choose another name; {', '.join(PROCESSES)} are there without a declaration",
+                f"choose another name; {', '.join(PROCESSES)} are predefined",
             )
         self._scope.check_symbol(name, kind, span)
 
@@ -151,7 +152,8 @@ class _Checker:
     def generator(
         self, written: ast.Strmgen, generators: Generators, *members: Label
     ) -> GeneratorDeclaration:
-        """A generator, alone or in a ``foreach`` over ``members``, with its label's symbols."""
+        """Check a generator, alone or in a ``foreach`` over ``members``, with the symbols of its
+        label."""
         scope, span = self._scope, written.label.span
         feature = scope.label(written.label).feature
         self.check_name(feature, FEATURE, written.label.feature.span)
@@ -160,14 +162,14 @@ class _Checker:
         reader = scope.symbols.reader(feature)
         if reader is not None and made.sort not in scope.symbols.sorts(feature):
             raise scope.error(
-                f"`{made.label}` is of another sort than the streams of `{feature}` that there are",
+                f"`{made.label}` has another sort than the existing streams of `{feature}`",
                 span,
-                f"`{reader}` reads those of every object, and they need one sort",
+                f"`{reader}` reads the streams of every object, which need one sort",
             )
         needs = (*map(str, members), *generator_needs(made, *generators.variables))
         if scope.symbols.is_circle(feature, needs):
             raise scope.error(
-                f"`{made.label}` would be made out of itself",
+                f"`{made.label}` would depend on itself",
                 span,
                 f"`{reader or made.label}` reads `{feature}` of every object, and this is one: "
                 "give it a feature of its own",
@@ -189,7 +191,7 @@ class _Checker:
                     span,
                     f"its label names the object: `{label.feature}[{variable}]`",
                 )
-            if any(label == there.label for there in generators):
+            if any(label == earlier.label for earlier in generators):
                 raise scope.error(
                     f"`{label}` is declared twice for each object",
                     span,
@@ -199,7 +201,7 @@ class _Checker:
             generators.append(generator)
         made = ForeachDeclaration(variable, members, tuple(generators))
         for generator, written in zip(generators, declaration.generators, strict=True):
-            other = scope.symbols.configured(members.label, generator.label, variable)
+            other = scope.symbols.foreach_key(members.label, generator.label, variable)
             if other not in (None, made.key):
                 raise scope.error(
                     f"`{generator.label}` is made for each object already",

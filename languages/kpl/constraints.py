@@ -1,7 +1,8 @@
-"""Constraints as written to policies in ns ([DyKnow10 Def. 5.21-5.26, 5.37]).
+"""Converts constraints to policies in ns ([DyKnow10 Def. 5.21-5.26, 5.37]).
 
-Several constraints of a kind hold together, as Def. 5.37's conjunction says: the least delay, the
-common part of durations, the strictest order, the change constraint that implies the other.
+Several constraints of a kind apply together, as the conjunction of Def. 5.37 states: the least
+delay, the intersection of the durations, the strictest order, the change constraint that implies
+the other.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from ..errors import LanguageError, Span
 from . import ast
 
 UNITS: Final = {"ns": NANOSECOND, "us": MICROSECOND, "ms": MILLISECOND, "s": SECOND}
-"""What a specification's abstract integers may be (SPEC §1), in ns."""
+"""The units of abstract integers (SPEC §1), in ns."""
 
 _MOST_DIGITS: Final = 40
 _ORDERS: Final = (Order.ANY, Order.MONOTONE, Order.STRICT)
@@ -46,7 +47,7 @@ _ORDERS: Final = (Order.ANY, Order.MONOTONE, Order.STRICT)
 
 @dataclass(frozen=True, slots=True)
 class _Constraints:
-    """One constraint of each kind, and where the approximation was written. ``change`` None: none
+    """The merged constraint of each kind, and the place of the approximation. ``change`` None: none
     was written."""
 
     change: Change | None
@@ -58,7 +59,7 @@ class _Constraints:
 
 
 def to_policy(constraints: Sequence[ast.Constraint], source: str, unit: str) -> Policy:
-    """The policy that these constraints are (Def. 5.21). Raises `LanguageError`."""
+    """Return the policy of these constraints (Def. 5.21). Raises `LanguageError`."""
     merged = _merge(constraints, source, unit)
     try:
         return Policy(
@@ -76,19 +77,19 @@ def to_policy(constraints: Sequence[ast.Constraint], source: str, unit: str) -> 
 def to_synchronization(
     constraints: Sequence[ast.Constraint], source: str, unit: str, span: Span
 ) -> SynchronizationPolicy:
-    """The policy of a synchronization, which says when states are. Raises `LanguageError`; at
-    ``span`` if it does not say."""
+    """Return the policy of a synchronization, which must state the times of the states. Raises
+    `LanguageError`; at ``span`` if it does not."""
     merged = _merge(constraints, source, unit)
     if merged.change is None:
         raise LanguageError(
-            "a synchronization says when its states are",
+            "a synchronization needs the times of its states",
             source,
             span,
             "write `sync(a, b; sample every 100, max delay 50)` or `sync(a, b; any change)`",
         )
     if isinstance(merged.change, ChangeBy):
         raise LanguageError(
-            "`change by` says nothing of the times at which states are",
+            "`change by` does not determine the times of states",
             source,
             span,
             "write `any change`, and read the states with the policy: `stream s = state with "
@@ -121,7 +122,7 @@ def _merge(constraints: Sequence[ast.Constraint], source: str, unit: str) -> _Co
                 approximations.setdefault(constraint.approximation, constraint.span)
                 if len(approximations) > 1:
                     raise LanguageError(
-                        "samples are approximated or they are not",
+                        "the approximation constraints exclude each other",
                         source,
                         constraint.span,
                         "keep one of `no approximation` and `use most recent`",
@@ -143,7 +144,7 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
         period = duration(constraint.period, source, unit)
         if period <= 0:
             raise LanguageError(
-                f"a sample period is longer than nothing, not {constraint.period.text}",
+                f"a sample period must be greater than 0, not {constraint.period.text}",
                 source,
                 constraint.period.span,
                 "write for example `sample every 100`",
@@ -153,7 +154,7 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
                 "two sample periods in one policy",
                 source,
                 constraint.span,
-                "valid times cannot differ by exactly two times at once: keep one",
+                "keep one: a policy has one period",
             )
         return SampleEvery(period)
     if constraint.kind == "any change":
@@ -162,14 +163,14 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
 
 
 def _larger(change: Change | None, constraint: ast.Change, source: str) -> ChangeBy:
-    """``change by``, together with what was written before: it implies ``any change``."""
+    """Merge ``change by`` with the earlier change constraint; it implies ``any change``."""
     if isinstance(change, SampleEvery):
         raise _two_changes(constraint, source)
     try:
         wanted = ChangeBy(float(constraint.difference or ""))
     except ValueError as error:
         raise LanguageError(
-            f"`change by {constraint.difference}` names no difference above 0",
+            f"`change by {constraint.difference}` needs a difference greater than 0",
             source,
             constraint.span,
             error.hint
@@ -216,10 +217,10 @@ _TIME_POINT = re.compile(r"\d{4}-")
 
 
 def duration(time: ast.Time, source: str, unit: str) -> int:
-    """A stretch of time in ns: an integer in ``unit``, or a number with a unit of its own."""
+    """Return a duration in ns: an integer in ``unit``, or a number with its own unit."""
     if _TIME_POINT.match(time.text):
         raise LanguageError(
-            "a point in time stands where a stretch of time is meant",
+            "expected a duration, found a point in time",
             source,
             time.span,
             "write an integer, or a number with a unit: `200`, `1.5s`",
@@ -228,14 +229,15 @@ def duration(time: ast.Time, source: str, unit: str) -> int:
 
 
 def time_point(time: ast.Time, source: str, unit: str) -> int:
-    """A time in ns since 1970: an integer in ``unit``, a number with a unit, or ISO-8601."""
+    """Return a time in ns since 1970: an integer in ``unit``, a number with its own unit, or
+    ISO-8601."""
     if not _TIME_POINT.match(time.text):
         return _nanoseconds(time, source, unit)
     try:
         return parse_time(time.text)
     except ValueError as error:
         raise LanguageError(
-            f"`{time.text}` is no point in time",
+            f"`{time.text}` is not a point in time",
             source,
             time.span,
             "times are 64-bit nanoseconds: years 1678 to 2262"
@@ -254,9 +256,9 @@ def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
     digits = text.lstrip("+-")
     sign = -1 if text.startswith("-") else 1
     too_long = refused(
-        f"`{text}` is more than 64 bits of nanoseconds hold"
+        f"`{text}` exceeds 64 bits of nanoseconds"
         if len(text) <= _MOST_DIGITS
-        else "this is more than 64 bits of nanoseconds hold",
+        else "this exceeds 64 bits of nanoseconds",
         f"integers are in {unit} here; times reach {TIME_MAX // UNITS[unit]} {unit}",
     )
     if len(text) > _MOST_DIGITS:
@@ -265,7 +267,7 @@ def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
         total = sign * int(digits) * UNITS[unit]
     elif digits[-1].isdigit():
         raise refused(
-            f"`{text}` is no integer", "a fraction of a time needs a unit of its own: `1.5s`"
+            f"`{text}` is not an integer", "a fraction of a time needs a unit of its own: `1.5s`"
         )
     else:
         try:
@@ -281,7 +283,7 @@ def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
                     return TIME_MIN
                 raise too_long from None
             raise refused(
-                f"`{text}` is no time", "units are ns, us, ms, s, m, h and d: `200ms`, `1.5s`"
+                f"`{text}` is not a time", "units are ns, us, ms, s, m, h and d: `200ms`, `1.5s`"
             ) from None
     if not TIME_MIN <= total <= TIME_MAX:
         raise too_long

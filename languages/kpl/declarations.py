@@ -1,7 +1,7 @@
-"""What checked KPL declarations mean ([DyKnow10 Def. 4.6, 4.7, 5.13-5.20]).
+"""Checked KPL declarations ([DyKnow10 Def. 4.6, 4.7, 5.13-5.20]).
 
-`check` makes these, `printer` prints them, `signature` holds them; the engine runs them.
-Everything is frozen.
+`check` makes them, `printer` prints them, `signature` collects them, and the engine runs them. All
+values are frozen. *Extension* marks additions to the paper.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from ...streams.sample import Field, FieldType, Schema
 from .ast import KEYWORDS
 
 PROCESSES: Final = ("join", "sync", "aggregate", "select", "selectObject")
-"""Process names that need no declaration: Def. 5.11's join, synchronization (SPEC §1), and the
-mediation processes (Def. 4.7)."""
+"""The predefined processes: the join of Def. 5.11, synchronization (SPEC §1), and the mediation
+processes (Def. 4.7)."""
 
 VALUE: Final = "value"
-"""What the only field of a simple sort is called."""
+"""The name of the only field of a simple sort."""
 OBJECT_FIELD: Final = "object"
-"""The field of an aggregate's samples that names the object."""
+"""The field of an aggregate's samples that names their object."""
 
 _PLAIN_OBJECT: Final = re.compile(
     r"([A-Za-z0-9_]+|[A-Za-z_][A-Za-z0-9_-]*:[A-Za-z_][A-Za-z0-9_]*)\Z"
@@ -34,9 +34,9 @@ _PLAIN_OBJECT: Final = re.compile(
 class ValueSort:
     """A set of values (Def. 5.13): ``float``, the range of a feature, a declared sort.
 
-    A simple sort has one field, `VALUE`. ``fields`` None is an *open* sort, known by name only
-    (the paper's ``pos``): the first sample decides its fields. ``feature`` is the IRI of the
-    feature of the ontology that the sort is named after, else None.
+    A simple sort has one field, `VALUE`. ``fields`` is None for an *open* sort, which has only a
+    name (the paper's ``pos``): the first sample determines its fields. ``feature`` is the IRI of
+    the ontology's feature with this name, else None.
     """
 
     name: str
@@ -56,27 +56,27 @@ class ValueSort:
 
     @property
     def schema(self) -> Schema | None:
-        """The fields of its samples; None for an open sort."""
+        """The schema of its samples; None for an open sort."""
         return None if self.fields is None else Schema(self.fields)
 
     @property
     def object_field(self) -> str | None:
-        """The field that names the object a sample is of: ``object``, else ``id``, else the first
-        text. None if there is none, or the sort is open."""
+        """The field that names a sample's object: ``object``, else ``id``, else the first text.
+        None if there is none, or if the sort is open."""
         texts = [field.name for field in self.fields or () if field.type is FieldType.STRING]
         return object_field(texts)
 
 
 def object_field(texts: Sequence[str]) -> str | None:
-    """Which of some text fields names the object a sample is of: ``object``, else ``id``, else the
-    first. None if there is none."""
+    """Return the text field that names a sample's object: ``object``, else ``id``, else the first.
+    None if there is none."""
     return next((name for name in (OBJECT_FIELD, "id", *texts) if name in texts), None)
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Def. 5.17: a feature and the objects that it is of. ``str`` is its one spelling, which
-    `parse_label` reads: ``pos[car1]``, ``pos`` without objects, ``pos["car 1"]``."""
+    """Def. 5.17: a feature and its objects. ``str`` is the canonical form, which `parse_label`
+    reads: ``pos[car1]``, ``pos`` without objects, ``pos["car 1"]``."""
 
     feature: str
     objects: tuple[str, ...] = ()
@@ -89,16 +89,16 @@ class Label:
     @property
     def identifier(self) -> str:
         """The label as one word of letters, digits and ``_``, for names of fields: ``pos_car1``.
-        Labels that differ may have the same."""
+        Different labels may have the same identifier."""
         return re.sub(r"[^A-Za-z0-9_]", "_", "_".join((self.feature, *self.objects)))
 
     def bound(self, variable: str, object: str) -> Label:
-        """The label with an object in the place of the variable."""
+        """Return the label with an object in place of the variable."""
         return Label(self.feature, tuple(object if o == variable else o for o in self.objects))
 
 
 def _object_text(name: str) -> str:
-    """As it is, or in quotes where it would be read as something else."""
+    """Return an object's name, in quotes where it would parse as something else."""
     if _PLAIN_OBJECT.match(name) and name not in KEYWORDS:
         return name
     return json.dumps(name, ensure_ascii=False)
@@ -106,7 +106,7 @@ def _object_text(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """Def. 5.19: the stream that a generator makes for a subscription with this policy."""
+    """Def. 5.19: the stream of a generator for a subscription with this policy."""
 
     label: Label
     policy: Policy
@@ -115,7 +115,7 @@ class Term:
         return str(self.label)
 
     def bound(self, variable: str, object: str) -> Term:
-        """The term with an object in the place of the variable."""
+        """Return the term with an object in place of the variable."""
         return Term(self.label.bound(variable, object), self.policy)
 
 
@@ -124,7 +124,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class FromSource:
-    """``strmgen l = s``: what the source gives (Def. 5.33)."""
+    """``strmgen l = s``: the samples of the source (Def. 5.33)."""
 
     name: str
 
@@ -139,11 +139,11 @@ class Compute:
 
 @dataclass(frozen=True, slots=True)
 class JoinOf:
-    """``strmgen l = join(w1, …, wn)``: the tuples of Def. 5.11 as they are. Ours.
+    """``strmgen l = join(w1, …, wn)``: the tuples of Def. 5.11. An extension.
 
-    ``names`` is what the inputs are called in names of fields, where that is not the `identifier`
-    of their labels: a `ForeachDeclaration` gives all its objects the same fields. With
-    ``inner_times`` (``; inner times``) the times of the inputs' samples are fields as well.
+    ``names`` replaces the `identifier` of the labels in names of fields: the generators of a
+    `ForeachDeclaration` have the same fields for all objects. ``inner_times`` (``; inner times``)
+    adds the times of the inputs' samples as fields.
     """
 
     terms: tuple[Term, ...]
@@ -152,13 +152,14 @@ class JoinOf:
 
     @property
     def identifiers(self) -> tuple[str, ...]:
-        """What each input is called in names of fields."""
+        """The name of each input in names of fields."""
         return self.names or tuple(term.label.identifier for term in self.terms)
 
 
 @dataclass(frozen=True, slots=True)
 class Synchronize:
-    """``strmgen l = sync(w1, …, wn; policy)``: states (SPEC §1). Ours. ``names`` as in `JoinOf`."""
+    """``strmgen l = sync(w1, …, wn; policy)``: states (SPEC §1). An extension. ``names`` as in
+    `JoinOf`."""
 
     terms: tuple[Term, ...]
     policy: SynchronizationPolicy
@@ -166,15 +167,15 @@ class Synchronize:
 
     @property
     def identifiers(self) -> tuple[str, ...]:
-        """What each input is called in names of fields."""
+        """The name of each input in names of fields."""
         return self.names or tuple(term.label.identifier for term in self.terms)
 
 
 @dataclass(frozen=True, slots=True)
 class Aggregate:
-    """``strmgen l = aggregate(w foreach x in m)``, a mediation process (Def. 4.7): the samples of
-    all streams ``pattern`` as one stream, where ``variable`` stands for the objects that
-    ``members`` names now. A sample that does not say whose it is gets the field `OBJECT_FIELD`."""
+    """``strmgen l = aggregate(w foreach x in m)``, a mediation process (Def. 4.7). It merges all
+    streams ``pattern``, where ``variable`` stands for the objects that ``members`` names now. A
+    sample without the name of its object gets the field `OBJECT_FIELD`."""
 
     variable: str
     pattern: Term
@@ -193,9 +194,9 @@ class Select:
 
 @dataclass(frozen=True, slots=True)
 class SelectObject:
-    """``strmgen pos[car1] = selectObject(w)``: of a stream about many objects the samples, as they
-    are, of the object that the generator's label names. `ValueSort.object_field` tells whose a
-    sample is. Ours ([Events14 §V.C])."""
+    """``strmgen pos[car1] = selectObject(w)``: of a stream about many objects, the samples of the
+    object in the generator's label. `ValueSort.object_field` names a sample's object. An extension
+    ([Events14 §V.C])."""
 
     term: Term
 
@@ -208,7 +209,7 @@ Process: TypeAlias = FromSource | Compute | JoinOf | Synchronize | Aggregate | S
 
 @dataclass(frozen=True, slots=True)
 class SourceDeclaration:
-    """Def. 5.15: a process without inputs that gives samples of ``sort``."""
+    """Def. 5.15: a process without inputs that produces samples of ``sort``."""
 
     name: str
     sort: ValueSort
@@ -233,11 +234,11 @@ class CompunitDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class GeneratorDeclaration:
-    """Def. 5.18: a generator of streams, and the process instance that it belongs to.
+    """Def. 5.18: a generator of streams, and its process instance.
 
-    The sort of a join or synchronization is called like the label's feature, and has the inputs'
-    fields under the names of `streams.tuples.flat_names` (open if an input's sort is). That of a
-    mediation is its inputs', with the field `OBJECT_FIELD` where an aggregate adds it.
+    The sort of a join or synchronization has the name of the label's feature. Its fields are those
+    of the inputs, named by `streams.tuples.flat_names`; it is open if the sort of an input is. The
+    sort of a mediation is that of its inputs; an aggregate may add the field `OBJECT_FIELD`.
     """
 
     label: Label
@@ -250,7 +251,7 @@ class GeneratorDeclaration:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The streams that the process subscribes to; none for a source. Of a mediation the
+        """The streams that the process subscribes to; none for a source. For a mediation: the
         pattern, whose variable is not bound, and the members."""
         match self.process:
             case FromSource():
@@ -267,7 +268,7 @@ class GeneratorDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class StreamDeclaration:
-    """Def. 5.20: a named stream that the application gives to the outside."""
+    """Def. 5.20: a named stream that the application offers to others."""
 
     name: str
     sort: ValueSort
@@ -280,7 +281,7 @@ class StreamDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class SortDeclaration:
-    """Ours: what the values of a sort are. Its fields are never open."""
+    """Extension: the values of a sort. Its fields are never open."""
 
     sort: ValueSort
 
@@ -290,14 +291,14 @@ class SortDeclaration:
 
     @property
     def key(self) -> str:
-        # Sorts and features may share a name, so a sort's key is told apart.
+        # A sort and a feature may share a name, so the key of a sort has a prefix.
         return f"sort {self.sort.name}"
 
 
 @dataclass(frozen=True, slots=True)
 class ForeachDeclaration:
-    """Ours, a configuration process (Def. 4.6): there are ``generators`` for each object that
-    ``members`` names now, with the object for ``variable`` in them; `instantiate` makes them."""
+    """Extension, a configuration process (Def. 4.6): ``generators`` for each object that
+    ``members`` names now, with the object in place of ``variable``. `instantiate` makes them."""
 
     variable: str
     members: Term
@@ -305,16 +306,17 @@ class ForeachDeclaration:
 
     @property
     def key(self) -> str:
-        """What it is for and what it makes: ``foreach car in cars: pos[car], speed[car]``."""
-        # Two that make the same for the same objects would stand in each other's way.
+        """The key, from its objects and generators: ``foreach car in cars: pos[car],
+        speed[car]``."""
+        # Two with this key would make the same generators for the same objects.
         made = ", ".join(generator.key for generator in self.generators)
         head = f"foreach {self.variable} in {self.members.label}"
         return f"{head}: {made}" if made else head
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The streams that it and what it makes subscribe to, each once and the members first;
-        those that it makes itself left out."""
+        """The streams that it and its generators subscribe to, each once, the members first,
+        without its own."""
         own = {generator.label for generator in self.generators}
         read = [term for generator in self.generators for term in generator.terms]
         return tuple(dict.fromkeys((self.members, *(t for t in read if t.label not in own))))
@@ -322,7 +324,7 @@ class ForeachDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class SinkDeclaration:
-    """Ours: a process without output that gets the samples of ``terms`` (SPEC §1)."""
+    """Extension: a process without output that receives the samples of ``terms`` (SPEC §1)."""
 
     name: str
     terms: tuple[Term, ...]
@@ -347,10 +349,11 @@ CheckedDeclaration: TypeAlias = (
 
 
 def instantiate(foreach: ForeachDeclaration, object: str) -> tuple[GeneratorDeclaration, ...]:
-    """The generators of a configuration process for one object, each behind what it uses.
+    """Return the generators of a configuration process for one object, each after those that it
+    uses.
 
-    Their sorts are those of the pattern: every object's samples have the same fields. Cost: linear
-    in the terms.
+    Their sorts are those of the pattern: the samples of all objects have the same fields. Cost:
+    linear in the terms.
     """
     return tuple(
         replace(
@@ -378,7 +381,7 @@ def _bound(process: Process, variable: str, object: str) -> Process:
         case SelectObject(term):
             return SelectObject(term.bound(variable, object))
         case Aggregate(own, pattern, members) | Select(own, pattern, members):
-            # `check` sees to it that its variable is another one, but an object may be called so.
+            # `check` refuses a nested variable with the same name, but an object may have its name.
             free = own
             while free == object:
                 free += "_"

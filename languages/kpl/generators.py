@@ -1,7 +1,7 @@
-"""Generators, their processes and the terms that these read ([DyKnow10 Def. 4.7, 5.17-5.19]).
+"""Checks generators, their processes and their terms ([DyKnow10 Def. 4.7, 5.17-5.19]).
 
-`check` calls this with what is declared so far. In terms, a variable of ``foreach`` stands for
-objects that are known when the system runs: such a term reads some generators of its feature.
+`check` calls this with the declarations so far. A variable of ``foreach`` stands for objects that
+are known at run time: a term with one reads some generators of its feature.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ..errors import LanguageError, Span
-from ..hints import count, did_you_mean, near
+from ..hints import count, did_you_mean, suggest_name
 from . import ast
 from .constraints import to_policy, to_synchronization
 from .declarations import (
@@ -54,13 +54,13 @@ _FORMS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Generators:
-    """Reads generators in a scope; ``variables`` are bound around them."""
+    """Checks generators in a scope; ``variables`` are bound around them."""
 
     scope: Scope
     variables: tuple[str, ...] = ()
 
     def bind(self, variable: ast.Name) -> Generators:
-        """With one more variable. Raises `LanguageError` if it is bound already."""
+        """Add a variable. Raises `LanguageError` if it is bound already."""
         if variable.text in self.variables:
             raise self.scope.error(
                 f"`{variable.text}` is the variable of the `foreach` around this",
@@ -70,8 +70,8 @@ class Generators:
         return replace(self, variables=(*self.variables, variable.text))
 
     def generator(self, written: ast.Strmgen) -> GeneratorDeclaration:
-        """What ``strmgen LABEL = …`` declares, its label's symbols unchecked. Raises
-        `LanguageError`."""
+        """Return the generator of ``strmgen LABEL = …``, without checking the symbols of its label.
+        Raises `LanguageError`."""
         label = self.scope.label(written.label)
         name, span = written.process.text, written.process.span
         found = self.scope.by_key.get(name)
@@ -113,24 +113,24 @@ class Generators:
         )
 
     def _check_form(self, written: ast.Strmgen) -> None:
-        """Each process has its own form of inputs."""
+        """Check that the inputs have the form that the process needs."""
         name = written.process.text
         if written.synchronization and name != "sync":
             raise self.scope.error(
                 f"`{name}` takes no constraints of its own",
                 written.synchronization[0].span,
-                "constraints after `;` belong to `sync`; those of an input stand after `with`",
+                "constraints after `;` belong to `sync`; those of an input follow `with`",
             )
         if written.inner_times and name != "join":
             raise self.scope.error(
                 f"`{name}` has no inner times",
                 written.process.span,
-                "`; inner times` is for `join` alone: of a state, the valid time is its own",
+                "only `join` has `; inner times`: a state has a valid time of its own",
             )
         mediates = name in ("aggregate", "select")
         if written.mediation is not None and not mediates:
             raise self.scope.error(
-                "`foreach` among the inputs is for `aggregate` and `select` alone",
+                "only `aggregate` and `select` have `foreach` among the inputs",
                 written.mediation.variable.span,
                 "declare a generator of one of them, and name its label here",
             )
@@ -138,7 +138,7 @@ class Generators:
         if written.terms and (mediates or too_many):
             span = Span(written.terms[0].span.start, written.terms[-1].span.end)
             raise self.scope.error(
-                f"these are no inputs of `{name}`", span, f"write `{_FORMS[name]}`"
+                f"these are not inputs of `{name}`", span, f"write `{_FORMS[name]}`"
             )
 
     def _check_inputs(
@@ -172,8 +172,8 @@ class Generators:
         if not tuples or label.feature == input.name:
             return ""
         return (
-            f"the sort of a join or synchronization is called like its feature: take "
-            f"`{label.feature}`, or call the feature `{input.name}`"
+            f"the sort of a join or synchronization has the name of its feature: declare "
+            f"`{label.feature}`, or name the feature `{input.name}`"
         )
 
     # -- mediation -------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class Generators:
         pattern_label = self.scope.label(written.pattern.label)
         if variable not in pattern_label.objects:
             raise self.scope.error(
-                f"`{variable}` is no object of `{pattern_label}`",
+                f"`{variable}` is not an object of `{pattern_label}`",
                 written.pattern.label.span,
                 f"write `{pattern_label.feature}[{variable}]`",
             )
@@ -196,7 +196,7 @@ class Generators:
         return GeneratorDeclaration(label, of_many_objects(sort), process)
 
     def members(self, written: ast.StreamTerm) -> Term:
-        """A term whose samples name objects."""
+        """Check a term whose samples name objects."""
         term, sort = self.term(written)
         self._check_names_objects(term, sort, written)
         return term
@@ -204,7 +204,7 @@ class Generators:
     def _select_object(self, label: Label, written: ast.Strmgen) -> GeneratorDeclaration:
         if len(label.objects) != 1:
             raise self.scope.error(
-                f"`{label}` does not say which object to select",
+                f"`{label}` does not name the object to select",
                 written.process.span,
                 "the label names one object: `strmgen pos[car1] = selectObject(positions)`",
             )
@@ -213,7 +213,7 @@ class Generators:
         return GeneratorDeclaration(label, sort, SelectObject(term))
 
     def _check_names_objects(self, term: Term, sort: ValueSort, written: ast.StreamTerm) -> None:
-        """Objects are named by texts; an open sort may have some."""
+        """Check that the sort has a text field, which names objects; an open sort may get one."""
         if sort.fields is not None and sort.object_field is None:
             raise self.scope.error(
                 f"`{term.label}` is of sort `{sort.name}`, which has no field that names an object",
@@ -224,7 +224,7 @@ class Generators:
     # -- terms -----------------------------------------------------------------------------
 
     def term(self, written: ast.StreamTerm) -> tuple[Term, ValueSort]:
-        """A term that reads what is declared, and the sort of its values."""
+        """Return a term that reads a declared generator, and the sort of its values."""
         label, span = self.scope.label(written.label), written.label.span
         term = Term(label, to_policy(written.policy, self.scope.source, self.scope.unit))
         if not set(self.variables).isdisjoint(label.objects):
@@ -241,7 +241,7 @@ class Generators:
         raise self._unknown_label(label, span)
 
     def _pattern_sort(self, label: Label, span: Span) -> ValueSort:
-        """The sort of a label with a variable: that of all its feature's generators."""
+        """Return the sort of a label with a variable: that of all generators of its feature."""
         self.scope.check_arity(label, span)
         sorts = self.scope.symbols.sorts(label.feature)
         if not sorts:
@@ -263,47 +263,47 @@ class Generators:
             )
         return open_sort or sorts[0]
 
-    # -- what is not there -----------------------------------------------------------------
+    # -- unknown names ---------------------------------------------------------------------
 
     def _unknown_label(self, label: Label, span: Span) -> LanguageError:
         scope, name = self.scope, str(label)
-        there = scope.by_key.get(name)
-        if there is not None:
+        declaration = scope.by_key.get(name)
+        if declaration is not None:
             return scope.error(
-                f"`{name}` is {scope.symbols.kind(name)}, no generator",
+                f"`{name}` is {scope.symbols.kind(name)}, not a generator",
                 span,
-                f"it has no output: name the label of what `{name}` gets"
-                if isinstance(there, SinkDeclaration)
+                f"it has no output: name the label of an input of `{name}`"
+                if isinstance(declaration, SinkDeclaration)
                 else f"declare a generator of it, `strmgen LABEL = {name}`, and name the label",
             )
         scope.check_arity(label, span)
-        for later in scope.written:
+        for later in scope.text_declarations:
             if isinstance(later, ast.Strmgen) and scope.label(later.label) == label:
                 return self._used_before("generator", name, span, later)
-        known = scope.keys_of(GeneratorDeclaration)
+        labels = scope.keys_of(GeneratorDeclaration)
         pattern = scope.symbols.pattern(label.feature)
         if pattern is None:
-            hint = near(name, known)
+            hint = suggest_name(name, labels)
         else:
-            hint = did_you_mean(name, known) or (
-                f"`{pattern}` is made for objects as they come: follow one with "
+            hint = did_you_mean(name, labels) or (
+                f"`{pattern}` is made for each new object: follow one object with "
                 f"`select({pattern} foreach … in …)`"
             )
         return scope.error(f"there is no generator `{name}`", span, hint)
 
     def _unknown_pattern(self, label: Label, span: Span) -> LanguageError:
-        """No generator of the feature is there, for no object."""
+        """Return the error for a feature without generators."""
         scope, feature = self.scope, label.feature
-        for declaration in scope.written:
+        for declaration in scope.text_declarations:
             inside = declaration.generators if isinstance(declaration, ast.Foreach) else ()
             for later in (declaration, *inside):
                 if isinstance(later, ast.Strmgen) and scope.label(later.label).feature == feature:
                     return self._used_before("generator", str(label), span, later)
         return scope.error(
-            f"there is no generator of `{feature}`, for no object",
+            f"no object has a generator of `{feature}`",
             span,
             did_you_mean(feature, scope.symbols.features())
-            or f"declare `strmgen {label} = …` in a `foreach`, or one for an object that you know",
+            or f"declare `strmgen {label} = …` in a `foreach`, or one for a known object",
         )
 
     def _unknown_process(self, name: ast.Name, kind: type[CheckedDeclaration]) -> LanguageError:
@@ -311,7 +311,7 @@ class Generators:
         is_source = kind is SourceDeclaration
         what = "source" if is_source else "computational unit"
         form = f"source SORT {text}" if is_source else f"compunit SORT {text}(SORT)"
-        for later in scope.written:
+        for later in scope.text_declarations:
             kinds = ast.Source if is_source else ast.Compunit
             if isinstance(later, kinds) and later.name.text == text:
                 return self._used_before(what, text, name.span, later)
@@ -319,7 +319,7 @@ class Generators:
         other = scope.symbols.kind(text)
         if other is not None:
             hint = hint or f"declare a {what} of another name"
-            return scope.error(f"`{text}` is {other}, no {what}", name.span, hint)
+            return scope.error(f"`{text}` is {other}, not a {what}", name.span, hint)
         hint = hint or f"declare `{form}` first"
         return scope.error(f"there is no {what} `{text}`", name.span, hint)
 

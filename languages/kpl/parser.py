@@ -1,4 +1,4 @@
-"""Text to KPL declarations ([DyKnow10 §5.2], SPEC §1). The grammar is `kpl.lark`.
+"""Parses text to KPL declarations ([DyKnow10 §5.2], SPEC §1). The grammar is `kpl.lark`.
 
 Names are not resolved here; `check` does that.
 """
@@ -8,47 +8,30 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
-from functools import cache
-from importlib import resources
 from typing import Final
 
-from lark import Lark, Token, Tree
+from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ...streams.policies.policy import Approximation, Order
 from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
-from ..hints import did_you_mean
-from ..remembered import remembered
+from ..hints import did_you_mean, or_list
 from ..syntax import (
+    TERMINALS,
     check_names,
     expected_hint,
+    grammar,
     span_of,
     syntax_error,
     tokens,
     trees,
 )
+from ..text_cache import TextCache
 from . import ast
 
+_STARTS: Final = ("start", "policy_text", "label_text")
 _LONGEST_LABEL: Final = 5 * LONGEST_NAME
-_EXPECTED: Final = {
-    "NAME": "a name",
-    "PREFIXED": "a name",
-    "NUMBER": "a time",
-    "TIME_POINT": "a time",
-    "OBJECT_ID": "a name",
-    "STRING": "a name in quotes",
-    "EQUAL": "`=`",
-    "LPAR": "`(`",
-    "RPAR": "`)`",
-    "LSQB": "`[`",
-    "RSQB": "`]`",
-    "LBRACE": "`{`",
-    "RBRACE": "`}`",
-    "COMMA": "`,`",
-    "SEMICOLON": "`;`",
-    "$END": "the end",
-}
 _DECLARATIONS: Final = ("source", "compunit", "strmgen", "stream", "sort", "foreach", "sink")
 _DECLARING: Final = frozenset(word.upper() for word in _DECLARATIONS)
 _CONSTRAINING: Final = frozenset({"ANY", "SAMPLE", "MAX", "FROM", "TO", "STRICT", "NO", "USE"})
@@ -59,7 +42,7 @@ _CONSTRAINTS: Final = (
 )
 
 _TERMS: Final = "a term is a label, `pos[car1]`, or one with a policy: `pos[car1] with any change`"
-_BLOCK: Final = "in a `foreach` stand generators, `strmgen speed[car] = …`, and `}` ends it"
+_BLOCK: Final = "a `foreach` contains generators, `strmgen speed[car] = …`, and ends with `}`"
 _FOR_EACH_OBJECT: Final = {
     "source_decl": "declare the source before it: one serves the streams of every object",
     "compunit_decl": "declare the computational unit before it: one serves every object",
@@ -70,20 +53,13 @@ _FOR_EACH_OBJECT: Final = {
 }
 
 
-@cache
-def _grammar() -> Lark:
-    text = resources.files(__package__).joinpath("kpl.lark").read_text(encoding="utf-8")
-    starts = ["start", "policy_text", "label_text"]
-    return Lark(text, start=starts, parser="lalr", lexer="contextual", propagate_positions=True)
-
-
-@remembered
+@TextCache
 def parse_kpl(source: str) -> ast.Specification:
-    """The declarations of a KPL text, in order; ``#`` and ``//`` start comments.
+    """Parse the declarations of a KPL text, in order; ``#`` and ``//`` start comments.
 
-    Raises `LanguageError` for a text that the grammar refuses; the caret stands under the first
-    thing that cannot be there. The last texts are remembered: who has had one read in another
-    thread need not wait for it.
+    Raises `LanguageError` for a text that the grammar refuses; the caret marks the first wrong
+    token. The last texts are cached: the service parses a text in another thread first, then the
+    engine finds it.
     """
     nodes = trees(_parse(source, "start"))
     reader = _Reader(source)
@@ -94,28 +70,28 @@ def parse_kpl(source: str) -> ast.Specification:
 
 
 def parse_constraints(source: str) -> tuple[ast.Constraint, ...]:
-    """The constraints of a policy by itself: ``sample every 200, max delay 50``; may be none."""
+    """Parse the constraints of a single policy: ``sample every 200, max delay 50``; may be none."""
     return _Reader(source).constraints(trees(_parse(source, "policy_text")))
 
 
 def parse_label_term(source: str) -> ast.LabelTerm:
-    """A label by itself: ``pos[car1]``."""
+    """Parse a single label: ``pos[car1]``."""
     return _Reader(source).label(trees(_parse(source, "label_text"))[0])
 
 
 def _parse(source: str, start: str) -> Tree[Token]:
     try:
-        tree = _grammar().parse(source, start=start)
+        tree = grammar("kpl/kpl.lark", *_STARTS).parse(source, start=start)
     except UnexpectedInput as error:
         history = getattr(error, "token_history", None)
         before = history[-1] if history else None
         if before is not None and before.type == "NAME" and before in ast.KEYWORDS:
-            # It was taken for a name, and what stumbles is the next word.
+            # The parser took the keyword for a name and failed at the next word.
             raise _keyword_error(before, source) from None
 
         def hint(found: str, expected: AbstractSet[str]) -> str:
             if before is not None and before.type == "WITH" and found in ("", ")", *_DECLARATIONS):
-                return "after `with` stands a constraint; without one leave `with` out"
+                return "a constraint follows `with`; without one leave `with` out"
             return _syntax_hint(found, expected)
 
         raise syntax_error(error, source, hint) from None
@@ -126,14 +102,14 @@ def _parse(source: str, start: str) -> Tree[Token]:
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     declaring = bool(expected >= _DECLARING)
     if found == "unit" and declaring:
-        return "`unit` stands once, before every declaration"
+        return "`unit` is allowed once, before all declarations"
     if found == "." and declaring:
         return "nothing ends a declaration: leave the full stop out"
     if found.lower() in _BEGINNINGS and "WITH" in expected:
         return f"a policy begins with `with`: write `with {found} …`"
     if declaring and "RBRACE" in expected:
         return _BLOCK
-    words = {name.lower() for name in expected if name not in _EXPECTED}
+    words = {name.lower() for name in expected if name not in TERMINALS}
     meant = did_you_mean(found, words) if found.isidentifier() else ""
     if meant:
         return meant
@@ -142,9 +118,8 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if expected in ({"NAME"}, {"NAME", "PREFIXED"}):
         return "a name is a letter or `_`, then letters, digits and `_`"
     if declaring and expected <= {*_DECLARING, "UNIT", "$END"}:
-        known = [f"`{word}`" for word in _DECLARATIONS]
-        return f"a declaration begins with {', '.join(known[:-1])} or {known[-1]}"
-    return expected_hint(expected, _EXPECTED)
+        return f"a declaration begins with {or_list([f'`{word}`' for word in _DECLARATIONS])}"
+    return expected_hint(expected)
 
 
 def _keyword_error(token: Token, source: str, quoted: bool = False) -> LanguageError:
@@ -154,12 +129,12 @@ def _keyword_error(token: Token, source: str, quoted: bool = False) -> LanguageE
     elif token in _DECLARATIONS:
         hint += "; if a declaration begins here, a name is missing before it"
     return LanguageError(
-        f"`{token}` is a keyword of KPL, so nothing is called that", source, span_of(token), hint
+        f"`{token}` is a keyword of KPL and not allowed as a name", source, span_of(token), hint
     )
 
 
 class _Reader:
-    """Trees of the grammar to the AST."""
+    """Converts trees of the grammar to the AST."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -177,14 +152,14 @@ class _Reader:
             return ast.Name(str(token), span)
         try:
             text = json.loads(token, strict=False)
-            # Half a surrogate pair is no text, though JSON can write it.
+            # JSON allows half a surrogate pair, which is no text.
             text.encode()
         except ValueError:
             raise LanguageError(
-                f"{token} is no text",
+                f"{token} is not a text",
                 self._source,
                 span,
-                'what follows a `\\` is as in JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
+                'escapes are those of JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
             ) from None
         return ast.Name(text, span)
 
@@ -233,8 +208,8 @@ class _Reader:
         return ast.Strmgen(self.label(label), name, terms, synchronization, None, span, is_timed)
 
     def mediation(self, items: list[Tree[Token]], tree: Tree[Token]) -> ast.Mediation:
-        pattern = self.one_term(items, "what is mediated")
-        members = self.one_term(trees(trees(tree)[0]), "what names the objects")
+        pattern = self.one_term(items, "the pattern of a mediation")
+        members = self.one_term(trees(trees(tree)[0]), "the term that names the objects")
         variable = self.name(tokens(tree, "NAME")[0])
         return ast.Mediation(pattern, variable, members, span_of(tree))
 
@@ -244,7 +219,7 @@ class _Reader:
         for node in trees(block):
             if node.data != "strmgen_decl":
                 raise LanguageError(
-                    "a `foreach` declares generators alone",
+                    "a `foreach` declares generators only",
                     self._source,
                     span_of(tokens(node)[0]),
                     _FOR_EACH_OBJECT[str(node.data)],
@@ -257,7 +232,7 @@ class _Reader:
         items, last = self.split(tree)
         if last is not None:
             raise LanguageError(
-                "a sink gets streams, and nothing stands behind them",
+                "the inputs of a sink are streams only",
                 self._source,
                 span_of(last),
                 "declare a generator, `strmgen LABEL = …`, and name its label here",
@@ -273,15 +248,15 @@ class _Reader:
                 f"a label has at most {_LONGEST_LABEL} characters",
                 self._source,
                 found.span,
-                "it is the name of what it labels: declare streams of some of its objects each",
+                "declare several streams, each of some of its objects",
             )
         return found
 
     def split(self, tree: Tree[Token]) -> tuple[list[Tree[Token]], Tree[Token] | None]:
-        """The terms and constraints among arguments, and what stands behind them."""
+        """Split arguments into terms with constraints, and the clause after them."""
         nodes = trees(tree)
-        behind = nodes.pop() if nodes[-1].data in ("synchronized", "mediated", "timed") else None
-        return nodes, behind
+        last = nodes.pop() if nodes[-1].data in ("synchronized", "mediated", "timed") else None
+        return nodes, last
 
     def term(self, label: Tree[Token], policy: Iterable[Tree[Token]]) -> ast.StreamTerm:
         constraints = self.constraints(policy)
@@ -290,7 +265,8 @@ class _Reader:
         return ast.StreamTerm(self.label(label), constraints, Span(span.start, end))
 
     def terms(self, nodes: Iterable[Tree[Token]]) -> tuple[ast.StreamTerm, ...]:
-        """Each with all its constraints: one belongs to the term before it, if that has some."""
+        """Give each term all its constraints: a constraint belongs to the term before it, if that
+        has one already."""
         groups: list[list[Tree[Token]]] = []
         for node in nodes:
             if node.data == "term":
@@ -301,7 +277,7 @@ class _Reader:
                 span = span_of(node)
                 words = self._source[span.start : span.end]
                 raise LanguageError(
-                    "a constraint stands here without a term that it belongs to",
+                    "this constraint belongs to no term",
                     self._source,
                     span,
                     f"a policy begins with `with`: write `label with {words}`",
@@ -312,7 +288,7 @@ class _Reader:
         term, *more = self.terms(nodes)
         if more:
             raise LanguageError(
-                f"{what} is one term", self._source, more[0].span, "leave this one out"
+                f"{what} is a single term", self._source, more[0].span, "leave this one out"
             )
         return term
 

@@ -1,4 +1,4 @@
-"""Checked KPL to text. Law: checking the parsed text of declarations gives them again."""
+"""Prints checked KPL. Law: parsing and checking the text returns the declarations."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ DEFAULT_UNIT: Final = "ms"
 def format_kpl(
     declarations: CheckedDeclaration | Sequence[CheckedDeclaration], unit: str = DEFAULT_UNIT
 ) -> str:
-    """One line a declaration, but several a ``foreach``; integers in ``unit``, with a ``unit`` line
-    first unless it is ms."""
+    """Return a line for each declaration, several for a ``foreach``. Integers are in ``unit``,
+    which the first line states unless it is ms."""
     if not isinstance(declarations, Sequence):
         declarations = (declarations,)
     lines = [] if unit == DEFAULT_UNIT else [f"unit {unit}"]
@@ -53,12 +53,12 @@ def format_kpl(
 
 
 def format_policy(policy: Policy | SynchronizationPolicy, unit: str = DEFAULT_UNIT) -> str:
-    """``sample every 200, max delay 50, from 0 to oo``; constraints at their default are left
-    out, so the default policy is empty text. A synchronization's change is always there."""
+    """Return ``sample every 200, max delay 50, from 0 to oo`` without defaults, so the default
+    policy is empty. A synchronization always states its change."""
     parts = []
     match policy.change:
         case AnyUpdate():
-            # A synchronization has no default: it says when its states are.
+            # A synchronization has no default: it must state the times of its states.
             parts += ["any update"] if isinstance(policy, SynchronizationPolicy) else []
         case AnyChange():
             parts.append("any change")
@@ -86,7 +86,7 @@ def format_policy(policy: Policy | SynchronizationPolicy, unit: str = DEFAULT_UN
 
 
 def format_term(term: Term, unit: str = DEFAULT_UNIT) -> str:
-    """``pos[car1] with sample every 200``."""
+    """Return ``pos[car1] with sample every 200``."""
     policy = format_policy(term.policy, unit)
     return f"{term.label} with {policy}" if policy else str(term.label)
 
@@ -140,14 +140,15 @@ def _value(sort: ValueSort) -> str:
 
 
 def _number(number: float) -> str:
-    """The shortest digits that give ``number`` again, without an exponent."""
+    """Return the shortest digits that parse to ``number``, without an exponent."""
     text = format(Decimal(repr(number)), "f")
     return text.removesuffix(".0")
 
 
 def _time(time: int, unit: str) -> str:
-    """An integer in ``unit`` where that is exact, else with the coarsest unit that is."""
-    whole, rest = divmod(time, UNITS[unit])
+    """Return an integer in ``unit`` if that is exact, else a duration in the coarsest
+    exact unit."""
+    quotient, rest = divmod(time, UNITS[unit])
     if not rest:
-        return str(whole)
+        return str(quotient)
     return f"{'-' if time < 0 else ''}{format_duration(abs(time))}"

@@ -1,18 +1,17 @@
-"""One KPL text on its way through the checker: what is declared so far, and its errors.
+"""The state of the checker for one KPL text: the declarations so far, and errors.
 
-`check` declares into a scope; `sorts` and `generators` read it.
+`check` adds declarations; `sorts` and `generators` read them.
 """
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import DYKNOW, PREFIXES
 from ..errors import LanguageError, Span
-from ..hints import count
+from ..hints import count, suggest_name
 from . import ast
 from .constraints import UNITS
 from .declarations import CheckedDeclaration, Label
@@ -21,15 +20,16 @@ from .symbols import OBJECT, Symbols
 
 @dataclass(slots=True)
 class Scope:
-    """The text, and the signature with what the text has added so far: ``by_key`` and ``symbols``.
+    """The text, and the signature with the text's declarations so far: ``by_key`` and ``symbols``.
 
-    ``unit`` is what integers are. Without ``vocabulary`` no sort is a feature's.
+    ``unit`` is that of integers. Without ``vocabulary`` no sort belongs to a feature.
+    ``text_declarations`` are all of the text, for hints at later ones.
     """
 
     source: str
     unit: str
     vocabulary: Vocabulary | None
-    written: tuple[ast.Declaration, ...]
+    text_declarations: tuple[ast.Declaration, ...]
     by_key: dict[str, CheckedDeclaration]
     symbols: Symbols
 
@@ -43,7 +43,7 @@ class Scope:
         return label_of(written, self.source)
 
     def check_symbol(self, name: str, kind: str, span: Span) -> None:
-        """The sets of symbols are disjoint (Def. 5.13)."""
+        """Check that the name has one kind only: the sets of symbols are disjoint (Def. 5.13)."""
         other = self.symbols.clash(name, kind)
         if other is not None:
             raise self.error(
@@ -54,7 +54,7 @@ class Scope:
             )
 
     def check_label(self, written: ast.LabelTerm, variables: Iterable[str]) -> None:
-        """The label of a generator that is declared: its symbols, and how many objects it has."""
+        """Check the label of a declared generator: its symbols, and its number of objects."""
         label = self.label(written)
         for object, term in zip(label.objects, written.objects, strict=True):
             if object == label.feature:
@@ -68,40 +68,39 @@ class Scope:
         self.check_arity(label, written.span)
 
     def check_arity(self, label: Label, span: Span) -> None:
-        known = self.symbols.example(label.feature)
-        if known is not None and len(known.objects) != len(label.objects):
+        example = self.symbols.example(label.feature)
+        if example is not None and len(example.objects) != len(label.objects):
             raise self.error(
-                f"`{label.feature}` is of {count(len(known.objects), 'object')}, "
+                f"`{label.feature}` is of {count(len(example.objects), 'object')}, "
                 f"and here of {len(label.objects)}",
                 span,
-                f"it is declared as {known}",
+                f"it is declared as {example}",
             )
 
 
 def check_unit(unit: str) -> None:
-    """Raises `ValueError` for a unit that integers cannot have."""
+    """Raise `ValueError` for a unit that integers cannot have."""
     if unit not in UNITS:
-        raise ValueError(f"{unit!r} is no unit of abstract time: ns, us, ms or s")
+        raise ValueError(f"{unit!r} is not a unit of abstract time: ns, us, ms or s")
 
 
 def label_of(label: ast.LabelTerm, source: str) -> Label:
-    """The label in its one spelling. Raises `LanguageError` for an unknown prefix."""
+    """Return the label in canonical form. Raises `LanguageError` for an unknown prefix."""
     check_prefix(label.feature, source)
     return Label(without_prefix(label.feature.text), tuple(name.text for name in label.objects))
 
 
 def check_prefix(name: ast.Name, source: str) -> None:
-    """Raises `LanguageError` for a name with a prefix that is not one of `PREFIXES`."""
+    """Raise `LanguageError` for a name whose prefix is not in `PREFIXES`."""
     prefix, colon, _ = name.text.partition(":")
     if colon and prefix not in PREFIXES:
-        near = difflib.get_close_matches(prefix, PREFIXES, n=1)
-        hint = f"did you mean {near[0]}:?" if near else f"known are {', '.join(PREFIXES)}"
+        hint = suggest_name(f"{prefix}:", (f"{known}:" for known in PREFIXES))
         span = Span(name.span.start, name.span.start + len(prefix))
         raise LanguageError(f"the prefix `{prefix}:` is not known", source, span, hint)
 
 
 def without_prefix(name: str) -> str:
-    """One spelling: ``speed`` for ``dyknow:speed``; names of other prefixes keep them, and so does
-    one that would be a keyword."""
+    """Return the canonical form: ``speed`` for ``dyknow:speed``. Names with another prefix keep it,
+    and so do names that would be keywords."""
     prefix, _, local = name.partition(":")
     return local if PREFIXES.get(prefix) == DYKNOW and local not in ast.KEYWORDS else name

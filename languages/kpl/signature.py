@@ -1,6 +1,6 @@
-"""All KPL declarations so far ([DyKnow10 Def. 5.13]): looked up, added to, taken from.
+"""All KPL declarations so far ([DyKnow10 Def. 5.13]).
 
-A signature with more in it is another signature, so a text that is refused has changed nothing.
+A signature is immutable: adding to it makes another one, so a refused text changes nothing.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from .declarations import (
     StreamDeclaration,
     ValueSort,
 )
-from .needs import founded, made_by, needed_by
+from .dependencies import in_dependency_order, tokens_made, tokens_needed
 
 _D = TypeVar("_D", bound=CheckedDeclaration)
 
 
 @dataclass(frozen=True)
 class Signature:
-    """All declarations so far, in an order in which each stands behind what it uses.
+    """All declarations so far, each after those that it uses.
 
-    A declaration's *key* is its name, a generator's label as text, ``sort NAME``, or
-    ``foreach VARIABLE IN: LABELS``. A mediation or a foreach uses all generators of a feature, and
-    stands behind one of them at least: it needs one, whichever it is.
+    The *key* of a declaration is its name, a generator's label as text, ``sort NAME``, or ``foreach
+    VARIABLE IN: LABELS``. A mediation or a foreach uses all generators of a feature but needs only
+    one of them, so it comes after one at least.
     """
 
     declarations: tuple[CheckedDeclaration, ...] = ()
@@ -43,7 +43,8 @@ class Signature:
         return {declaration.key: declaration for declaration in self.declarations}
 
     def find(self, name_or_label: str) -> CheckedDeclaration | None:
-        """The declaration of this key; of a sort by its bare name too, if nothing else has it."""
+        """Return the declaration of this key. A bare name finds a sort if no other declaration has
+        it."""
         return self.by_key.get(name_or_label) or self.by_key.get(f"sort {name_or_label}")
 
     def source(self, name: str) -> SourceDeclaration | None:
@@ -65,7 +66,7 @@ class Signature:
         return self._of(ForeachDeclaration, key)
 
     def sort(self, name: str) -> ValueSort | None:
-        """A sort that was declared; None for those of the language and the ontology."""
+        """Return a declared sort; None for predefined sorts and those of the ontology."""
         found = self._of(SortDeclaration, f"sort {name}")
         return None if found is None else found.sort
 
@@ -74,53 +75,59 @@ class Signature:
         return found if isinstance(found, kind) else None
 
     def with_declarations(self, new: Iterable[CheckedDeclaration]) -> Signature:
-        """The same with ``new`` behind all; they were checked against it."""
+        """Return a signature with ``new`` at the end; they were checked against this one."""
         return Signature((*self.declarations, *new))
 
     def dependents(self, name_or_label: str) -> tuple[str, ...]:
-        """Keys of all that cannot be without it, directly or not; users before what they use.
+        """Return the keys of all declarations that need it, directly or not; users before the used
+        ones.
 
-        A mediation or foreach can be without one generator as long as the feature has another, or
-        a foreach that makes them. Empty for an unknown name. Cost: linear in the declarations.
+        A mediation or foreach does not need a generator as long as its feature has another, or a
+        foreach that makes them. Empty for an unknown name. Cost: linear in the declarations.
         """
         found = self.find(name_or_label)
         if found is None:
             return ()
-        left = [declaration for declaration in self.declarations if declaration.key != found.key]
-        standing = {declaration.key for declaration in founded(left, self._makers.keys())}
-        return tuple(d.key for d in reversed(left) if d.key not in standing)
+        others = [declaration for declaration in self.declarations if declaration.key != found.key]
+        founded = {
+            declaration.key for declaration in in_dependency_order(others, self._makers.keys())
+        }
+        return tuple(d.key for d in reversed(others) if d.key not in founded)
 
     def uses(self, declaration: CheckedDeclaration) -> tuple[str, ...]:
-        """Keys of what the declaration names directly; of a feature's streams all generators and
-        all that make them."""
-        found = (key for token in needed_by(declaration) for key in self._makers.get(token, ()))
+        """Return the keys of the declarations that this one names directly; for the streams of a
+        feature, all its generators and the declarations that make them."""
+        found = (key for token in tokens_needed(declaration) for key in self._makers.get(token, ()))
         return tuple(dict.fromkeys(found))
 
     def without(self, names: Iterable[str]) -> Signature:
-        """The same without these. Raises `ValueError` for a name that is not declared, and for
-        one that something left behind needs; `dependents` tells them. What is left may change its
-        place: it stands behind what it uses."""
+        """Return a signature without these. Raises `ValueError` for an undeclared name, and for one
+        that a remaining declaration needs (`dependents`). The remaining declarations may move,
+        since each comes after those that it uses."""
         keys = set()
         for name in names:
             found = self.find(name)
             if found is None:
                 raise ValueError(f"{name!r} is not declared")
             keys.add(found.key)
-        left = [declaration for declaration in self.declarations if declaration.key not in keys]
-        standing = founded(left, self._makers.keys())
-        if len(standing) < len(left):
-            # The first in order lacks something that was named, as what it uses stands before it.
-            there = {declaration.key for declaration in standing}
-            first = next(declaration for declaration in left if declaration.key not in there)
+        others = [declaration for declaration in self.declarations if declaration.key not in keys]
+        founded = in_dependency_order(others, self._makers.keys())
+        if len(founded) < len(others):
+            # The first remaining one lacks a named declaration, since those that it uses come
+            # before it.
+            founded_keys = {declaration.key for declaration in founded}
+            first = next(
+                declaration for declaration in others if declaration.key not in founded_keys
+            )
             used = keys.intersection(self.uses(first))
             raise ValueError(f"{first.key!r} needs {min(used)!r}: remove it as well")
-        return Signature(tuple(standing))
+        return Signature(tuple(founded))
 
     @cached_property
     def _makers(self) -> dict[str, tuple[str, ...]]:
-        """Keys of the declarations that make a token."""
+        """For each token, the keys of the declarations that make it."""
         makers: dict[str, list[str]] = {}
         for declaration in self.declarations:
-            for token in made_by(declaration):
+            for token in tokens_made(declaration):
                 makers.setdefault(token, []).append(declaration.key)
         return {token: tuple(keys) for token, keys in makers.items()}

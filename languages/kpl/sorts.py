@@ -1,7 +1,7 @@
-"""Value sorts of KPL: names to fields, and which fits which ([DyKnow10 Def. 5.13, 5.27]).
+"""Resolves value sorts of KPL to fields, and decides compatibility ([DyKnow10 Def. 5.13, 5.27]).
 
-A name is, in this order: a sort of the language, one that was declared, a feature of the ontology,
-or else *open*: known by name only, as the paper's ``pos``.
+A name is, in this order: a predefined sort, a declared one, a feature of the ontology, or else
+*open*: only its name is known, as for the paper's ``pos``.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from typing import Final
 
 from ...ontology.vocabulary import Vocabulary
-from ...rdf.datatypes import KNOWN, range_type
+from ...rdf.datatypes import VALUE_DATATYPES, range_type
 from ...rdf.namespaces import DYKNOW, PREFIXES, XSD
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.tuples import flat_names, flat_schema
-from ..hints import did_you_mean, near
+from ..hints import did_you_mean, suggest_name
 from . import ast
 from .declarations import OBJECT_FIELD, VALUE, SortDeclaration, ValueSort
 from .scope import Scope, check_prefix, without_prefix
@@ -29,7 +29,7 @@ BUILT_IN: Final = {
     "long": FieldType.INTEGER,
     "boolean": FieldType.BOOLEAN,
     "string": FieldType.STRING,
-    # Def. 5.13 wants these two: a time is ns since 1970, an object is its name.
+    # Def. 5.13 requires these two: a time is ns since 1970, an object is its name.
     "time": FieldType.INTEGER,
     "object": FieldType.STRING,
 }
@@ -37,9 +37,9 @@ _OWN_KIND: Final = ("time", "object")
 
 
 def read_sort(name: ast.Name, scope: Scope) -> ValueSort:
-    """The sort that a name stands for, which no other symbol may have from now on.
+    """Resolve the name of a sort; from now on no other symbol may have it.
 
-    Raises `LanguageError` for a prefix, datatype or term of the ontology that does not exist.
+    Raises `LanguageError` for an unknown prefix, datatype or term of the ontology.
     """
     sort = _resolve(name, scope)
     scope.check_symbol(sort.name, SORT, name.span)
@@ -59,14 +59,14 @@ def _resolve(name: ast.Name, scope: Scope) -> ValueSort:
         return _of_ontology(text, DYKNOW + text, scope.vocabulary)
     check_prefix(name, scope.source)
     if prefix == "xsd":
-        if XSD + local not in KNOWN:
-            known = [iri.removeprefix(XSD) for iri in KNOWN]
-            raise scope.error(f"XSD has no `{local}`", name.span, near(local, known))
+        if XSD + local not in VALUE_DATATYPES:
+            datatypes = [iri.removeprefix(XSD) for iri in VALUE_DATATYPES]
+            raise scope.error(f"XSD has no `{local}`", name.span, suggest_name(local, datatypes))
         return _simple(text, range_type(XSD + local))
     iri = PREFIXES[prefix] + local
     if scope.vocabulary is not None:
         _check_known(name, iri, scope, scope.vocabulary)
-    # A domain term has one name, which is the short one unless that means something else.
+    # The short name of a domain term is canonical, unless another sort has it.
     is_hidden = local in BUILT_IN or f"sort {local}" in scope.by_key
     return _of_ontology(text if is_hidden else without_prefix(text), iri, scope.vocabulary)
 
@@ -80,7 +80,7 @@ def _check_known(name: ast.Name, iri: str, scope: Scope, vocabulary: Vocabulary)
             name.span,
             f"did you mean {prefix}:{found[0]}?"
             if found
-            else f"without its prefix `{local}` is a sort of your own",
+            else f"without its prefix `{local}` is a new sort",
         )
 
 
@@ -97,11 +97,11 @@ def _simple(name: str, type: FieldType, feature: str | None = None) -> ValueSort
     return ValueSort(name, (Field(VALUE, type),), feature)
 
 
-# -- sorts that are declared ---------------------------------------------------------------------
+# -- declared sorts -----------------------------------------------------------------------------
 
 
 def declared_sort(declaration: ast.Sort, scope: Scope) -> SortDeclaration:
-    """What ``sort NAME = …`` declares. Raises `LanguageError`."""
+    """Return the sort that ``sort NAME = …`` declares. Raises `LanguageError`."""
     name = declaration.name
     if name.text in BUILT_IN:
         raise scope.error(
@@ -120,16 +120,16 @@ def declared_sort(declaration: ast.Sort, scope: Scope) -> SortDeclaration:
     for field, written in declaration.value:
         if field.text in fields:
             raise scope.error(
-                f"field `{field.text}` is there twice", field.span, "name each field once"
+                f"field `{field.text}` occurs twice", field.span, "name each field once"
             )
-        known = _fields_of(written, scope)
-        if [each.name for each in known] != [VALUE]:
+        parts = _fields_of(written, scope)
+        if [each.name for each in parts] != [VALUE]:
             raise scope.error(
-                f"a field holds one value, and `{written.text}` has ({format_fields(known)})",
+                f"a field holds one value, and `{written.text}` has ({format_fields(parts)})",
                 written.span,
                 "write its fields one by one",
             )
-        fields[field.text] = Field(field.text, known[0].type)
+        fields[field.text] = Field(field.text, parts[0].type)
     return SortDeclaration(ValueSort(name.text, tuple(fields.values())))
 
 
@@ -137,27 +137,27 @@ def _fields_of(name: ast.Name, scope: Scope) -> tuple[Field, ...]:
     sort = read_sort(name, scope)
     if sort.fields is None:
         raise scope.error(
-            f"what values of `{name.text}` are is not known",
+            f"the values of `{name.text}` are unknown",
             name.span,
-            near(name.text, known_sorts(scope)),
+            suggest_name(name.text, known_sorts(scope)),
         )
     return sort.fields
 
 
 def known_sorts(scope: Scope) -> list[str]:
-    """Sorts of the language and declared ones, by name."""
+    """Return the names of predefined and declared sorts."""
     declared = [key.removeprefix("sort ") for key in scope.keys_of(SortDeclaration)]
     return [*BUILT_IN, *declared]
 
 
-# -- sorts of what processes make ----------------------------------------------------------------
+# -- sorts of processes --------------------------------------------------------------------------
 
 
 def tuple_sort(
     name: str, identifiers: Iterable[str], sorts: Iterable[ValueSort], *, times: bool = False
 ) -> ValueSort:
-    """The sort of tuples of streams (Def. 5.2), with the times of their samples if ``times``: open
-    if one of theirs is."""
+    """Return the sort of tuples of streams (Def. 5.2), with the times of their samples if
+    ``times``. It is open if one of the sorts is."""
     schemas: list[Schema] = []
     for sort in sorts:
         if sort.fields is None:
@@ -168,17 +168,17 @@ def tuple_sort(
 
 
 def of_many_objects(sort: ValueSort) -> ValueSort:
-    """The sort of an aggregate, whose samples say whose they are."""
+    """Return the sort of an aggregate, whose samples name their object."""
     if sort.fields is None or any(field.name == OBJECT_FIELD for field in sort.fields):
         return sort
     return ValueSort(sort.name, (Field(OBJECT_FIELD, FieldType.STRING), *sort.fields), sort.feature)
 
 
 def fits(sort: ValueSort, input: ValueSort, vocabulary: Vocabulary | None) -> bool:
-    """Whether a stream of ``sort`` can be an input of sort ``input``.
+    """Return whether a stream of ``sort`` can be an input of sort ``input``.
 
-    Sorts are equal by name. The stream may have more fields: those of an aggregate say whose a
-    value is besides. Synonyms are one sort, and a sub-feature's values are its feature's.
+    Sorts are equal by name. The stream may have more fields: those of an aggregate add the name of
+    the object. Synonyms are one sort, and the values of a sub-feature are values of its feature.
     """
     if sort.name == input.name:
         return _has(sort, input)
@@ -196,7 +196,7 @@ def _has(sort: ValueSort, input: ValueSort) -> bool:
 
 
 def misfit(sort: ValueSort, input: ValueSort) -> str:
-    """Why it does not fit: "of sort `float`, and this one is of sort `pos`"."""
+    """Return the mismatch: "of sort `float`, and this one is of sort `pos`"."""
     if sort.name == input.name:
         return (
             f"with ({format_fields(input.fields)}), and this one has ({format_fields(sort.fields)})"
@@ -205,15 +205,15 @@ def misfit(sort: ValueSort, input: ValueSort) -> str:
 
 
 def misfit_hint(sort: ValueSort, input: ValueSort, scope: Scope) -> str:
-    """The sort that was probably meant, where one of the two is open; else empty."""
+    """Return a hint at the intended sort if one of the two is open; else empty."""
     for one in (input, sort):
         if one.is_open:
             hint = did_you_mean(one.name, known_sorts(scope))
             if hint:
-                return f"nobody has declared the sort `{one.name}`: {hint}"
+                return f"the sort `{one.name}` is not declared: {hint}"
     return ""
 
 
 def format_fields(fields: Iterable[Field] | None) -> str:
-    """``x float, y float``."""
+    """Return ``x float, y float``."""
     return ", ".join(f"{field.name} {field.type}" for field in fields or ())

@@ -1,4 +1,4 @@
-"""Which names stand for what ([DyKnow10 Def. 5.13]): the checker's index of a signature."""
+"""The kinds of names ([DyKnow10 Def. 5.13]): the checker's index of a signature."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .declarations import (
     StreamDeclaration,
     ValueSort,
 )
-from .needs import feature_token, generator_needs, needed_by, reaches
+from .dependencies import feature_token, generator_needs, reaches, tokens_needed
 
 SOURCE: Final = "a source"
 COMPUNIT: Final = "a computational unit"
@@ -27,13 +27,13 @@ FEATURE: Final = "a feature"
 OBJECT: Final = "an object"
 SORT: Final = "a sort"
 _ANY: Final = "\0"
-"""Stands for the variable of a ``foreach``, whatever it is called."""
+"""A placeholder for the variable of a ``foreach``, whose name does not matter."""
 
 
 class Symbols:
-    """Names by kind, and what is known of each feature. It grows with `add`.
+    """Names by kind, and facts about each feature. `add` extends it.
 
-    Sorts are apart from the other kinds, since one may share its name with a feature, as in
+    Sorts are separate from the other kinds, since a sort may share its name with a feature, as in
     Example 5.5.
     """
 
@@ -41,22 +41,23 @@ class Symbols:
         self._kinds: dict[str, str] = {}
         self._sorts = set(built_in)
         self._labels: dict[str, Label] = {}
-        """For each feature the first label, which shows how many objects it has."""
+        """For each feature its first label, which shows its number of objects."""
         self._patterns: dict[str, Label] = {}
-        """The same of those that a ``foreach`` makes."""
-        self._made: dict[str, list[ValueSort]] = {}
+        """For each feature its first label in a ``foreach``."""
+        self._sorts_by_feature: dict[str, list[ValueSort]] = {}
         """For each feature the sorts of its generators, each once."""
         self._edges: dict[str, set[str]] = {}
-        """What the tokens of `needs` need."""
+        """For each token of `dependencies`, the tokens that it needs."""
         self._mediated: dict[str, str] = {}
-        """Tokens of features that are read for every object -> the first label that does."""
+        """Tokens of features that a declaration reads for every object -> the label of the first
+        such declaration."""
         self._configured: dict[tuple[str, Label], str] = {}
-        """Members and pattern of each ``foreach``, whatever its variable is called -> its key."""
+        """Members and pattern of each ``foreach``, with any variable -> its key."""
         for declaration in declarations:
             self.add(declaration)
 
     def clash(self, name: str, kind: str) -> str | None:
-        """What else ``name`` is, if it cannot be of this kind too."""
+        """Return the other kind of ``name`` if it excludes this kind."""
         other = self._kinds.get(name)
         if kind == SORT:
             return None if other == FEATURE else other
@@ -65,44 +66,49 @@ class Symbols:
         return SORT if kind != FEATURE and name in self._sorts else None
 
     def kind(self, name: str) -> str | None:
-        """What ``name`` is, in words; None if it is nothing yet."""
+        """Return the kind of ``name`` in words; None if it has none yet."""
         return self._kinds.get(name) or (SORT if name in self._sorts else None)
 
     def use_sort(self, name: str) -> None:
-        """``name`` is a value sort from now on."""
+        """Mark ``name`` as a value sort."""
         self._sorts.add(name)
 
     def is_used_sort(self, name: str) -> bool:
         return name in self._sorts
 
     def features(self) -> Iterable[str]:
-        """Features of all generators."""
+        """Return the features of all generators."""
         return self._labels.keys()
 
     def example(self, feature: str) -> Label | None:
-        """A label of the feature, which shows how many objects it has; None before the first."""
+        """Return a label of the feature, which shows its number of objects; None before
+        the first."""
         return self._labels.get(feature)
 
     def pattern(self, feature: str) -> Label | None:
-        """A label under which a ``foreach`` makes generators of the feature, if one does."""
+        """Return the label with which a ``foreach`` makes generators of the feature, if
+        one does."""
         return self._patterns.get(feature)
 
     def sorts(self, feature: str) -> tuple[ValueSort, ...]:
-        """The sorts of the feature's generators, each once."""
-        return tuple(self._made.get(feature, ()))
+        """Return the sorts of the feature's generators, each once."""
+        return tuple(self._sorts_by_feature.get(feature, ()))
 
     def reader(self, feature: str) -> str | None:
-        """The label of one that reads the feature's streams of all objects, if any does."""
+        """Return the label of a declaration that reads the feature's streams of all objects, if
+        there is one."""
         return self._mediated.get(feature_token(feature))
 
-    def configured(self, members: Label, pattern: Label, variable: str) -> str | None:
-        """The key of the ``foreach`` that makes these generators for these objects, if one does."""
+    def foreach_key(self, members: Label, pattern: Label, variable: str) -> str | None:
+        """Return the key of the ``foreach`` that makes these generators for these objects, if there
+        is one."""
         return self._configured.get((str(members), pattern.bound(variable, _ANY)))
 
     def is_circle(self, feature: str, needs: Iterable[str]) -> bool:
-        """Whether a stream of the feature that needs these tokens would be made out of streams of
-        the feature, by way of a mediation or a ``foreach``. Labels alone make no circle: they are
-        declared before they are used. Cost: linear in what is needed, if the feature is so read."""
+        """Return whether a stream of the feature with these needs would be made from streams of the
+        feature, through a mediation or a ``foreach``. Labels alone form no circle: they are
+        declared before they are used. Cost: linear in the needed tokens, if a declaration reads the
+        feature so."""
         token = feature_token(feature)
         needs = tuple(needs)
         return (token in needs or token in self._mediated) and reaches(needs, token, self._edges)
@@ -119,7 +125,7 @@ class Symbols:
                 self._sorts.update(each.name for each in (sort, *inputs))
             case GeneratorDeclaration():
                 self._generator(declaration, declaration.label.objects)
-                needs = needed_by(declaration)
+                needs = tokens_needed(declaration)
                 self._edges[declaration.key] = set(needs)
                 token = feature_token(declaration.label.feature)
                 self._edges.setdefault(token, set()).add(declaration.key)
@@ -139,7 +145,7 @@ class Symbols:
                 assert_never(declaration)
 
     def add_pattern(self, generator: GeneratorDeclaration, variable: str, members: Label) -> None:
-        """A generator of a ``foreach``: its label has the variable among its objects."""
+        """Add a generator of a ``foreach``, whose label contains the variable."""
         feature = generator.label.feature
         self._patterns.setdefault(feature, generator.label)
         self._generator(generator, (o for o in generator.label.objects if o != variable))
@@ -152,7 +158,7 @@ class Symbols:
         self._kinds[feature] = FEATURE
         self._kinds.update((object, OBJECT) for object in objects)
         self._labels.setdefault(feature, generator.label)
-        sorts = self._made.setdefault(feature, [])
+        sorts = self._sorts_by_feature.setdefault(feature, [])
         if generator.sort not in sorts:
             sorts.append(generator.sort)
 

@@ -1,8 +1,8 @@
 """The AST of XML specifications ([Introspection15 §3.2, Listing 1], SPEC §6).
 
 A specification is a change of the configuration: units to insert, with their inputs, and units to
-remove. Names are as written; the engine resolves them. Spans say where a thing stands and are no
-part of what it is: two specifications that differ in their spans or source only are equal.
+remove. Names are as written; the engine resolves them. Spans take no part in comparisons: two
+specifications that differ only in spans or source are equal.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import TypeAlias
 from ..errors import Span
 
 RESERVED = "dyknow_reserved"
-"""Names of streams that the system invents begin so (SPEC §5); none is used twice."""
+"""The prefix of generated stream names (SPEC §5); none is used twice."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """``<spec:parameter name="baseline" value="5s" />``: ours. ``value`` is verbatim.
+    """``<spec:parameter name="baseline" value="5s" />``: an extension. ``value`` is verbatim.
 
-    ``span`` is the start tag's, None for a parameter that was not read from a text.
+    ``span`` is that of the start tag; None if the parameter was not parsed from a text.
     """
 
     name: str
@@ -32,10 +32,10 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class StreamReference:
-    """``<spec:stream name="positions" />``: ours. An input that is a stream, by its name.
+    """``<spec:stream name="positions" />``: an extension. An input that is a stream, by its name.
 
-    The stream exists already, or is the output of a unit of the same text: in this way a unit is
-    used twice. Any name that a stream can have is meant, so labels such as ``speed[car1]`` too.
+    The stream exists already, or is the output of a unit of the same text: in this way two units
+    read one unit. Any stream name is allowed, labels such as ``speed[car1]`` included.
     """
 
     name: str
@@ -44,10 +44,10 @@ class StreamReference:
 
 @dataclass(frozen=True, slots=True)
 class UnitSpecification:
-    """``<spec:cu type="fusionRGBIR">…</spec:cu>``: a computational unit and what it reads.
+    """``<spec:cu type="fusionRGBIR">…</spec:cu>``: a computational unit and its inputs.
 
     ``type`` is the label of a transformation, ``name`` the name of the output stream (None: DyKnow
-    assigns one). ``inputs`` are in the order of the text. ``span`` is the start tag's.
+    generates one). ``inputs`` are in the order of the text. ``span`` is that of the start tag.
     """
 
     type: str
@@ -64,8 +64,8 @@ Input: TypeAlias = UnitSpecification | StreamReference
 class Removal:
     """``<spec:cu name="result" />`` or ``<spec:cu type="gps" />`` in `removals`.
 
-    By ``name``: the unit of that name, or whose output stream has it. By ``type``: all units of
-    that transformation. Exactly one of the two is not None.
+    ``name`` selects the unit with this name or output stream, ``type`` all units of the
+    transformation. Exactly one of the two is not None.
     """
 
     name: str | None
@@ -75,7 +75,7 @@ class Removal:
 
 @dataclass(frozen=True, slots=True)
 class Specification:
-    """One text. ``source`` is what was read, decoded; spans are offsets into it."""
+    """A parsed text. ``source`` is the decoded text; spans are offsets into it."""
 
     insertions: tuple[UnitSpecification, ...]
     removals: tuple[Removal, ...]
@@ -83,7 +83,7 @@ class Specification:
 
 
 def elements_of(insertions: Iterable[UnitSpecification]) -> Iterator[UnitSpecification]:
-    """All units of a text, those that are read by others among them."""
+    """Yield all units of a text, nested ones included."""
     todo = list(insertions)
     while todo:
         element = todo.pop()
@@ -92,5 +92,6 @@ def elements_of(insertions: Iterable[UnitSpecification]) -> Iterator[UnitSpecifi
 
 
 def is_reserved(name: str) -> bool:
-    """Whether a name is one that DyKnow assigns. In a text it only ties `stream` to `cu`."""
+    """Return whether DyKnow generates such a name. In a text such a name only links a `stream` to a
+    `cu`."""
     return name.startswith(RESERVED) and name.removeprefix(RESERVED).isdigit()

@@ -1,8 +1,8 @@
-"""A specification in parts that are applied one after the other, each within bounds
+"""Splits a specification into parts within bounds, to be applied one after the other
 ([Introspection15 §3.2]).
 
-What runs may be more than one text may say (docs/explanation/isolation.md). Parts say the same
-together: each stands behind those whose streams it reads. Called by the client.
+A configuration may be larger than a text may be (docs/explanation/isolation.md). The parts have the
+same effect together: each comes after those whose streams it reads. The client calls this.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _AROUND = 256
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What one text has at most: units to insert, elements in all, bytes."""
+    """The bounds of one text: inserted units, elements in all, bytes."""
 
     units: int
     elements: int
@@ -50,29 +50,31 @@ class _Part:
 
 
 def is_within(specification: Specification, text: str | bytes, bounds: Bounds) -> bool:
-    """Whether ``text``, from which ``specification`` was read, keeps to the bounds as it is."""
+    """Return whether ``text``, the source of ``specification``, is within the bounds."""
     length = len(text.encode() if isinstance(text, str) else text)
-    size = sum(map(_counted, specification.insertions), _Size(bytes=length))
+    size = sum(map(_size_without_bytes, specification.insertions), _Size(bytes=length))
     removed = len(specification.removals)
     return (size + _Size(elements=removed)).fits(bounds) and removed <= bounds.units
 
 
 def parts_of(specification: Specification, bounds: Bounds) -> tuple[str, ...] | None:
-    """Texts that insert, one after the other, what ``specification`` does. None where there are no
-    such: it removes something, which may hang together, or a single insertion is too large.
+    """Return texts that together insert what ``specification`` does, to be applied in order. None
+    if there are none: it removes units, which may depend on each other, or a single insertion is
+    too large.
 
-    An invented name holds within one text only: what an earlier part calls so is written in full
-    where a later one reads it, and is the same unit. Cost: O(elements written).
+    A generated name is valid within one text only. A part therefore writes a unit of an earlier
+    part out in full where it reads it by such a name; the engine shares it. Cost: O(elements
+    written).
     """
     if specification.removals:
         return None
-    named = {one.name: one for one in elements_of(specification.insertions) if one.name}
+    by_name = {one.name: one for one in elements_of(specification.insertions) if one.name}
     parts = [_Part()]
     earlier: set[str] = set()
-    for top in _in_order(specification.insertions, named):
+    for top in _in_order(specification.insertions, by_name):
         for _ in range(2):
             part = parts[-1]
-            written = _Copying(named, earlier, bounds.units).element(top)
+            written = _Copying(by_name, earlier, bounds.units).element(top)
             size = None if written is None else part.size + _size_of(written)
             if written is not None and size is not None and size.fits(bounds):
                 part.units.append(written)
@@ -91,61 +93,63 @@ def parts_of(specification: Specification, bounds: Bounds) -> tuple[str, ...] | 
 
 
 class _Copying:
-    """Writes an insertion for a part before which the names ``earlier`` were given; of at most so
-    many units."""
+    """Copies an insertion into a part after the names ``earlier``, with at most ``most`` units."""
 
     def __init__(
-        self, named: Mapping[str, UnitSpecification], earlier: set[str], most: int
+        self, by_name: Mapping[str, UnitSpecification], earlier: set[str], most: int
     ) -> None:
-        self._named = named
+        self._named = by_name
         self._earlier = earlier
         self._left = most
 
     def element(self, one: UnitSpecification) -> UnitSpecification | None:
-        """``one``; None if it is of too many units."""
+        """Return a copy of ``one``; None if it has too many units."""
         self._left -= 1
         if self._left < 0:
             return None
         inputs: list[Input] = []
-        for given in one.inputs:
-            read = self._input(given)
+        for source in one.inputs:
+            read = self._input(source)
             if read is None:
                 return None
             inputs.append(read)
         return replace(one, inputs=tuple(inputs))
 
-    def _input(self, given: Input) -> Input | None:
-        if isinstance(given, StreamReference):
-            if given.name not in self._earlier or not is_reserved(given.name):
-                return given
-            given = self._named[given.name]
-        if given.name in self._earlier:
-            assert given.name is not None
-            # A name that people gave is there; an invented one was, in another text.
-            if not is_reserved(given.name):
-                return StreamReference(given.name, given.span)
-            given = replace(given, name=None)
-        return self.element(given)
+    def _input(self, source: Input) -> Input | None:
+        if isinstance(source, StreamReference):
+            if source.name not in self._earlier or not is_reserved(source.name):
+                return source
+            source = self._named[source.name]
+        if source.name in self._earlier:
+            assert source.name is not None
+            # A name that a user gave still exists; a generated one was valid in the other text
+            # only.
+            if not is_reserved(source.name):
+                return StreamReference(source.name, source.span)
+            source = replace(source, name=None)
+        return self.element(source)
 
 
 def _size_of(one: UnitSpecification) -> _Size:
     text = format_specification(Specification((one,), (), ""))
-    return _counted(one) + _Size(bytes=len(text.encode()))
+    return _size_without_bytes(one) + _Size(bytes=len(text.encode()))
 
 
-def _counted(one: UnitSpecification) -> _Size:
-    """Without its bytes."""
+def _size_without_bytes(one: UnitSpecification) -> _Size:
+    """Return the size without the bytes."""
     units = list(elements_of([one]))
-    references = sum(isinstance(given, StreamReference) for each in units for given in each.inputs)
+    references = sum(
+        isinstance(source, StreamReference) for each in units for source in each.inputs
+    )
     elements = len(units) + references + sum(len(each.parameters) for each in units)
     return _Size(len(units), elements)
 
 
 def _in_order(
-    tops: Sequence[UnitSpecification], named: Mapping[str, UnitSpecification]
+    tops: Sequence[UnitSpecification], by_name: Mapping[str, UnitSpecification]
 ) -> Iterator[UnitSpecification]:
-    """The insertions, each behind those in which a name is given that it reads; what reads itself
-    in a circle, in the order of the text: whoever applies it says so."""
+    """Yield the insertions, each after those that define a name that it reads. Insertions that read
+    each other in a circle keep the order of the text: the engine reports the circle."""
     place = {one.name: top for top in tops for one in elements_of([top]) if one.name}
     done: set[int] = set()
     for first in tops:
@@ -168,9 +172,9 @@ def _read(
     top: UnitSpecification, place: Mapping[str, UnitSpecification]
 ) -> list[UnitSpecification]:
     found = [
-        place[given.name]
+        place[source.name]
         for one in elements_of([top])
-        for given in one.inputs
-        if isinstance(given, StreamReference) and given.name in place
+        for source in one.inputs
+        if isinstance(source, StreamReference) and source.name in place
     ]
     return [one for one in found if one is not top]

@@ -1,6 +1,7 @@
-"""Text to elements by libxml2: namespaces, references, and the last word on well-formedness.
+"""Parses text to elements by libxml2, which resolves namespaces and references and checks
+well-formedness.
 
-Nothing is fetched: no DTD, no entity, no schema that the text names, no XInclude.
+It fetches nothing: no DTD, no entity, no schema that the text names, no XInclude.
 """
 
 from __future__ import annotations
@@ -10,15 +11,15 @@ from typing import Any, Final
 
 from lxml import etree
 
-from .malformed import malformed
 from .markup import BLANKS, XSI, Attribute, Markup, Tag
+from .xml_errors import malformed_error
 
 _LOCATIONS: Final = (f"{{{XSI}}}schemaLocation", f"{{{XSI}}}noNamespaceSchemaLocation")
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """An attribute's value and the place of the attribute."""
+    """The value of an attribute, and the place of the attribute."""
 
     text: str
     place: Attribute
@@ -26,9 +27,10 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element. Attributes without namespace are in ``attributes``, by name; ``foreign`` are the
-    others, but for schema locations, which are passed over. ``text`` is where text directly in it
-    begins, None for blanks alone. ``parent`` is a place in the document, None for the root."""
+    """An element. ``attributes`` are those without a namespace, by name; ``foreign`` are the others
+    without schema locations, which are ignored. ``text`` is the offset of text directly in the
+    element, None if there is only white space. ``parent`` is an index into the document, None for
+    the root."""
 
     namespace: str
     name: str
@@ -48,8 +50,8 @@ class Document:
     tree: Any
 
 
-def read(markup: Markup) -> Document:
-    """The elements of a text that was scanned. Raises `LanguageError` if it is not well-formed."""
+def read_document(markup: Markup) -> Document:
+    """Parse a text after its scan. Raises `LanguageError` if it is not well-formed."""
     root = _root(markup)
     nodes = list(root.iter())
     places = {node: place for place, node in enumerate(nodes)}
@@ -95,6 +97,6 @@ def _root(markup: Markup) -> Any:
     try:
         return etree.fromstring(markup.source.encode(), parser)
     except etree.XMLSyntaxError:
-        # The exception tells the last error. What is wrong first is in the parser's log.
+        # The exception has the last error; the parser's log has the first.
         first = parser.error_log.filter_from_errors()[0]
-        raise malformed(markup, first.type, first.message, first.line, first.column) from None
+        raise malformed_error(markup, first.type, first.message, first.line, first.column) from None

@@ -1,9 +1,9 @@
-"""Where the tags of an XML text stand, and plain words for what breaks them.
+"""Finds the tags of an XML text, with their places, and explains broken ones.
 
-libxml2 knows lines of elements at best, so the text is read for places here, before libxml2 sees
-it: a tag here and an element there are the same, by their order. What is refused on the way never
-reaches it: a DOCTYPE, and with it every entity, and elements nested too deep. The scan is one pass;
-whatever it lets through that is not well-formed after all, libxml2 refuses (`document`).
+libxml2 reports lines of elements at best, so this scan provides the places: the n-th tag here is
+libxml2's n-th element. Texts that the scan refuses never reach libxml2: those with a DOCTYPE, and
+thereby all entities, and those that nest too deeply. The scan is one pass; libxml2 refuses the
+other malformed texts (`document`).
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ NAMESPACE: Final = "http://www.dyknow.eu/ontology#Specification"
 XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 
 MAX_DEPTH: Final = 100
-"""Elements in each other, `specification` and `insertions` among them. Values of this depth can
-still be compared, printed and copied by Python's own means, which recur."""
+"""The greatest depth of nested elements, `specification` and `insertions` included. Python
+compares, prints and copies values of this depth by recursion."""
 
 MOST_ATTRIBUTES: Final = 64
-"""Of one element: libxml2 compares each with all others."""
+"""The greatest number of attributes of an element: libxml2 compares each with all others."""
 
 BLANKS: Final = " \t\r\n"
 _NAME: Final = r"""[^ \t\r\n<>/='"&]+"""
 _ATTRIBUTE: Final = re.compile(rf"""[ \t\r\n]+({_NAME})[ \t\r\n]*=[ \t\r\n]*("[^"<]*"|'[^'<]*')""")
-# Possessive, so that a broken tag costs no more than its length.
+# Possessive quantifiers keep a broken tag at linear cost.
 _START_TAG: Final = re.compile(rf"<({_NAME})(?:{_ATTRIBUTE.pattern})*+[ \t\r\n]*+(/?)>")
 _END_TAG: Final = re.compile(rf"</({_NAME})[ \t\r\n]*>")
 _WORD: Final = re.compile(_NAME)
 _BARE_REFERENCE: Final = re.compile(
     r"&(?!(?:amp|lt|gt|quot|apos|#[0-9]+|#x[0-9A-Fa-f]+);)(?:#?[A-Za-z_][\w.-]*;)?"
 )
-# What may hold any characters: where it begins, where it ends, what it is called.
+# Markup with arbitrary contents: its beginning, its end, its name.
 _OPAQUE: Final = (
     ("<!--", "-->", "comment"),
     ("<![CDATA[", "]]>", "CDATA section"),
@@ -46,7 +46,8 @@ _OPAQUE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """A start tag. ``name`` is as written, with its prefix; ``span`` is from ``<`` to ``>``."""
+    """A start tag. ``name`` is as written, with its prefix; ``span`` reaches from ``<``
+    to ``>``."""
 
     name: str
     span: Span
@@ -58,7 +59,7 @@ class Tag:
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """An attribute as written. ``value`` is the place between the quotes."""
+    """An attribute as written. ``value`` is the span between the quotes."""
 
     name: str
     span: Span
@@ -71,14 +72,15 @@ class Attribute:
 
 @dataclass(frozen=True, slots=True)
 class Markup:
-    """The start tags in order; ``texts`` is where the first text directly in a tag begins."""
+    """The start tags in order; ``texts`` maps a tag to the offset of the first text
+    directly in it."""
 
     source: str
     tags: tuple[Tag, ...]
     texts: dict[int, int]
 
     def attributes(self, tag: Tag) -> list[Attribute]:
-        """What the tag has, in order, declarations of namespaces among it."""
+        """Return the attributes of the tag in order, namespace declarations included."""
         found = _ATTRIBUTE.finditer(self.source, tag.name_span.end, tag.span.end)
         return [
             Attribute(match[1], Span(*match.span(1)), Span(match.start(2) + 1, match.end(2) - 1))
@@ -87,10 +89,10 @@ class Markup:
 
 
 def scan(source: str) -> Markup:
-    """The tags of the text. Cost: one pass.
+    """Find the tags of the text. Cost: one pass.
 
-    Raises `LanguageError` for a DOCTYPE, too deep a tree, and tags, comments or references that
-    are broken, left open or closed in the wrong order.
+    Raises `LanguageError` for a DOCTYPE, for too deep nesting, and for tags, comments or references
+    that are broken, open, or closed in the wrong order.
     """
     scanner = _Scanner(source)
     position = 0
@@ -107,14 +109,14 @@ class _Scanner:
     source: str
     tags: list[Tag] = attribute(default_factory=list)
     texts: dict[int, int] = attribute(default_factory=dict)
-    # The tags that are open, as places in `tags`.
+    # Open tags, as indices into `tags`.
     open: list[int] = attribute(default_factory=list)
 
     def error(self, message: str, start: int, end: int, hint: str) -> LanguageError:
         return LanguageError(message, self.source, Span(start, end), hint)
 
     def text(self, start: int, end: int) -> None:
-        """What stands between two pieces of markup."""
+        """Check the text between two pieces of markup."""
         self.references(start, end)
         piece = self.source[start:end]
         blank = len(piece) - len(piece.lstrip(BLANKS))
@@ -125,10 +127,10 @@ class _Scanner:
         if not self.open:
             where = "after" if self.tags else "before"
             raise self.error(
-                f"text cannot stand {where} the specification",
+                f"text is not allowed {where} the specification",
                 start,
                 end,
-                "one text holds one element `specification`, and nothing else but comments",
+                "a text consists of one element `specification` and comments",
             )
         self.texts.setdefault(self.open[-1], start)
 
@@ -137,17 +139,15 @@ class _Scanner:
         if wrong is None:
             return
         if wrong[0] == "&":
-            raise self.error(
-                "`&` begins a reference, and none follows", *wrong.span(), "write `&amp;` for `&`"
-            )
+            raise self.error("`&` begins no reference", *wrong.span(), "write `&amp;` for `&`")
         raise self.error(
-            f"there is no entity `{shown(wrong[0])}`",
+            f"there is no entity `{abbreviate(wrong[0])}`",
             *wrong.span(),
             "there are `&amp;` `&lt;` `&gt;` `&quot;` `&apos;` and numbers such as `&#233;`",
         )
 
     def markup(self, start: int) -> int:
-        """Reads what begins with the ``<`` at ``start``; where it ends."""
+        """Read the markup at ``start``; return its end."""
         for begin, end, what in _OPAQUE:
             if self.source.startswith(begin, start):
                 return self.opaque(start, begin, end, what)
@@ -164,7 +164,7 @@ class _Scanner:
             raise self.error(f"the {what} is not closed", start, inner, f"close it with `{end}`")
         if begin == "<?" and start > 0 and re.compile(r"xml[ \t\r\n?]").match(self.source, inner):
             raise self.error(
-                "the XML declaration stands first, before all else",
+                "the XML declaration must come first",
                 start,
                 close + len(end),
                 "move it to the very beginning of the text, or leave it out",
@@ -199,7 +199,7 @@ class _Scanner:
             )
         if not self.open:
             raise self.error(
-                f"`</{shown(match[1])}>` closes nothing",
+                f"`</{abbreviate(match[1])}>` closes nothing",
                 *match.span(),
                 "leave it out, or open its element",
             )
@@ -207,9 +207,9 @@ class _Scanner:
         if tag.name != match[1]:
             line = self.source.count("\n", 0, tag.span.start) + 1
             raise self.error(
-                f"`</{shown(match[1])}>` stands where `</{shown(tag.name)}>` must",
+                f"expected `</{abbreviate(tag.name)}>`, found `</{abbreviate(match[1])}>`",
                 *match.span(),
-                f"`<{shown(tag.name)}>` of line {line} is still open",
+                f"`<{abbreviate(tag.name)}>` of line {line} is still open",
             )
         return match.end()
 
@@ -221,23 +221,23 @@ class _Scanner:
         name = match[1]
         if self.tags and not self.open:
             raise self.error(
-                f"`{shown(name)}` stands after the end of the specification",
+                f"`{abbreviate(name)}` follows the end of the specification",
                 start + 1,
                 start + 1 + len(name),
-                "one text holds one specification; several are several texts",
+                "send each specification as a text of its own",
             )
         if len(self.open) == MAX_DEPTH:
             raise self.error(
-                f"elements stand more than {MAX_DEPTH} deep in each other",
+                f"elements are nested more than {MAX_DEPTH} deep",
                 *match.span(),
-                "name a unit, and let others read it by `stream`",
+                "name a unit, and read it by `stream`",
             )
         most = islice(_ATTRIBUTE.finditer(self.source, start, match.end()), MOST_ATTRIBUTES + 1)
         if sum(1 for _ in most) > MOST_ATTRIBUTES:
             raise self.error(
                 f"an element has more than {MOST_ATTRIBUTES} attributes",
                 *match.span(),
-                "an attribute of the schema stands once",
+                "the schema allows each attribute once",
             )
         if not match[4]:
             self.open.append(len(self.tags))
@@ -248,28 +248,26 @@ class _Scanner:
         if not self.tags:
             place = len(self.source.rstrip(BLANKS))
             raise self.error(
-                "the text holds no specification",
+                "the text contains no specification",
                 place,
                 place,
                 "it is an element: `<spec:specification …>…</spec:specification>`",
             )
         if self.open:
             tag = self.tags[self.open[-1]]
-            name = shown(tag.name)
+            name = abbreviate(tag.name)
             raise self.error(
                 f"`{name}` is not closed",
                 tag.name_span.start,
                 tag.name_span.end,
-                f"write `</{name}>` behind what is in it, or end the tag with `/>`",
+                f"write `</{name}>` after its contents, or end the tag with `/>`",
             )
 
     def broken_tag(self, start: int) -> NoReturn:
-        """What is wrong first in a start tag that is none."""
+        """Raise the error for the first mistake in a broken start tag."""
         name = _WORD.match(self.source, start + 1)
         if name is None:
-            raise self.error(
-                "`<` begins a tag, and no name follows", start, start + 1, "write `&lt;` for `<`"
-            )
+            raise self.error("`<` begins no tag", start, start + 1, "write `&lt;` for `<`")
         position = name.end()
         while match := _ATTRIBUTE.match(self.source, position):
             position = match.end()
@@ -280,30 +278,32 @@ class _Scanner:
             self.broken_attribute(position, word)
         if position == len(self.source) or self.source[position] == "<":
             raise self.error(
-                f"the tag `{shown(name[0])}` has no end", *name.span(), "end it with `>` or `/>`"
+                f"the tag `{abbreviate(name[0])}` has no end",
+                *name.span(),
+                "end it with `>` or `/>`",
             )
         raise self.error(
-            f"`{self.source[position]}` cannot stand in a tag",
+            f"`{self.source[position]}` is not allowed in a tag",
             position,
             position + 1,
             'a tag is a name and attributes: `<spec:cu type="gps" />`',
         )
 
     def broken_attribute(self, position: int, word: re.Match[str]) -> NoReturn:
-        name = shown(word[0])
+        name = abbreviate(word[0])
         equals = re.compile(rf"[{BLANKS}]*=[{BLANKS}]*").match(self.source, word.end())
         if equals is None:
             message, hint = f"the attribute `{name}` has no value", f'write `{name}="…"`'
         elif self.source[position - 1] not in BLANKS:
-            message, hint = f"a blank is missing before `{name}`", "attributes stand apart"
+            message, hint = f"a blank is missing before `{name}`", "separate attributes by blanks"
         elif self.source[equals.end() : equals.end() + 1] not in ('"', "'"):
             message, hint = f"the value of `{name}` is not in quotes", f'write `{name}="…"`'
         else:
-            message = f"the value of `{name}` is not closed, or holds `<`"
-            hint = "close it with the quote that it began with; write `&lt;` for `<`"
+            message = f"the value of `{name}` is not closed, or contains `<`"
+            hint = "close it with its opening quote; write `&lt;` for `<`"
         raise self.error(message, *word.span(), hint)
 
 
-def shown(text: str) -> str:
-    """A name or value as messages show it: not longer than it helps."""
+def abbreviate(text: str) -> str:
+    """Return a name or value for a message, shortened if it is long."""
     return text if len(text) <= 60 else f"{text[:60]}…"

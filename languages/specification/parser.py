@@ -1,8 +1,8 @@
-"""Text to a specification ([Introspection15 §3.2, Listing 1], SPEC §6).
+"""Parses text to a specification ([Introspection15 §3.2, Listing 1], SPEC §6).
 
-The way of a text: characters (`decoding`), tags and where they stand (`markup`), elements
-(`document`), the rules of the schema (`refusals` in plain words, then `specification.xsd` itself),
-values (`ast`). Names are not resolved here; the engine does that.
+The stages: characters (`decoding`), tags and their places (`markup`), elements (`document`), the
+rules of the schema (`schema_rules` in plain words, then `specification.xsd` itself), values
+(`ast`). The engine resolves the names.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from .ast import (
     StreamReference,
     UnitSpecification,
 )
-from .decoding import decoded
-from .document import Document, Element, read
+from .decoding import decode
+from .document import Document, Element, read_document
 from .markup import BLANKS, scan
-from .refusals import refusal
+from .schema_rules import first_violation
 
 
 def parse_specification(text: str | bytes) -> Specification:
-    """The specification that a text says. Cost and memory: linear in the text.
+    """Parse a specification. Cost and memory: linear in the text.
 
-    Bytes are UTF-8 or UTF-16. Raises `LanguageError` for what is larger than 2 MiB or deeper than
-    100 elements, for a DOCTYPE, for what is no XML, and for what the schema refuses.
+    Bytes are UTF-8 or UTF-16. Raises `LanguageError` for more than 2 MiB, more than 100 levels of
+    elements, a DOCTYPE, malformed XML, and a text that the schema refuses.
     """
-    document = read(scan(decoded(text)))
+    document = read_document(scan(decode(text)))
     _check(document)
     return _specification(document)
 
@@ -46,17 +46,17 @@ def _schema() -> Any:
 
 
 def _check(document: Document) -> None:
-    """Raises `LanguageError` unless the schema accepts the document."""
-    if error := refusal(document):
+    """Raise `LanguageError` unless the schema accepts the document."""
+    if error := first_violation(document):
         raise error
     schema = _schema()
     if not schema.validate(document.tree):
-        told = schema.error_log.last_error
+        violation = schema.error_log.last_error
         raise LanguageError(
-            f"the schema refuses the text: {told.message}",
+            f"the schema refuses the text: {violation.message}",
             document.source,
             document.elements[0].tag.name_span,
-            f"it is about line {told.line}; the schema is specification.xsd",
+            f"it is about line {violation.line}; the schema is specification.xsd",
         )
 
 
@@ -64,14 +64,14 @@ _Part: TypeAlias = Input | Parameter | Removal
 
 
 def _specification(document: Document) -> Specification:
-    """The values of a document that the schema accepts: children first, so nothing recurs."""
+    """Build the values of a valid document. It visits children first, so it does not recurse."""
     elements = document.elements
-    held: list[list[_Part]] = [[] for _ in elements]
+    children: list[list[_Part]] = [[] for _ in elements]
     insertions: tuple[UnitSpecification, ...] = ()
     removals: tuple[Removal, ...] = ()
     for place, element in reversed([*enumerate(elements)]):
-        # Children came last first.
-        parts = held[place][::-1]
+        # The loop visited the children in reverse.
+        parts = children[place][::-1]
         match element.name:
             case "specification":
                 pass
@@ -83,7 +83,7 @@ def _specification(document: Document) -> Specification:
                 assert element.parent is not None
                 removed = elements[element.parent].name == "removals"
                 part = _removal(element) if removed else _part(element, parts)
-                held[element.parent].append(part)
+                children[element.parent].append(part)
     return Specification(insertions, removals, document.source)
 
 
@@ -91,12 +91,12 @@ def _part(element: Element, parts: list[_Part]) -> Input | Parameter:
     match element.name:
         case "parameter":
             value = element.attributes["value"].text
-            return Parameter(_required(element, "name"), value, element.tag.span)
+            return Parameter(_required_name(element, "name"), value, element.tag.span)
         case "stream":
-            return StreamReference(_required(element, "name"), element.tag.span)
+            return StreamReference(_required_name(element, "name"), element.tag.span)
         case _:
             return UnitSpecification(
-                _required(element, "type"),
+                _required_name(element, "type"),
                 _name(element, "name"),
                 tuple(part for part in parts if isinstance(part, Parameter)),
                 tuple(part for part in parts if isinstance(part, Input)),
@@ -108,13 +108,14 @@ def _removal(element: Element) -> Removal:
     return Removal(_name(element, "name"), _name(element, "type"), element.tag.span)
 
 
-def _required(element: Element, attribute: str) -> str:
+def _required_name(element: Element, attribute: str) -> str:
     name = _name(element, attribute)
     assert name is not None
     return name
 
 
 def _name(element: Element, attribute: str) -> str | None:
-    """A name without the blanks around it, as the schema reads it; None if it is not there."""
+    """Return a name without surrounding white space, as the schema reads it; None if it
+    is absent."""
     value = element.attributes.get(attribute)
     return None if value is None else value.text.strip(BLANKS)

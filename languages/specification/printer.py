@@ -1,4 +1,4 @@
-"""Specifications to XML text.
+"""Prints specifications as XML text.
 
 Law: ``parse_specification(format_specification(s)) == s``, up to spans.
 """
@@ -18,7 +18,8 @@ from .decoding import is_character
 from .markup import NAMESPACE
 
 _Part: TypeAlias = UnitSpecification | StreamReference | Parameter | Removal
-# Blanks other than the space would come back as spaces (XML 1.0 §3.3.3), so they are numbered.
+# XML turns tabs and line ends in attributes into spaces (XML 1.0 §3.3.3), so they become
+# references.
 _ESCAPES: Final = str.maketrans(
     {
         "&": "&amp;",
@@ -33,9 +34,9 @@ _ESCAPES: Final = str.maketrans(
 
 
 def format_specification(specification: Specification) -> str:
-    """The specification as XML text in the shape of Listing 1; parts that are empty are left out.
+    """Return the specification as XML text in the form of Listing 1, without empty parts.
 
-    Raises `ValueError` for a value with a character that XML cannot hold, such as U+0000.
+    Raises `ValueError` for a value with a character that XML does not allow, such as U+0000.
     """
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<spec:specification"]
     insertions = _section("insertions", specification.insertions)
@@ -48,7 +49,8 @@ def format_specification(specification: Specification) -> str:
 
 
 def format_element(part: UnitSpecification | Removal) -> str:
-    """A `cu` by itself, with what is in it and the namespace; raises as the above does."""
+    """Return a single `cu` with its contents and the namespace. Raises as
+    `format_specification`."""
     first, *others = (line.removeprefix("    ") for line in _lines((part,)))
     declared = f'<spec:cu xmlns:spec="{NAMESPACE}"'
     return "\n".join([first.replace("<spec:cu", declared, 1), *others])
@@ -61,7 +63,7 @@ def _section(name: str, parts: tuple[UnitSpecification, ...] | tuple[Removal, ..
 
 
 def _lines(parts: tuple[_Part, ...]) -> list[str]:
-    """Each part with what is in it. A stack of what is still to print, so nothing recurs."""
+    """Return the lines of each part and its contents. An explicit stack replaces recursion."""
     lines: list[str] = []
     rest: list[tuple[int, _Part | str]] = [(2, part) for part in reversed(parts)]
     while rest:
@@ -70,15 +72,15 @@ def _lines(parts: tuple[_Part, ...]) -> list[str]:
         if isinstance(part, str):
             lines.append(f"{indent}{part}")
             continue
-        held: tuple[_Part, ...] = ()
+        children: tuple[_Part, ...] = ()
         if isinstance(part, UnitSpecification):
-            held = (*part.parameters, *part.inputs)
-        if not held:
+            children = (*part.parameters, *part.inputs)
+        if not children:
             lines.append(f"{indent}<{_tag(part)} />")
             continue
         lines.append(f"{indent}<{_tag(part)}>")
         rest.append((depth, "</spec:cu>"))
-        rest += [(depth + 1, inner) for inner in reversed(held)]
+        rest += [(depth + 1, inner) for inner in reversed(children)]
     return lines
 
 

@@ -1,6 +1,7 @@
-"""Checked SSL: what a stream, source or transformation means, in IRIs ([Events14 §IV.A], SPEC §3).
+"""Checked SSL: the meaning of a stream, source or transformation, in IRIs ([Events14 §IV.A], SPEC
+§3).
 
-`check.check_ssl` makes these; converters and matching read them.
+`check.check_ssl` makes these values; converters and matching read them.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from .ast import Unit
 
 
 class Role(NamedTuple):
-    """One thing a feature speaks of; IRIs.
+    """An argument of a feature; all values are IRIs.
 
-    ``sort`` set: every object of the sort, and ``id_field`` names the one meant (s3, s4, s5).
-    ``object`` set and ``id_field`` None: always this object (s1, s7); with ``id_field``: only
-    samples whose field names this object carry the feature (s2, s6).
+    | case | meaning | listings |
+    |---|---|---|
+    | ``sort`` | any object of the sort; the field ``id_field`` names it | s3, s4, s5 |
+    | ``object``, no ``id_field`` | always this object | s1, s7 |
+    | ``object`` and ``id_field`` | only samples whose field names this object | s2, s6 |
     """
 
     sort: str | None
@@ -29,7 +32,7 @@ class Role(NamedTuple):
 class Content:
     """A feature (IRI) that a stream carries in ``field``.
 
-    ``unit`` is the one written, else the feature's own; ``()`` where there is none.
+    ``unit`` is the one written, else the feature's own; ``()`` if there is none.
     """
 
     feature: str
@@ -39,14 +42,14 @@ class Content:
 
 
 def id_fields(contents: Iterable[Content]) -> tuple[str, ...]:
-    """The fields that name the objects of a stream's samples, each once."""
+    """Return the fields that name the objects of a stream's samples, each once."""
     fields = (role.id_field for content in contents for role in content.roles)
     return tuple(dict.fromkeys(field for field in fields if field is not None))
 
 
 @dataclass(frozen=True, slots=True)
 class StreamAnnotation:
-    """What stream ``stream`` contains. ``source`` is the SSL text of this declaration."""
+    """The contents of stream ``stream``. ``source`` is the SSL text of this declaration."""
 
     stream: str
     contents: tuple[Content, ...]
@@ -55,12 +58,12 @@ class StreamAnnotation:
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """What an input or output speaks of: any object of ``sort``, or always ``object``; IRIs.
+    """An argument of an input or output: any object of ``sort``, or always ``object``; IRIs.
 
-    ``variable`` names it within one annotation: what has the same name is the same object, as in
-    ``humanDetector : RGB[RMAX], IR[RMAX] ⇒ PixelLocation[Human]`` ([Introspection15 §4.3]). It is
-    the sort's name where no alias was given. ``id_field`` is the field of an output that names
-    objects which are in none of the inputs. ``self`` is the object `SELF`.
+    ``variable`` names it within one annotation. Equal names mean the same object, as in
+    ``humanDetector : RGB[RMAX], IR[RMAX] ⇒ PixelLocation[Human]`` ([Introspection15 §4.3]). Without
+    an alias it is the name of the sort. ``id_field`` is the output's field that names objects which
+    no input contains. ``self`` is the object `SELF`.
     """
 
     variable: str
@@ -71,9 +74,10 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class PortAnnotation:
-    """An input or output: the field, the feature (IRI) in it, its unit, and whose feature it is.
+    """An input or output: its field, its feature (IRI), its unit, and the feature's arguments.
 
-    Without ``arguments`` it speaks of whatever the other ports speak of; a source's of ``self``.
+    Without ``arguments`` it concerns the objects of the other ports; that of a source concerns
+    ``self``.
     """
 
     field: str

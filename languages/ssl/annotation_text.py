@@ -1,8 +1,9 @@
-"""Checked annotations as SSL: what JSON and Turtle say, as the text that says the same (SPEC §3).
+"""Prints checked annotations as SSL: the text for annotations that came as JSON or Turtle (SPEC
+§3).
 
 Law (tests/laws/languages/test_annotations.py): ``check_ssl(parse_ssl(text), text, vocabulary)`` of
-a text made here with ``vocabulary`` gives the annotation back. Used by the engine and by matching,
-for streams of which nothing was written in SSL.
+a text made with ``vocabulary`` returns the annotation. The engine and matching use it for streams
+without an SSL text.
 """
 
 from __future__ import annotations
@@ -48,33 +49,33 @@ Named: TypeAlias = tuple[str, str | None]
 
 
 def format_annotation(annotation: CheckedAnnotation, vocabulary: Vocabulary | None = None) -> str:
-    """The annotation as one line of SSL. ``vocabulary`` knows the features' own units: without it
-    a value without unit of a feature with one is written as if it were in that one."""
+    """Return the annotation as one line of SSL. ``vocabulary`` knows the features' own units.
+    Without it, a value without unit reads as one in its feature's unit."""
     return format_declaration(declaration_of(annotation, vocabulary))
 
 
-def in_ssl(annotation: Annotation, vocabulary: Vocabulary | None = None) -> Annotation:
-    """The annotation with that text as its source."""
+def with_ssl_source(annotation: Annotation, vocabulary: Vocabulary | None = None) -> Annotation:
+    """Return the annotation with this text as its source."""
     return replace(annotation, source=format_annotation(annotation, vocabulary))
 
 
 def declaration_of(
     annotation: CheckedAnnotation, vocabulary: Vocabulary | None = None
 ) -> Declaration:
-    """The declaration that means the annotation, without places."""
+    """Return the declaration with the meaning of the annotation, without spans."""
     match annotation:
         case StreamAnnotation():
             return _stream(annotation, vocabulary)
         case SourceAnnotation(name, output):
-            return SourceDeclaration(name, _port(output, vocabulary), _HERE, _found(output))
+            return SourceDeclaration(name, _port(output, vocabulary), _HERE, _entities(output))
         case TransformationAnnotation(name, inputs, output):
-            taken = tuple(_port(port, vocabulary) for port in inputs)
+            inputs_text = tuple(_port(port, vocabulary) for port in inputs)
             made = _port(output, vocabulary)
-            return CompunitDeclaration(name, taken, made, _HERE, _found(output))
+            return CompunitDeclaration(name, inputs_text, made, _HERE, _entities(output))
 
 
 def term_words(iri: str) -> str:
-    """A feature, sort or object as SSL writes it: ``speed``, ``rdf:value`` or ``<IRI>``."""
+    """Return a feature, sort or object as SSL text: ``speed``, ``rdf:value`` or ``<IRI>``."""
     local = iri.removeprefix(DYKNOW)
     if local != iri and local != "self" and _NAME.fullmatch(local):
         return local
@@ -89,7 +90,7 @@ def _stream(annotation: StreamAnnotation, vocabulary: Vocabulary | None) -> Stre
         FeatureTerm(
             term_words(content.feature),
             tuple(
-                Argument(term_words(_named(role)[0]), aliases.get(_named(role)), _HERE)
+                Argument(term_words(_role_key(role)[0]), aliases.get(_role_key(role)), _HERE)
                 for role in content.roles
             ),
             content.field,
@@ -100,24 +101,25 @@ def _stream(annotation: StreamAnnotation, vocabulary: Vocabulary | None) -> Stre
         for content in annotation.contents
     )
     entities: dict[Named, Entity] = {}
-    # Conditions first: `every` governs all that follows it.
+    # Conditions first: `every` applies to all entities after it.
     for role in sorted(roles, key=lambda role: role.object is None):
         if role.id_field is not None:
-            words = aliases.get(_named(role)) or term_words(_named(role)[0])
+            words = aliases.get(_role_key(role)) or term_words(_role_key(role)[0])
             entity = Entity(words, role.id_field, _HERE, role.object is None)
-            entities.setdefault(_named(role), entity)
+            entities.setdefault(_role_key(role), entity)
     return StreamDeclaration(annotation.stream, features, tuple(entities.values()), _HERE)
 
 
-def _named(role: Role) -> Named:
-    """What a role names; a selected object is written as the condition that it is."""
+def _role_key(role: Role) -> Named:
+    """Return the sort or object of a role, and its field."""
     return role.object or role.sort or "", role.id_field
 
 
 def _aliases(roles: Iterable[Role]) -> Mapping[Named, str]:
-    """Aliases for sorts and objects that several fields name, or a field here and none there."""
+    """Return aliases for sorts and objects that several fields name, or that have a field in one
+    role only."""
     fields: dict[str, list[str | None]] = {}
-    for iri, field in dict.fromkeys(map(_named, roles)):
+    for iri, field in dict.fromkeys(map(_role_key, roles)):
         fields.setdefault(iri, []).append(field)
     free = _free_names({term_words(iri) for iri in fields})
     return {
@@ -153,8 +155,9 @@ def _argument_words(argument: CheckedArgument) -> str:
     return term_words(argument.object or argument.sort or "")
 
 
-def _found(output: PortAnnotation) -> tuple[Entity, ...]:
-    """The for-part: fields that name what no input speaks of; `id` needs no words."""
+def _entities(output: PortAnnotation) -> tuple[Entity, ...]:
+    """Return the for-part: fields that name objects which no input contains. The field `id` is the
+    default and needs no text."""
     return tuple(
         Entity(
             argument.variable if _NAME.fullmatch(argument.variable) else _argument_words(argument),
@@ -168,7 +171,7 @@ def _found(output: PortAnnotation) -> tuple[Entity, ...]:
 
 
 def _unit(feature: str, unit: Unit, vocabulary: Vocabulary | None) -> Unit | None:
-    """None, where the feature's own unit is meant."""
+    """Return the unit; None if the feature's own unit applies."""
     info = None if vocabulary is None else vocabulary.feature(feature)
     own = None if info is None else info.unit
     return unit if unit or own else None

@@ -1,8 +1,7 @@
 """The AST of SSL, the Stream Semantics Language ([Events14 Listing 1], SPEC §3).
 
 Names are as written (``speed``, ``dyknow:speed``, ``<IRI>``); `check` resolves them against the
-ontology. Spans say where a thing stands and are no part of what it is: two declarations that differ
-in their spans only are equal.
+ontology. Spans take no part in comparisons: two declarations that differ only in spans are equal.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """A sort or object that a feature speaks of: ``UAV``, ``dyknow:uav1``, ``UAV as arg1``."""
+    """A sort or object as a feature's argument: ``UAV``, ``dyknow:uav1``, ``UAV as arg1``."""
 
     name: str
     alias: str | None
@@ -39,9 +38,9 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class FeatureTerm:
-    """``speed(UAV) = spd [mi.h-1]``: the feature, what it speaks of, and the field that holds it.
+    """``speed(UAV) = spd [mi.h-1]``: the feature, its arguments, and the field with its value.
 
-    ``unit`` None means that none was written (the feature's own unit is meant).
+    ``unit`` is None if none was written: then the feature's own unit applies.
     """
 
     feature: str
@@ -55,10 +54,10 @@ class FeatureTerm:
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """``UAV = id``: the field ``id`` names the object of this sort, alias or object.
+    """``UAV = id``: the field ``id`` names the object of this sort or alias, or this object.
 
-    Under ``every`` it names each object of a sort. Without it the entity is a condition: only
-    samples whose id field names that object carry the features.
+    After ``every`` the field names any object of a sort. Without it the entity is a condition: only
+    samples whose id field names the object carry the features.
     """
 
     name: str
@@ -71,7 +70,8 @@ class Entity:
 class StreamDeclaration:
     """``stream NAME contains features [for conditions, every entities]``.
 
-    The word `every` governs all entities after it. No entities: every sample carries the features.
+    The word `every` applies to all entities after it. Without entities every sample carries the
+    features.
     """
 
     name: str
@@ -84,7 +84,7 @@ class StreamDeclaration:
 class FieldFeature:
     """``field:feature(arguments) [unit]`` of a source or computational unit.
 
-    ``arguments`` None: none were written, not even ``()``.
+    ``arguments`` is None if none were written, not even ``()``.
     """
 
     field: str
@@ -110,7 +110,7 @@ class SourceDeclaration:
 class CompunitDeclaration:
     """``compunit NAME transforms inputs to output [for every entities]``.
 
-    The entities are the objects that the unit itself finds and names in its output.
+    The entities are the objects that the unit itself detects and names in its output.
     """
 
     name: str

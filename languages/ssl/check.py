@@ -1,9 +1,10 @@
-"""SSL declarations against the ontology: names become IRIs, units are compared ([Events14 §IV.A]).
+"""Checks SSL declarations against the ontology: it resolves names and compares units ([Events14
+§IV.A]).
 
-What the papers leave open is settled here. A name that the ontology knows as a sort is a sort;
-any other name is an object, known or new, unless `every` asks for a sort. A plain name is looked
-up in the stream's object namespace first and then among the domain terms (`dyknow:`); a prefixed
-name or an IRI means itself.
+The papers leave these rules open. A name that the ontology defines as a sort is a sort. Any other
+name is an object, known or new, unless `every` requires a sort. A plain name is looked up in the
+stream's object namespace, then among the domain terms (`dyknow:`). A prefixed name or an IRI
+denotes itself.
 """
 
 from __future__ import annotations
@@ -53,22 +54,22 @@ def check_ssl(
     vocabulary: Vocabulary,
     namespace: str = DYKNOW,
 ) -> tuple[CheckedAnnotation, ...]:
-    """What the declarations of `parse_ssl(source)` mean, one annotation each, in order.
+    """Return the meaning of the declarations of `parse_ssl(source)`, one annotation each, in order.
 
-    ``namespace`` is where new objects live. Raises `LanguageError` at the first name, unit or
-    for-part that makes no sense; nothing is then declared.
+    ``namespace`` is that of new objects. Raises `LanguageError` at the first invalid name, unit or
+    for-part; then nothing is declared.
     """
     checker = _Checker(source, vocabulary, namespace)
-    seen: set[tuple[type[Declaration], str]] = set()
+    declared: set[tuple[type[Declaration], str]] = set()
     for declaration in declarations:
         key = (type(declaration), declaration.name)
-        if key in seen:
+        if key in declared:
             raise checker.error(
                 f"`{declaration.name}` is declared twice in this text",
                 declaration.span,
                 "one declaration says all that a stream contains",
             )
-        seen.add(key)
+        declared.add(key)
     return tuple(checker.declaration(declaration) for declaration in declarations)
 
 
@@ -101,7 +102,7 @@ class _Checker:
     def contents(self, stream: StreamDeclaration) -> tuple[Content, ...]:
         self.check_entities(stream)
         contents: list[Content] = []
-        said: set[tuple[str, tuple[Role, ...]]] = set()
+        declared: set[tuple[str, tuple[Role, ...]]] = set()
         for term in stream.features:
             span = Span(term.span.start, term.span.start + len(term.feature))
             feature = self.feature(term.feature, span)
@@ -109,20 +110,20 @@ class _Checker:
             unit = self.unit(feature, term.feature, term.unit, term.unit_span)
             self.check_arity(feature, term.feature, len(term.arguments), term.span)
             self.check_field(term.field, term.field_span)
-            if (feature, roles) in said:
+            if (feature, roles) in declared:
                 raise self.error(
                     f"`{term.feature}` of the same object is declared twice",
                     term.span,
                     "name each feature of an object once; another object needs another argument",
                 )
-            said.add((feature, roles))
+            declared.add((feature, roles))
             contents.append(Content(feature, term.field, unit, roles))
         return tuple(contents)
 
     def check_field(self, field: str, span: Span) -> None:
         if field in TIME_FIELDS:
             raise self.error(
-                f"a field cannot be called `{field}`: that is a sample's time",
+                f"a field cannot have the name `{field}`: that is a sample's time",
                 span,
                 "give the field another name",
             )
@@ -131,51 +132,52 @@ class _Checker:
         info = self.vocabulary.feature(feature)
         if info is not None and info.arity not in (None, number):
             raise self.error(
-                f"`{name}` is a feature of one object, and {number or 'none'} "
-                f"{'is' if number == 0 else 'are'} named",
+                f"`{name}` has 1 argument, not {number}",
                 span,
                 f"write `{name}(UAV)` with one sort or object",
             )
 
     def check_entities(self, stream: StreamDeclaration) -> None:
-        """Each entity names something in the features, once, and fits with or without `every`."""
+        """Check that each entity names something in the features, once, and fits its `every`."""
         arguments = [argument for term in stream.features for argument in term.arguments]
-        seen: dict[str, Entity] = {}
+        by_term: dict[str, Entity] = {}
         for entity in stream.entities:
             self.check_field(entity.field, entity.span)
             named = [argument for argument in arguments if self.is_named(argument, entity)]
             key = entity.name if any(a.alias for a in named) else self.term(entity)
-            if key in seen:
+            if key in by_term:
                 raise self.error(
                     f"`{entity.name}` is named by two fields, "
-                    f"`{seen[key].field}` and `{entity.field}`",
+                    f"`{by_term[key].field}` and `{entity.field}`",
                     entity.span,
-                    "one field names it; tell two of a sort apart: `(UAV as a, UAV as b)`",
+                    "one field names it; distinguish two of a sort: `(UAV as a, UAV as b)`",
                 )
-            seen[key] = entity
+            by_term[key] = entity
             if not named:
-                known = sorted({argument.alias or argument.name for argument in arguments})
+                names = sorted({argument.alias or argument.name for argument in arguments})
                 raise self.error(
                     f"`{entity.name}` is not in the stream's features",
                     entity.span,
-                    f"the features speak of {', '.join(known)}"
-                    if known
-                    else "the features speak of nothing: leave the for-part out",
+                    f"the features have the arguments {', '.join(names)}"
+                    if names
+                    else "the features have no arguments: leave the for-part out",
                 )
             for argument in named:
                 self.check_entity(entity, argument)
 
     def is_named(self, argument: Argument, entity: Entity) -> bool:
-        """An alias hides the name it stands for."""
+        """Return whether the entity names the argument. An alias hides the name of its argument."""
         if argument.alias is not None:
             return argument.alias == entity.name
         return argument.name == entity.name or self.term(argument) == self.term(entity)
 
     def term(self, named: Argument | Entity) -> str:
-        """What a name stands for: a term that the ontology knows, else a new one."""
+        """Resolve a name: a term of the ontology, else a new one."""
         iris = self.iris(named.name, named.span)
-        known = self.vocabulary
-        return next((iri for iri in iris if known.is_sort(iri) or known.is_object(iri)), iris[0])
+        vocabulary = self.vocabulary
+        return next(
+            (iri for iri in iris if vocabulary.is_sort(iri) or vocabulary.is_object(iri)), iris[0]
+        )
 
     def check_entity(self, entity: Entity, argument: Argument) -> None:
         sort = self.sort(argument)
@@ -188,13 +190,13 @@ class _Checker:
                 hint = f"write `for {entity.name} = {entity.field}` if it is an object"
             else:
                 hint = f"did you mean {' or '.join(near)}?"
-            what = "an object" if known_object else "no sort of the ontology"
+            what = "an object" if known_object else "not a sort of the ontology"
             raise self.error(
                 f"`every` needs a sort, and `{argument.name}` is {what}", entity.span, hint
             )
         if not entity.every and sort is not None:
             raise self.error(
-                f"`{argument.name}` is a sort, so one field value cannot be it",
+                f"`{argument.name}` is a sort, not an object",
                 entity.span,
                 f"write `for every {entity.name} = {entity.field}`",
             )
@@ -208,7 +210,7 @@ class _Checker:
             sort = self.sort(argument)
             if name in by_name and (sort is not None or argument.alias is not None):
                 raise self.error(
-                    f"`{name}` occurs twice in `{term.feature}`, so it is not clear which is meant",
+                    f"`{name}` occurs twice in `{term.feature}`, which is ambiguous",
                     argument.span,
                     f"give each an alias: `({argument.name} as arg1, {argument.name} as arg2)`",
                 )
@@ -241,12 +243,13 @@ class _Checker:
         return (self.namespace,) if self.namespace == DYKNOW else (self.namespace, DYKNOW)
 
     def iris(self, name: str, span: Span) -> tuple[str, ...]:
-        """What a written name may mean, best first: ``speed``, ``dyknow:speed``, ``<IRI>``."""
+        """Return the possible IRIs of a name, best first: ``speed``, ``dyknow:speed``,
+        ``<IRI>``."""
         if name.startswith("<"):
             try:
                 return (NamedNode(name[1:-1]).value,)
             except ValueError as error:
-                raise self.error(f"`{name}` is no IRI: {error}", span) from None
+                raise self.error(f"`{name}` is not an IRI: {error}", span) from None
         prefix, colon, local = name.partition(":")
         if not colon:
             return tuple(space + name for space in self.spaces())
@@ -263,7 +266,7 @@ class _Checker:
         return next((iri for iri in iris if self.vocabulary.is_sort(iri)), None)
 
     def object(self, argument: Argument) -> str:
-        """The IRI of an object: one that the ontology knows, else a new one."""
+        """Return the IRI of an object: one of the ontology, else a new one."""
         if argument.name == "self":
             return self.vocabulary.self_object
         candidates = self.iris(argument.name, argument.span)
@@ -271,15 +274,15 @@ class _Checker:
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 kind = "a feature" if self.vocabulary.is_feature(iri) else "an event"
                 raise self.error(
-                    f"`{argument.name}` is {kind}, no sort or object",
+                    f"`{argument.name}` is {kind}, not a sort or object",
                     argument.span,
-                    "a feature speaks of objects: `speed(uav1)`, or of a sort: `speed(UAV)`",
+                    "the arguments of a feature are objects, `speed(uav1)`, or sorts, `speed(UAV)`",
                 )
-        known = (iri for iri in candidates if self.vocabulary.is_object(iri))
-        return next(known, candidates[0])
+        objects = (iri for iri in candidates if self.vocabulary.is_object(iri))
+        return next(objects, candidates[0])
 
     def feature(self, name: str, span: Span) -> str:
-        """The IRI of a feature, or of an event, whose stream carries the event's value."""
+        """Return the IRI of a feature, or of an event, whose stream carries the event's value."""
         for iri in self.iris(name, span):
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 return iri
@@ -294,7 +297,8 @@ class _Checker:
     # -- units and ports -------------------------------------------------------------------
 
     def unit(self, feature: str, name: str, unit: Unit | None, span: Span | None) -> Unit:
-        """The unit written if it measures what the feature is; the feature's own if none is."""
+        """Return the written unit if its dimension is that of the feature; without one the
+        feature's own."""
         info = self.vocabulary.feature(feature)
         own = None if info is None else info.unit
         if unit is None or span is None:
@@ -320,13 +324,13 @@ class _Checker:
         )
 
     def inputs(self, unit: CompunitDeclaration) -> tuple[PortAnnotation, ...]:
-        seen: set[str] = set()
+        names: set[str] = set()
         for port in unit.inputs:
-            if port.field in seen:
+            if port.field in names:
                 raise self.error(
-                    f"two inputs are called `{port.field}`", port.span, "each needs its own name"
+                    f"two inputs have the name `{port.field}`", port.span, "each needs its own name"
                 )
-            seen.add(port.field)
+            names.add(port.field)
         return tuple(self.port(port) for port in unit.inputs)
 
     def port(self, port: FieldFeature) -> PortAnnotation:
@@ -339,7 +343,7 @@ class _Checker:
         if len(names) > len(set(names)):
             twice = next(name for name in names if names.count(name) > 1)
             raise self.error(
-                f"`{twice}` occurs twice in `{port.feature}`, so it is not clear which is meant",
+                f"`{twice}` occurs twice in `{port.feature}`, which is ambiguous",
                 port.span,
                 f"give each an alias: `({twice} as arg1, {twice} as arg2)`",
             )
@@ -359,25 +363,26 @@ class _Checker:
         inputs: Sequence[PortAnnotation],
         entities: Sequence[Entity],
     ) -> PortAnnotation:
-        """The output; what no input speaks of gets its names in a field of the output."""
+        """Return the output. Objects that no input contains get a field of the output for their
+        names."""
         made = self.port(port)
         self.check_field(port.field, port.span)
-        given = {argument.variable for input in inputs for argument in input.arguments}
+        in_inputs = {argument.variable for input in inputs for argument in input.arguments}
         if any(not input.arguments for input in inputs):
-            # Such an input speaks of what the output speaks of.
-            given |= {argument.variable for argument in made.arguments}
-        for named in entities:
-            self.check_field(named.field, named.span)
+            # Such an input concerns the objects of the output.
+            in_inputs |= {argument.variable for argument in made.arguments}
+        for each in entities:
+            self.check_field(each.field, each.span)
         fields = {variable_name(entity.name): entity for entity in entities}
         arguments: list[annotation.Argument] = []
         for argument in made.arguments:
             entity = fields.pop(argument.variable, None)
-            if argument.sort is None or argument.variable in given:
+            if argument.sort is None or argument.variable in in_inputs:
                 if entity is not None:
                     raise self.error(
-                        f"`{entity.name}` comes with the inputs: no field of the output names it",
+                        f"`{entity.name}` is an object of the inputs, which no output field names",
                         entity.span,
-                        "leave it out: the output keeps apart the objects of the inputs",
+                        "leave it out: the output distinguishes the objects of the inputs",
                     )
                 arguments.append(argument)
                 continue
@@ -391,7 +396,7 @@ class _Checker:
             arguments.append(replace(argument, id_field=field))
         for entity in fields.values():
             raise self.error(
-                f"the output does not speak of `{entity.name}`",
+                f"`{entity.name}` is not an argument of the output",
                 entity.span,
                 f"name it in the output: `{port.field}:{port.feature}({entity.name})`",
             )
@@ -408,6 +413,6 @@ class _Checker:
 
 
 def variable_name(name: str) -> str:
-    """The last part of a written name or an IRI, with letters, digits and `_` only."""
+    """Return the last part of a name or an IRI, with letters, digits and `_` only."""
     text = local_name(name.rstrip(">"))
     return "".join(c if c.isalnum() or c == "_" else "_" for c in text)

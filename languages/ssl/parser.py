@@ -1,4 +1,4 @@
-"""Text to SSL declarations ([Events14 Listing 1], SPEC §3). The grammar is `ssl.lark`.
+"""Parses text to SSL declarations ([Events14 Listing 1], SPEC §3). The grammar is `ssl.lark`.
 
 Names are not resolved here; `check` does that.
 """
@@ -6,24 +6,23 @@ Names are not resolved here; `check` does that.
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from functools import cache
-from importlib import resources
 from typing import Final
 
-from lark import Lark, Token, Tree
+from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ...ontology.units import PERCENT, POWERS
 from ..errors import LanguageError, Span
-from ..remembered import remembered
 from ..syntax import (
     check_names,
     expected_hint,
+    grammar,
     span_of,
     syntax_error,
     tokens,
     trees,
 )
+from ..text_cache import TextCache
 from .ast import (
     Argument,
     CompunitDeclaration,
@@ -37,42 +36,19 @@ from .ast import (
     UnitPower,
 )
 
-_EXPECTED: Final = {
-    "NAME": "a name",
-    "PREFIXED": "a name",
-    "IRI": "a name",
-    "TEXT": "a name",
-    "UNIT_NAME": "a unit (letters only)",
-    "POWER": "a power",
-    "EQUAL": "`=`",
-    "LPAR": "`(`",
-    "RPAR": "`)`",
-    "LSQB": "`[`",
-    "RSQB": "`]`",
-    "COMMA": "`,`",
-    "COLON": "`:`",
-    "DOT": "`.`",
-    "$END": "the end",
-}
 _DECLARATION_WORDS: Final = frozenset({"STREAM", "SOURCE", "COMPUNIT"})
 
 
-@cache
-def _grammar() -> Lark:
-    text = resources.files(__package__).joinpath("ssl.lark").read_text(encoding="utf-8")
-    return Lark(text, parser="lalr", lexer="contextual", propagate_positions=True)
-
-
-@remembered
+@TextCache
 def parse_ssl(source: str) -> tuple[Declaration, ...]:
-    """The declarations of an SSL text, in order; `#` starts a comment.
+    """Parse the declarations of an SSL text, in order; `#` starts a comment.
 
-    Raises `LanguageError` for a text that Listing 1's grammar refuses; the caret stands under
-    the first thing that cannot be there. The last texts are remembered: who has had one read in
-    another thread need not wait for it.
+    Raises `LanguageError` for a text that the grammar of Listing 1 refuses; the caret marks the
+    first wrong token. The last texts are cached: the service parses a text in another thread first,
+    then the engine finds it.
     """
     try:
-        tree = _grammar().parse(source)
+        tree = grammar("ssl/ssl.lark", "start").parse(source)
     except UnexpectedInput as error:
         raise syntax_error(error, source, _syntax_hint) from None
     check_names(tree, source)
@@ -81,14 +57,14 @@ def parse_ssl(source: str) -> tuple[Declaration, ...]:
 
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if found.isalpha() and expected >= {"LSQB", "NO_UNIT"}:
-        return f"a unit stands in brackets: write `[{found}]`"
+        return f"put a unit in brackets: write `[{found}]`"
     if "UNIT_NAME" in expected and found == "%":
         return f"a unit is a name: write `{PERCENT}`"
     if found == "/" and "RSQB" in expected:
         return POWERS
     if expected >= _DECLARATION_WORDS and expected <= {*_DECLARATION_WORDS, "$END"}:
         return "a declaration begins with `stream`, `source` or `compunit`"
-    return expected_hint(expected, _EXPECTED)
+    return expected_hint(expected)
 
 
 def _declaration(tree: Tree[Token], source: str) -> Declaration:
@@ -103,23 +79,23 @@ def _declaration(tree: Tree[Token], source: str) -> Declaration:
         case "source_decl":
             output, *rest = parts
             made = _field_feature(output, source)
-            return SourceDeclaration(name, made, span_of(tree), _found(rest, source))
+            return SourceDeclaration(name, made, span_of(tree), _entities(rest, source))
         case _:
             first, output, *rest = parts
             inputs = tuple(_field_feature(part, source) for part in trees(first))
             made = _field_feature(output, source)
-            return CompunitDeclaration(name, inputs, made, span_of(tree), _found(rest, source))
+            return CompunitDeclaration(name, inputs, made, span_of(tree), _entities(rest, source))
 
 
-def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
-    """The objects that a source or unit names itself, if there is a for-part."""
+def _entities(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
+    """Return the objects that a source or unit names itself, if it has a for-part."""
     if not for_part:
         return ()
     entities = _for_part(for_part[0])
     for entity in entities:
         if not entity.every:
             raise LanguageError(
-                "a source or unit gives every object of a sort its name, so this needs `every`",
+                "a source or unit names every object of a sort, so this needs `every`",
                 source,
                 span_of(for_part[0]),
                 f"write `for every {entity.name} = {entity.field}`",
@@ -128,12 +104,13 @@ def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
 
 
 def _for_part(tree: Tree[Token]) -> tuple[Entity, ...]:
-    """`every` governs all that follows it; what stands before it is a condition."""
+    """Read the for-part. `every` applies to all entities after it; an entity before it is a
+    condition."""
     every = False
     entities = []
     for node in trees(tree):
         every = every or len(node.children) == 3
-        # The word `every` may be the name itself, so tokens are taken by place.
+        # The word `every` may be the name itself, so the order decides.
         *_, name, field = tokens(node)
         span = Span(span_of(name).start, span_of(field).end)
         entities.append(Entity(str(name), _field(field), span, every))
@@ -182,10 +159,10 @@ def _unit(tree: Tree[Token], source: str) -> UnitPower:
     name, *power = (child for child in tree.children if isinstance(child, Token))
     if not power:
         return UnitPower(str(name))
-    # More digits than a power can have are refused before int() meets them.
+    # Rejects long digit strings before int(), whose cost is quadratic in the digits.
     if len(power[0]) > 3 or int(power[0]) == 0:
         raise LanguageError(
-            f"`{power[0]}` is no power of a unit",
+            f"`{power[0]}` is not a power of a unit",
             source,
             span_of(power[0]),
             "a power is a small whole number other than 0: `m2`, `h-1`",

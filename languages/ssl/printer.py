@@ -1,4 +1,4 @@
-"""SSL declarations to text. Law: ``parse_ssl(format_declaration(d)) == (d,)``, up to spans."""
+"""Prints SSL declarations. Law: ``parse_ssl(format_declaration(d)) == (d,)``, up to spans."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
 
 
 def format_declaration(declaration: Declaration) -> str:
-    """The declaration as SSL text, one line: ``stream s3 contains speed(UAV) = spd [mi.h-1] …``."""
+    """Return the declaration as one line of SSL: ``stream s3 contains speed(UAV) = spd [mi.h-1]
+    …``."""
     match declaration:
         case StreamDeclaration(name, features, entities):
             text = f"stream {name} contains {', '.join(map(_feature, features))}"
-            return text + _named(entities)
+            return text + _for_part(entities)
         case SourceDeclaration(name, output):
-            made = _field_feature(output) + _named(declaration.entities)
+            made = _field_feature(output) + _for_part(declaration.entities)
             return f"source {name} provides {made}"
         case CompunitDeclaration(name, inputs, output):
             text = ", ".join(map(_field_feature, inputs))
-            made = _field_feature(output) + _named(declaration.entities)
+            made = _field_feature(output) + _for_part(declaration.entities)
             return f"compunit {name} transforms {text} to {made}"
         case _:
             assert_never(declaration)
 
 
-def _named(entities: Sequence[Entity]) -> str:
-    """The for-part; `every` stands once, before the first entity that it governs."""
+def _for_part(entities: Sequence[Entity]) -> str:
+    """Return the for-part; `every` stands once, before the first entity that it applies to."""
     words = []
     governed = False
     for entity in entities:
@@ -50,7 +51,7 @@ def _named(entities: Sequence[Entity]) -> str:
 
 
 def field_words(field: str) -> str:
-    """A field as SSL writes it: in quotes unless it is a name."""
+    """Return a field as SSL text: in quotes unless it is a name."""
     return field if _NAME.fullmatch(field) else f'"{field}"'
 
 

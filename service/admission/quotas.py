@@ -92,7 +92,7 @@ class Quotas:
 
     def check_ontology(self, name: str) -> None:
         """The same of an ontology; one of this name is replaced."""
-        self._check_new(ONTOLOGIES, [name], self._engine.ontology.static_graph)
+        self._check_new(ONTOLOGIES, [name], self._engine.ontology.has_ontology)
 
     def _check_new(
         self, quota: Quota, names: Collection[str], is_there: Callable[[str], bool]

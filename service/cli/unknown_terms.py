@@ -6,8 +6,12 @@ from collections.abc import Iterator
 from difflib import get_close_matches
 from typing import Final
 
-from ...rdf.namespaces import DYKNOW, PREFIXES, STREAM_SPACE, shorten
-from ...sparql.tokens import Kind, tokenize
+from pyoxigraph import NamedNode
+
+from ...ontology.turtle import ALL_PREFIXES
+from ...rdf.namespaces import DYKNOW, STREAM_SPACE, shorten
+from ...sparql.ast import walk
+from ...sparql.parser import parse_sparql
 from ..client.client import Client
 
 _OURS: Final = (DYKNOW, STREAM_SPACE)
@@ -33,24 +37,11 @@ def unknown_terms(client: Client, text: str) -> Iterator[str]:
 
 
 def _our_terms(text: str) -> dict[str, None]:
-    """The IRIs of our namespaces in a query that the service has answered, each once."""
-    prefixes = dict(PREFIXES)
-    found: dict[str, None] = {}
-    tokens = tokenize(text)
-    for before, token, after in zip((None, *tokens), tokens, (*tokens[1:], None), strict=False):
-        prefix, _, local = token.text.partition(":")
-        if token.kind is Kind.IRI:
-            iri = token.text[1:-1]
-        elif token.kind is not Kind.PREFIXED:
-            continue
-        elif before is not None and before.is_word("PREFIX") and after is not None:
-            prefixes[prefix] = after.text[1:-1]
-            continue
-        else:
-            iri = prefixes.get(prefix, "") + local
-        if any(iri.startswith(each) and iri != each for each in _OURS):
-            found[iri] = None
-    return found
+    """Return the IRIs of our namespaces in a query that the service has answered, each once."""
+    iris = (
+        one.value for one in walk(parse_sparql(text, ALL_PREFIXES)) if isinstance(one, NamedNode)
+    )
+    return {iri: None for iri in iris if any(iri.startswith(o) and iri != o for o in _OURS)}
 
 
 def _column(client: Client, query: str) -> list[str]:

@@ -117,15 +117,15 @@ class Worker:
             return Failed(str(error))
 
     def _follow(self, work: Follow) -> Answer:
-        if work.whole is not None:
+        if work.dump is not None:
             self._store, self._churn = Store(), Churn()
-            self._store.extend(_quads(work.whole))
+            self._store.extend(_quads(work.dump))
         removed, added = list(_quads(work.removed)), list(_quads(work.added))
         for quad in removed:
             self._store.remove(quad)
         self._store.extend(added)
         self._churn.note(removed, added)
-        self._store = self._churn.over(self._store)
+        self._store = self._churn.replace_if_due(self._store)
         return Truth(True)
 
     def _query(self, work: Query) -> Answer:

@@ -29,7 +29,7 @@ _IRI, _BLANK, _TYPED, _TAGGED = range(4)
 class Follow(msgspec.Struct, tag="follow", frozen=True):
     """What the copy of the ontology lacks, as N-Quads: all of it, or what came and what went."""
 
-    whole: bytes | None
+    dump: bytes | None
     added: bytes
     removed: bytes
 

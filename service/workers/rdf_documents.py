@@ -9,7 +9,6 @@ import anyio
 import anyio.to_thread
 from pyoxigraph import BlankNode, NamedNode, Triple
 
-from ...ontology.document_guard import check_document
 from ...ontology.errors import OntologyError
 from ...ontology.reading import TextFormat
 from .messages import (
@@ -54,11 +53,10 @@ class IsolatedReasoning:
 
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
         """Raises `OntologyError`, also for a text that needs too much."""
-        check_document(text, format)
         work = Read(text, format, base.value, self._triples)
         return _renamed(self._table(work, "reading the text"))
 
-    def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
+    def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
         """Raises `OntologyError`, also for triples that entail too much."""
         if len(asserted) > self._triples:
             raise _too_many(self._triples)

@@ -65,7 +65,7 @@ class IsolatedQueries:
         if worker.position == lacks.position:
             return
         was_new = worker.position is None
-        follow = Follow(lacks.whole, lacks.added, lacks.removed)
+        follow = Follow(lacks.dump, lacks.added, lacks.removed)
         try:
             answer = worker.call(Job(follow, CATCHING_UP), OVERHEAD)
         except WorkerError as error:

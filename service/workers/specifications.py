@@ -12,7 +12,7 @@ import anyio.to_thread
 
 from ...languages.errors import LanguageError, Span
 from ...languages.specification import Specification
-from ...languages.specification.decoding import decoded
+from ...languages.specification.decoding import decode
 from ..config.text_bounds import MOST_ELEMENTS, MOST_PARTS
 from .messages import (
     Answer,
@@ -42,7 +42,7 @@ class IsolatedSpecifications:
     async def read(self, text: bytes) -> Specification:
         """As `parse_specification` does, with bounds; raises `LanguageError`, also for a text that
         needs too much, and `Busy`."""
-        source = decoded(text)
+        source = decode(text)
         work = Job(ReadSpecification(source, MOST_PARTS, MOST_ELEMENTS), SECONDS)
         try:
             answer = await self._pool.run(lambda worker: worker.call(work, _BYTES), 2 * SECONDS)

@@ -75,7 +75,7 @@ QUERIES = {
 
 @pytest.mark.parametrize("name", QUERIES)
 def test_an_hour_of_new_terms_is_flat(name, monkeypatch) -> None:
-    monkeypatch.setattr(module, "FLOOR", 256)
+    monkeypatch.setattr(module, "SWEEP_FLOOR", 256)
     monkeypatch.setattr(aggregation, "COMPACT", 16)
     head, body, *how = QUERIES[name]
     asked = Asked(head, body, "[RANGE 40s STEP 20s]", semantics=how[0] if how else "bag")
@@ -104,7 +104,7 @@ def test_an_hour_of_new_terms_is_flat(name, monkeypatch) -> None:
 
 
 def test_by_oxigraph_it_is_flat_as_well(monkeypatch) -> None:
-    monkeypatch.setattr(module, "FLOOR", 256)
+    monkeypatch.setattr(module, "SWEEP_FLOOR", 256)
     asked = Asked("SELECT (CONCAT(?t, '!') AS ?c) ?v", "WHERE { ?o :text ?t ; :value ?v }")
     asked.evaluator._solver.execution = None
     dictionary, most = asked.dictionary, 0

@@ -30,7 +30,7 @@ QUERIES = {
 
 @pytest.mark.parametrize("integers", [False, True])
 def test_an_hour_of_new_names_is_flat(integers, monkeypatch) -> None:
-    monkeypatch.setattr(module, "FLOOR", 256)
+    monkeypatch.setattr(module, "SWEEP_FLOOR", 256)
     monkeypatch.setattr(aggregation, "COMPACT", 16)
     monkeypatch.setattr(query_start, "KeptWindows", partial(KeptWindows, windows=2))
     engine = Engine(epoch="test")

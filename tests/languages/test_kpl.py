@@ -397,7 +397,7 @@ def test_objects_have_one_spelling(text: str) -> None:
 
 
 def test_a_unit_of_time_is_one() -> None:
-    with pytest.raises(ValueError, match="no unit"):
+    with pytest.raises(ValueError, match="not a unit"):
         check_kpl(parse_kpl(EXAMPLE), EXAMPLE, unit="h")
 
 

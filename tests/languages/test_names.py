@@ -44,7 +44,7 @@ def test_the_first_long_name_is_told() -> None:
     with pytest.raises(LanguageError) as caught:
         parse_kpl(f"source float {'a' * 300}\nsource float {'b' * 400}")
     assert caught.value.line == 1
-    assert caught.value.message == "a name has at most 200 characters, and this one 300"
+    assert caught.value.message == "a name has at most 200 characters, and this one has 300"
 
 
 def test_an_object_in_quotes_has_a_name_too() -> None:

@@ -27,7 +27,7 @@ from dyknow.languages.csparql import (
     printer,
     with_streams,
 )
-from dyknow.languages.csparql.limits import MOST_OPERATORS, MOST_PARTS
+from dyknow.languages.csparql.limits import LIMITS
 from dyknow.languages.csparql.printer import MOST_READ, compact
 from dyknow.languages.errors import LanguageError
 from dyknow.sparql import parse_sparql
@@ -150,7 +150,7 @@ def test_windows_of_the_default_graph_have_no_name() -> None:
 
 
 def test_the_streams_of_named_windows_are_not_replaced() -> None:
-    with pytest.raises(ValueError, match=r"asks the window <http://example\.org/long> by its name"):
+    with pytest.raises(ValueError, match=r"names the window <http://example\.org/long>"):
         with_streams(parse_query(RSP_QL), ["s1"])
     default = parse_query("ASK FROM WINDOW ON <http://e/s> [TRIPLES 3] { ?o ?p ?v }")
     (clause,) = with_streams(default, ["http://e/t"]).streams
@@ -168,7 +168,7 @@ def test_relative_names_are_plain_unless_there_is_a_base() -> None:
     text = "REGISTER RSTREAM <out> AS ASK FROM WINDOW ON <http://e/s> [TRIPLES 3] { ?o ?p ?v }"
     assert parse_query(text).name == "out"
     assert parse_query(f"BASE <http://e/> {text}").name == "http://e/out"
-    with pytest.raises(LanguageError, match="is no IRI"):
+    with pytest.raises(LanguageError, match="is not an IRI"):
         parse_query(text.replace("<out>", "<out/put>"))
 
 
@@ -244,9 +244,9 @@ def condition(text: str) -> str:
 def test_operators_in_each_other_are_bounded(text: str) -> None:
     own = {"(2 * (": 3, "(1 {}) /": 3}
     others = next((count for part, count in own.items() if part in text), 0)
-    parse_query(condition(text.format("+ 1" * (MOST_OPERATORS - others))))
+    parse_query(condition(text.format("+ 1" * (LIMITS.operators - others))))
     with pytest.raises(LanguageError, match="more than 128 operators") as caught:
-        parse_query(condition(text.format("+ 1" * (MOST_OPERATORS - others + 1))))
+        parse_query(condition(text.format("+ 1" * (LIMITS.operators - others + 1))))
     assert (caught.value.line, caught.value.column > 300) == (2, True)
 
 
@@ -263,7 +263,7 @@ def test_many_signs_that_are_not_in_each_other() -> None:
 )
 def test_parts_of_patterns_are_bounded(part: str, costs: int) -> None:
     before = 2  # the group of WHERE and the FILTER that is there
-    most = (MOST_PARTS - before) // costs
+    most = (LIMITS.parts - before) // costs
     parse_query(condition("true").replace("}", " ".join(["", *[part] * most, "}"])))
     with pytest.raises(LanguageError, match="more than 160 groups"):
         parse_query(condition("true").replace("}", " ".join(["", *[part] * (most + 1), "}"])))

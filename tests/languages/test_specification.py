@@ -178,7 +178,7 @@ def test_characters_are_what_they_are_whatever_a_str_declares() -> None:
         (
             (DECLARED.format("ISO-8859-1") + ACCENTED[:-150]).encode("latin-1", "replace"),
             (1, 31),
-            "the encoding `ISO-8859-1` is not read",
+            "the encoding `ISO-8859-1` is not supported",
         ),
         (
             (DECLARED.format("UTF-16") + ACCENTED).encode(),
@@ -190,16 +190,16 @@ def test_characters_are_what_they_are_whatever_a_str_declares() -> None:
             (1, 31),
             "the text is UTF-16, but declares the encoding `utf-8`",
         ),
-        (ACCENTED.encode("utf-32"), (1, 1), "the encoding `UTF-32` is not read"),
-        (ACCENTED.encode("utf-32-be"), (1, 1), "the encoding `UTF-32` is not read"),
-        (whole("\né\n").encode("latin-1"), (2, 1), "the bytes here are no UTF-8"),
-        (whole("\n é").encode("utf-16") + b"\0", (2, 24), "the bytes here are no UTF-16"),
-        (b"Lo\xa7\x94", (1, 3), "the bytes here are no UTF-8"),
-        (whole("\n \0"), (2, 2), "U+0000 is no character of XML"),
-        (whole("\n \0").encode(), (2, 2), "U+0000 is no character of XML"),
-        (whole("\n \ud800"), (2, 2), "U+D800 is no character of XML"),
-        (whole("\n \uffff"), (2, 2), "U+FFFF is no character of XML"),
-        (b"", (1, 1), "the text holds no specification"),
+        (ACCENTED.encode("utf-32"), (1, 1), "the encoding `UTF-32` is not supported"),
+        (ACCENTED.encode("utf-32-be"), (1, 1), "the encoding `UTF-32` is not supported"),
+        (whole("\né\n").encode("latin-1"), (2, 1), "these bytes are not UTF-8"),
+        (whole("\n é").encode("utf-16") + b"\0", (2, 24), "these bytes are not UTF-16"),
+        (b"Lo\xa7\x94", (1, 3), "these bytes are not UTF-8"),
+        (whole("\n \0"), (2, 2), "U+0000 is not an XML character"),
+        (whole("\n \0").encode(), (2, 2), "U+0000 is not an XML character"),
+        (whole("\n \ud800"), (2, 2), "U+D800 is not an XML character"),
+        (whole("\n \uffff"), (2, 2), "U+FFFF is not an XML character"),
+        (b"", (1, 1), "the text contains no specification"),
     ],
 )
 def test_what_is_no_text(text: str | bytes, place: tuple[int, int], message: str) -> None:
@@ -260,7 +260,7 @@ def test_depth_is_bounded() -> None:
     assert repr(deepest).count("UnitSpecification") == MAX_DEPTH - 2
     for depth in (MAX_DEPTH - 1, 10_000):
         error = refused(nested(depth))
-        assert error.message == f"elements stand more than {MAX_DEPTH} deep in each other"
+        assert error.message == f"elements are nested more than {MAX_DEPTH} deep"
         assert nested(depth)[: error.span.start].count("<spec:") == MAX_DEPTH
 
 
@@ -314,7 +314,7 @@ def test_lines_beyond_those_that_libxml2_counts() -> None:
 
 
 def test_the_schema_has_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parser, "refusal", lambda document: None)
+    monkeypatch.setattr(parser, "first_violation", lambda document: None)
     error = refused(whole("<spec:insertions>\n<spec:cu/></spec:insertions>"))
     assert error.message.startswith("the schema refuses the text: ")
     assert "line 2" in error.hint

@@ -31,7 +31,7 @@ def test_a_store_is_replaced_when_four_times_as_much_has_come_and_gone(
         store.add(quad(number))
         store.remove(quad(number - 20))
         changes.note([quad(number)], [quad(number - 20)])
-        then = changes.over(store)
+        then = changes.replace_if_due(store)
         if then is not store:
             replaced.append(number)
         assert set(then) == {quad(i) for i in range(number - 19, number + 1)}
@@ -48,7 +48,7 @@ def test_long_texts_count_as_many_quads(monkeypatch: pytest.MonkeyPatch) -> None
     store, changes, log = Store(), Churn(), ChangeLog()
     for number, each in enumerate(long):
         changes.note([each])
-        assert (changes.over(store) is store) == (number % 5 != 4)
+        assert (changes.replace_if_due(store) is store) == (number % 5 != 4)
         log.note({each}, set())
     assert log.since(log.position - 4) == (set(long[6:]), set())
     assert log.since(log.position - 5) is None
@@ -61,8 +61,8 @@ def test_what_comes_and_goes_of_templates_leaves_nothing(monkeypatch: pytest.Mon
     before = set(ontology.closed_store())
     stores = []
     for number in range(len(before)):
-        ontology.registered.set_template(f"{DYKNOW}E{number}", "text")
-        ontology.registered.remove_template(f"{DYKNOW}E{number}")
+        ontology.registered.templates[f"{DYKNOW}E{number}"] = "text"
+        del ontology.registered.templates[f"{DYKNOW}E{number}"]
         if not stores or ontology.closed_store() is not stores[-1]:
             stores.append(ontology.closed_store())
         if len(stores) == 3:

@@ -44,7 +44,7 @@ def test_when_it_is_brought_in_makes_no_difference(steps: list[Step]) -> None:
         for ontology in (lazy, eager):
             ontology.mirror(*(((), said(number))[:: -1 if comes else 1]))
         if advances:
-            lazy.advance()
+            lazy.apply_pending_piece()
         assert len(eager.store) > 0
     assert lazy.quads() == eager.quads()
 
@@ -53,24 +53,24 @@ def test_what_comes_and_goes_again_is_not_waited_for() -> None:
     ontology = Ontology.open()
     ontology.mirror(STREAMS[:10], [])
     ontology.mirror([], STREAMS[:10])
-    assert not ontology._awaited
+    assert not ontology._pending
     ontology.mirror(STREAMS[:10], [])
     assert len(ontology.store)
     ontology.mirror(STREAMS[10:20], STREAMS[:10])
     ontology.mirror(STREAMS[:10], STREAMS[10:20])
-    assert not ontology._awaited
+    assert not ontology._pending
 
 
 def test_changes_that_nobody_asks_for_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_PIECE", 10)
-    monkeypatch.setattr(module, "_MOST_AWAITED", 100)
+    monkeypatch.setattr(module, "_MOST_PENDING", 100)
     ontology = Ontology.open()
     quads = len(ontology.store)
     for turn in range(40):
         for number in range(0, 200, 5):
             change = STREAMS[number : number + 5]
             ontology.mirror(*((), change)[:: 1 if turn % 2 else -1])
-        assert len(ontology._awaited) <= 105
+        assert len(ontology._pending) <= 105
     assert len(ontology.store) == quads
 
 
@@ -90,7 +90,7 @@ def test_what_changes_while_it_is_brought_in_is_as_it_was_told_last(
         return update(self, *given)
 
     monkeypatch.setattr(Entailments, "update", told_meanwhile)
-    ontology.advance()
+    ontology.apply_pending_piece()
     is_there = bool(ontology.query(f"ASK {{ {STREAMS[0]} }}"))
     assert is_there == (turns % 2 == 0)
 
@@ -103,9 +103,9 @@ LOOKS: dict[str, Callable[[Ontology], object]] = {
     "the store": lambda o: len(
         list(o.store.quads_for_pattern(None, RDF_TYPE, own("Stream"), None))
     ),
-    "a copy": lambda o: (o.changes_since(None).whole or b"").count(b"ontology#Stream> .\n"),
+    "a copy": lambda o: (o.changes_since(None).dump or b"").count(b"ontology#Stream> .\n"),
     "one that is brought up to date": lambda o: o.changes_since(1).added.count(b"Stream> .\n"),
-    "a deep copy": lambda o: len(copy.copy(o)._awaited),
+    "a deep copy": lambda o: len(copy.copy(o)._pending),
 }
 
 
@@ -114,10 +114,10 @@ def test_whoever_asks_sees_all_of_it(look: str) -> None:
     lazy, twin = Ontology.open(), Ontology.open()
     for ontology in (lazy, twin):
         ontology.mirror(STREAMS, [])
-    while twin._awaited:
-        twin.advance()
+    while twin._pending:
+        twin.apply_pending_piece()
     assert LOOKS[look](lazy) == LOOKS[look](twin)
-    assert not lazy._awaited
+    assert not lazy._pending
 
 
 def test_who_tells_of_changes_does_not_wait_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +132,7 @@ def test_who_tells_of_changes_does_not_wait_for_the_store(monkeypatch: pytest.Mo
     monkeypatch.setattr(QuadStore, "apply", noted)
     ontology.mirror(STREAMS, [])
     assert made == []
-    ontology.advance()
+    ontology.apply_pending_piece()
     # Each entails some more.
     assert 0 < made[0] <= 8 * module._PIECE
     ontology.mirror([], STREAMS)
@@ -149,7 +149,7 @@ def test_nobody_waits_for_who_looks() -> None:
 
     def tell() -> None:
         ontology.mirror([Triple(own("x"), RDF_TYPE, own("Stream"))], [])
-        ontology.advance()
+        ontology.apply_pending_piece()
         done.set()
 
     with ontology._lock:

@@ -50,17 +50,17 @@ class Change:
         typed = Triple(own(f"u{self.number}"), RDF_TYPE, own("ComputationalUnit"))
         match self.kind:
             case 0:
-                ontology.registered.set_template(name, f"text {self.number}")
-            case 1 if name in ontology.registered.templates():
-                ontology.registered.remove_template(name)
+                ontology.registered.templates[name] = f"text {self.number}"
+            case 1 if name in ontology.registered.templates:
+                del ontology.registered.templates[name]
             case 2:
-                ontology.registered.set_annotation(f"s{self.number}", "said")
+                ontology.registered.annotations[f"s{self.number}"] = "said"
             case 3:
                 ontology.mirror([reads, typed], [])
             case 4:
                 ontology.mirror([], [reads])
             case 5:
-                ontology.registered.set_query(f"q{self.number}", "{}")
+                ontology.registered.queries[f"q{self.number}"] = "{}"
             case 6:
                 ontology.registered.set_kpl(f"source float s{self.number}" if self.number else "")
 
@@ -91,11 +91,11 @@ def test_what_is_taken_is_what_would_have_come_at_once(
         prepared = ontology.prepare(SHIPS, name="urn:ships")
         make(ontology, meanwhile)
         assert prepared.successor is not None
-        ontology.take(prepared if ontology is here else replace(prepared, successor=None))
+        ontology.install(prepared if ontology is here else replace(prepared, successor=None))
         make(ontology, after)
     assert here.quads() == twin.quads()
     assert triples(here.closed_store()) == triples(twin.closed_store())
-    assert triples(here.closed_store()) == triples(Ontology.of_quads(here.quads()).closed_store())
+    assert triples(here.closed_store()) == triples(Ontology.from_quads(here.quads()).closed_store())
     assert here.version == twin.version
     assert here.vocabulary.sorts() == twin.vocabulary.sorts()
     assert here.vocabulary.events() == twin.vocabulary.events()
@@ -113,7 +113,7 @@ def test_taking_it_reads_nothing_that_was_read(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(Ontology, "_reload", never)
     monkeypatch.setattr(QuadStore, "graph", never)
     monkeypatch.setattr(Ontology, "_ontology_triples", never)
-    ontology.take(prepared)
+    ontology.install(prepared)
     assert ontology.vocabulary.is_sort(DYKNOW + "Ship")
     assert ontology.closed_store().query(f"ASK {{ <{DYKNOW}s1> a <{DYKNOW}Vehicle> }}")
 
@@ -122,8 +122,8 @@ def test_where_too_much_has_changed_it_is_made_anew(monkeypatch: pytest.MonkeyPa
     ontology = Ontology.open()
     prepared = ontology.prepare(SHIPS, name="urn:ships")
     monkeypatch.setattr(replicas, "MOST", 3)
-    ontology.registered.set_template(DYKNOW + "Alarm", "text")
-    ontology.take(prepared)
+    ontology.registered.templates[DYKNOW + "Alarm"] = "text"
+    ontology.install(prepared)
     assert ontology.vocabulary.is_sort(DYKNOW + "Ship")
     assert ontology.query(f"ASK {{ <{DYKNOW}Alarm> <{STREAM_SPACE}hasTemplate> 'text' }}")
 
@@ -148,8 +148,8 @@ def test_nobody_waits_for_what_is_prepared(monkeypatch: pytest.MonkeyPatch) -> N
         return done
 
     monkeypatch.setattr(successor, "Rules", noted(successor.Rules))
-    monkeypatch.setattr(Ontology, "_asserted", noted(Ontology._asserted))
-    ontology.take(ontology.prepare(SHIPS, name="urn:ships"))
+    monkeypatch.setattr(Ontology, "_asserted_triples", noted(Ontology._asserted_triples))
+    ontology.install(ontology.prepare(SHIPS, name="urn:ships"))
     assert waited == [False, False]
     assert ontology.query(f"ASK {{ <{STREAM_SPACE}s> a <{STREAM_SPACE}Stream> }}")
 
@@ -159,18 +159,18 @@ def test_copies_are_made_anew_of_what_has_taken_its_place() -> None:
     position = ontology.changes_since(None).position
     ontology.load(SHIPS, name="urn:ships")
     found = ontology.changes_since(position)
-    assert found.whole is not None
-    assert f"<{DYKNOW}Ship>".encode() in found.whole
-    assert ontology.changes_since(found.position).whole is None
+    assert found.dump is not None
+    assert f"<{DYKNOW}Ship>".encode() in found.dump
+    assert ontology.changes_since(found.position).dump is None
 
 
 def test_only_one_of_two_that_were_prepared_together_is_taken() -> None:
     ontology = Ontology.open()
     first = ontology.prepare(SHIPS, name="urn:ships", reasoning=DIRECT)
     second = ontology.prepare(FLEET, name="urn:boats")
-    ontology.take(first)
+    ontology.install(first)
     with pytest.raises(OntologyError, match="meanwhile"):
-        ontology.take(second)
+        ontology.install(second)
     assert not ontology.vocabulary.is_sort(DYKNOW + "Boat")
 
 

@@ -122,7 +122,7 @@ def test_a_unit_has_a_bound() -> None:
 
 
 def test_units_that_nobody_names_again_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(units, "_REMEMBERED", 20)
+    monkeypatch.setattr(units, "_CACHED_CALLS", 20)
     before = units._registry()
     for power in range(2, 90):
         square = parse_unit(f"km{power}.ft3")

@@ -29,7 +29,7 @@ class Hand:
         self.ids: list[int] = []
         dictionary.hold(self)
 
-    def held(self):
+    def held_ids(self):
         yield np.array(self.ids, np.int32)
 
 
@@ -52,7 +52,7 @@ def node(number: int) -> NamedNode:
 @pytest.fixture
 def at_once(monkeypatch):
     """A sweep is worth it however few terms there are."""
-    monkeypatch.setattr(module, "FLOOR", 0)
+    monkeypatch.setattr(module, "SWEEP_FLOOR", 0)
 
 
 def test_a_term_that_nobody_holds_is_forgotten_and_its_id_used_again(at_once) -> None:
@@ -101,26 +101,26 @@ def test_what_stands_under_a_null_is_not_held(at_once) -> None:
 
 def test_few_terms_are_not_swept() -> None:
     dictionary = TermDictionary()
-    dictionary.transient_ids(map(node, range(module.FLOOR - 1)))
+    dictionary.transient_ids(map(node, range(module.SWEEP_FLOOR - 1)))
     assert dictionary.collect() == 0
     dictionary.transient_id(node(-1))
-    assert dictionary.collect() == module.FLOOR
+    assert dictionary.collect() == module.SWEEP_FLOOR
 
 
 def test_sweeps_wait_until_there_are_twice_as_many_and_for_what_they_look_at() -> None:
     dictionary = TermDictionary()
     hand = Hand(dictionary)
-    hand.ids = dictionary.transient_ids(map(node, range(2 * module.FLOOR))).tolist()
+    hand.ids = dictionary.transient_ids(map(node, range(2 * module.SWEEP_FLOOR))).tolist()
     assert dictionary.collect() == 0
     swept = 0
-    for number in range(2 * module.FLOOR, 5 * module.FLOOR):
+    for number in range(2 * module.SWEEP_FLOOR, 5 * module.SWEEP_FLOOR):
         dictionary.transient_id(node(number))
         swept += dictionary.collect() > 0
-    assert (swept, dictionary.count) == (1, 3 * module.FLOOR)
+    assert (swept, dictionary.count) == (1, 3 * module.SWEEP_FLOOR)
     hand.ids *= 64  # a sweep has more to look at
-    dictionary.transient_ids(map(node, range(5 * module.FLOOR, 6 * module.FLOOR)))
+    dictionary.transient_ids(map(node, range(5 * module.SWEEP_FLOOR, 6 * module.SWEEP_FLOOR)))
     assert dictionary.collect() > 0
-    dictionary.transient_ids(map(node, range(6 * module.FLOOR, 8 * module.FLOOR)))
+    dictionary.transient_ids(map(node, range(6 * module.SWEEP_FLOOR, 8 * module.SWEEP_FLOOR)))
     assert dictionary.collect() == 0
 
 

@@ -86,8 +86,8 @@ def _checked(method: Callable[..., Any]) -> Callable[..., Any]:
     """What terms are worth is asked only of terms that are there."""
 
     def call(self: TermValues, column: Any, *args: Any) -> Any:
-        if column.kind is Kind.TERM and len(column.held):
-            dictionary, ids = self.dictionary, np.unique(column.held)
+        if column.kind is Kind.TERM and len(column.held_ids):
+            dictionary, ids = self.dictionary, np.unique(column.held_ids)
             gone = [id for id in ids.tolist() if id >= 0 and dictionary._terms[id] is None]
             if gone:
                 raise ForgottenTerm(f"{gone} have been forgotten")

@@ -10,9 +10,9 @@ from dyknow.languages.csparql import (
 )
 from dyknow.rdf.namespaces import DYKNOW, XSD
 from dyknow.templates.instantiate import ArgumentError, instantiate
-from dyknow.templates.library import shipped
+from dyknow.templates.library import shipped_templates
 
-HIGH_SPEED = parse_template(next(text for text in shipped() if "HighSpeedEvent" in text))
+HIGH_SPEED = parse_template(next(text for text in shipped_templates() if "HighSpeedEvent" in text))
 RANGED = parse_template(
     """REGISTER TEMPLATE dyknow:Ranged(?o, ?feature, ?low, ?high, ?label) COMPUTE EVERY 1s AS
     PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
@@ -54,21 +54,21 @@ def test_a_type_may_stay_free(vocabulary):
     ("texts", "index", "message", "hint"),
     [
         (("?o", "dyknow:UAV"), None, "takes 3 arguments, not 2", "(?o, ?type, ?threshold)"),
-        (("?o", "dyknow:UVA", "1"), 1, "dyknow:UVA is no known sort", "dyknow:UAV"),
-        (("?o", "dyknow:speed", "1"), 1, "dyknow:speed is no known sort", ""),
-        (("?o", '"UAV"', "1"), 1, "an IRI is due", "dyknow:UAV"),
-        (("5", "dyknow:UAV", "1"), 0, "an IRI is due, not the literal", "dyknow:uav1"),
+        (("?o", "dyknow:UVA", "1"), 1, "dyknow:UVA is not a known sort", "dyknow:UAV"),
+        (("?o", "dyknow:speed", "1"), 1, "dyknow:speed is not a known sort", ""),
+        (("?o", '"UAV"', "1"), 1, "expected an IRI", "dyknow:UAV"),
+        (("5", "dyknow:UAV", "1"), 0, "expected an IRI, found the literal", "dyknow:uav1"),
         (("?o", "dyknow:UAV", "?threshold"), 2, "must be given", "100"),
         (("?o", "dyknow:UAV", "?o"), 2, "must be given", "100"),
-        (("?o", "dyknow:UAV", '"fast"'), 2, "is no number", "100"),
-        (("?o", "dyknow:UAV", "dyknow:UAV"), 2, "is no literal", "100"),
-        (("?o", "dyknow:UAV", "true"), 2, "is no number", "100"),
+        (("?o", "dyknow:UAV", '"fast"'), 2, "is not a number", "100"),
+        (("?o", "dyknow:UAV", "dyknow:UAV"), 2, "is not a literal", "100"),
+        (("?o", "dyknow:UAV", "true"), 2, "is not a number", "100"),
         (("?o", "dyknow:UAV", '"NaN"^^xsd:double'), 2, "NaN is not finite", "100"),
         (("?o", "dyknow:UAV", '"INF"^^xsd:float'), 2, "INF is not finite", "100"),
         (("?o", "dyknow:UAV", '"-INF"^^xsd:double'), 2, "-INF is not finite", "100"),
         (("?o", "dyknow:UAV", "1e999"), 2, "1e999 is not finite", "100"),
-        (("?o", "dyknow:UAV", '"1.5"^^xsd:integer'), 2, "no xsd:integer", "100"),
-        (("?x", "?x", "100"), 1, "stands for two arguments", "?type"),
+        (("?o", "dyknow:UAV", '"1.5"^^xsd:integer'), 2, "not an xsd:integer", "100"),
+        (("?x", "?x", "100"), 1, "is used for two arguments", "?type"),
     ],
 )
 def test_arguments_that_do_not_fit(vocabulary, texts, index, message, hint):

@@ -13,11 +13,11 @@ from dyknow.templates.library import (
     TemplateExists,
     TemplateLibrary,
     TemplateRefused,
-    shipped,
+    shipped_templates,
 )
 
 HIGH_SPEED = DYKNOW + "HighSpeedEvent"
-LISTING_4 = next(text for text in shipped() if "HighSpeedEvent" in text)
+LISTING_4 = next(text for text in shipped_templates() if "HighSpeedEvent" in text)
 
 
 def template(name, where):
@@ -36,7 +36,7 @@ def library(ontology):
 def test_a_template_is_kept_with_its_event(library, ontology):
     made = library.register(LISTING_4)
     assert made.name == HIGH_SPEED
-    assert ontology.registered.templates()[HIGH_SPEED] == LISTING_4
+    assert ontology.registered.templates[HIGH_SPEED] == LISTING_4
     assert ontology.vocabulary.is_event(HIGH_SPEED)
     assert library.names() == (HIGH_SPEED,)
 
@@ -70,7 +70,7 @@ def test_a_name_twice_changes_nothing(library, ontology):
     assert library.etag("HighSpeedEvent") == tag
     library.register(other, replace=True)
     assert library.etag("HighSpeedEvent") != tag
-    assert ontology.registered.templates()[HIGH_SPEED] == other
+    assert ontology.registered.templates[HIGH_SPEED] == other
 
 
 def test_an_unknown_name_has_suggestions(library):
@@ -91,14 +91,14 @@ def test_an_unknown_name_has_suggestions(library):
 def test_refused_templates_change_nothing(library, ontology, text, message):
     with pytest.raises(TemplateRefused, match=message):
         library.register(text)
-    assert ontology.registered.templates() == {}
+    assert ontology.registered.templates == {}
     assert library.names() == ()
 
 
 def test_a_syntax_error_changes_nothing(library, ontology):
     with pytest.raises(LanguageError):
         library.register(LISTING_4.replace("WHERE {", "WHERE "))
-    assert ontology.registered.templates() == {}
+    assert ontology.registered.templates == {}
 
 
 def test_a_template_cannot_need_itself(library):
@@ -122,10 +122,10 @@ def test_properties_of_loaded_ontologies_are_static(library, ontology):
 
 
 def test_shipped_templates_register_and_run_with_the_ontology(library):
-    for text in shipped():
+    for text in shipped_templates():
         made = library.register(text)
         assert library.needs(made.query).wants
-    assert len(library.names()) == len(shipped())
+    assert len(library.names()) == len(shipped_templates())
 
 
 def test_arguments_are_bound_not_pasted(library):

@@ -6,10 +6,10 @@ from dyknow.languages.csparql import parse_argument, parse_query, parse_template
 from dyknow.matching.want import THING, Want
 from dyknow.rdf.namespaces import DYKNOW
 from dyknow.templates.instantiate import instantiate
-from dyknow.templates.library import shipped
+from dyknow.templates.library import shipped_templates
 from dyknow.templates.needs import NeedsError, Product, needs
 
-HIGH_SPEED = parse_template(next(text for text in shipped() if "HighSpeedEvent" in text))
+HIGH_SPEED = parse_template(next(text for text in shipped_templates() if "HighSpeedEvent" in text))
 SPEED, ALTITUDE, UAV = DYKNOW + "speed", DYKNOW + "altitude", DYKNOW + "UAV"
 
 
@@ -110,7 +110,7 @@ def test_unknown_dyknow_names_are_errors(vocabulary):
     with pytest.raises(NeedsError) as caught:
         wants("?o dyknow:sped ?s", vocabulary)
     assert caught.value.hint == "did you mean dyknow:speed?"
-    with pytest.raises(NeedsError, match="dyknow:Aircrft is no known sort") as caught:
+    with pytest.raises(NeedsError, match="dyknow:Aircrft is not a known sort") as caught:
         wants("?o a dyknow:Aircrft ; dyknow:speed ?s", vocabulary)
     assert "dyknow:Aircraft" in caught.value.hint
 

@@ -34,7 +34,6 @@ from ....converters.wire import BOM, not_json
 from ....languages.csparql import parse_argument
 from ....languages.errors import LanguageError
 from ....rdf.dictionary import Term, TermDictionary
-from ....rdf.namespaces import PREFIXES
 from ....rdf.timed import TimedTriples
 from ....streams.time import format_time, parse_time, read_time
 
@@ -191,7 +190,7 @@ def _parsed(text: str) -> Term:
         return NamedNode(text)
     if text.startswith("_:"):
         return BlankNode(text[2:])
-    term = parse_argument(text, PREFIXES)
+    term = parse_argument(text)
     if isinstance(term, Variable):
         raise ValueError(f"{text} is a variable, not a term")
     return term

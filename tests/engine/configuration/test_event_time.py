@@ -158,10 +158,10 @@ def test_late_samples_after_a_restart(tmp_path):
 def test_a_declaration_of_before_there_was_idleness(tmp_path):
     engine = Engine(tmp_path, epoch="first")
     declare(engine, "s", lateness=1)
-    kept = json.loads(engine.ontology.registered.streams()["s"])
+    kept = json.loads(engine.ontology.registered.streams["s"])
     del kept["idle"]
-    engine.ontology.registered.set_stream("s", json.dumps(kept))
-    engine.ontology.registered.set_stream("trains_late", json.dumps(kept))
+    engine.ontology.registered.streams["s"] = json.dumps(kept)
+    engine.ontology.registered.streams["trains_late"] = json.dumps(kept)
     del engine
     gc.collect()
     engine = Engine(tmp_path, epoch="second")
@@ -176,7 +176,7 @@ def test_how_much_is_kept_outlives_a_restart(tmp_path):
     for name, kept in (("s", Retention(7)), ("t", Retention(7, SECOND, 1_000))):
         engine.declare(StreamDeclaration(name, FIELDS, 0, kept))
     # As an earlier version wrote it, which knew of no bytes.
-    assert json.loads(engine.ontology.registered.streams()["s"])["retention"] == [7, None]
+    assert json.loads(engine.ontology.registered.streams["s"])["retention"] == [7, None]
     del engine
     gc.collect()
     engine = Engine(tmp_path, epoch="second")

@@ -194,7 +194,7 @@ strmgen states = sync(f with monotone order, g; any change, max delay 10s)"""
 
 def restarted(engine):
     """An engine of another program: what was asked for begins anew."""
-    return Engine(ontology=Ontology.of_quads(engine.ontology.quads()))
+    return Engine(ontology=Ontology.from_quads(engine.ontology.quads()))
 
 
 @pytest.mark.parametrize("is_declared", [True, False])

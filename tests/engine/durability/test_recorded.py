@@ -944,12 +944,12 @@ def test_a_stream_whose_fields_are_others_now_says_what_is_not_taken_over(tmp_pa
     before = first.engine.stream("s")
     first.close()
     monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
-    usual = Ontology.of_quads
+    usual = Ontology.from_quads
 
     def changed(quads):
         return usual(quads.replace(b'[\\"v\\", \\"float\\"]', b'[\\"w\\", \\"string\\"]'))
 
-    monkeypatch.setattr(Ontology, "of_quads", changed)
+    monkeypatch.setattr(Ontology, "from_quads", changed)
     later = opened(tmp_path)
     (note,) = [note for note in later.recovery.notes if "other fields" in note]
     assert "s has other fields" in note

@@ -118,7 +118,7 @@ def test_an_annotation_that_no_sample_could_follow_makes_no_stream(engine):
     with pytest.raises(ConversionError):
         engine.annotate("stream s contains speed(UAV) = id for every UAV = id")
     assert [stream.name for stream in engine.streams()] == ["status"]
-    assert engine.ontology.registered.annotations() == {}
+    assert engine.ontology.registered.annotations == {}
 
 
 def test_the_answer_of_a_request_is_annotated_in_the_stream_space(engine, high_speed):
@@ -146,8 +146,8 @@ def test_an_annotation_that_holds_no_more_is_told_and_does_not_keep_the_engine_d
     engine = Engine(tmp_path)
     engine.annotate(SPEEDS)
     # As if an earlier ontology had known the feature.
-    engine.ontology.registered.set_annotation(
-        "old", "stream old contains bygone(UAV) = b for every UAV = id"
+    engine.ontology.registered.annotations["old"] = (
+        "stream old contains bygone(UAV) = b for every UAV = id"
     )
     del engine
     gc.collect()
@@ -156,16 +156,16 @@ def test_an_annotation_that_holds_no_more_is_told_and_does_not_keep_the_engine_d
     (told,) = [v for _, v in samples(engine, "status") if v["change"] == "not restored"]
     assert told["stream"] == "old"
     assert "bygone" in told["specification"]
-    assert "old" in engine.ontology.registered.annotations()
+    assert "old" in engine.ontology.registered.annotations
 
 
 def test_kept_texts_that_cannot_be_read_do_not_stop_the_start(tmp_path, high_speed):
     engine = Engine(tmp_path)
     engine.register_template(high_speed)
-    engine.ontology.registered.set_template(
-        "http://www.ida.liu.se/dyknow/OldEvent", "REGISTER TEMPLATE ?"
+    engine.ontology.registered.templates["http://www.ida.liu.se/dyknow/OldEvent"] = (
+        "REGISTER TEMPLATE ?"
     )
-    engine.ontology.registered.set_stream("old", "{}")
+    engine.ontology.registered.streams["old"] = "{}"
     del engine
     gc.collect()
     again = Engine(tmp_path)

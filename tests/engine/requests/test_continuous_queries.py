@@ -470,7 +470,7 @@ def test_a_query_without_a_name_gets_a_reserved_one(flying):
     view = flying.queries.start(query, asked)
     assert view.stream == view.name == "dyknow_reserved1"
     assert flying.queries.start(query, asked).users == 2
-    assert flying.ontology.registered.queries() == {}
+    assert flying.ontology.registered.queries == {}
 
 
 def test_a_stream_of_a_query_is_not_published_to_nor_removed(flying):
@@ -587,15 +587,15 @@ def test_queries_survive_a_restart(tmp_path):
     play(second)
     assert samples(second, "fast")
     second.queries.remove("fast")
-    assert set(second.ontology.registered.queries()) == {"again"}
-    assert "fast" not in second.ontology.registered.annotations()
+    assert set(second.ontology.registered.queries) == {"again"}
+    assert "fast" not in second.ontology.registered.annotations
 
 
 def test_what_cannot_be_restored_is_told_and_kept(tmp_path):
     first = Engine(tmp_path)
     first.annotate(SSL)
     first.queries.register(FAST)
-    first.ontology.registered.remove_annotation("s5")
+    del first.ontology.registered.annotations["s5"]
     del first
     gc.collect()
     second = Engine(tmp_path)
@@ -608,7 +608,7 @@ def test_what_cannot_be_restored_is_told_and_kept(tmp_path):
     second.annotate(SSL)
     assert second.queries.register(FAST).state == "running"
     second.queries.remove("fast")
-    assert second.ontology.registered.queries() == {}
+    assert second.ontology.registered.queries == {}
 
 
 def test_literals_keep_what_fields_cannot_hold(flying):

@@ -19,7 +19,7 @@ from dyknow.continuous.algebra.options import Options, Semantics
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
-from dyknow.ontology.closure import by_owlrl, closure_of
+from dyknow.ontology.closure import closure_of, owlrl_closure
 from dyknow.ontology.entailment import Rules
 from dyknow.rdf.dictionary import NO_TERM, Term, TermDictionary
 from dyknow.rdf.namespaces import OWL, RDF_TYPE, RDFS
@@ -115,7 +115,7 @@ QUERIES = [
 def entailed(schema: frozenset[Triple], said: Triple) -> frozenset[Triple]:
     """What the schema and this triple entail that neither says."""
     known = closed(schema)
-    return frozenset(by_owlrl(schema | {said}) - known - {said})
+    return frozenset(owlrl_closure(schema | {said}) - known - {said})
 
 
 @cache

@@ -2,6 +2,7 @@
 only where they stand for one, and SPARQL is left in its place (SPEC §5)."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 
 from hypothesis import assume, given, settings
@@ -18,8 +19,8 @@ from dyknow.languages.csparql import (
 from dyknow.languages.csparql.parser import read
 from dyknow.languages.csparql.printer import compact
 from dyknow.languages.errors import LanguageError
-from dyknow.sparql.ast import HERE, Graph, variables_of, walk
-from dyknow.sparql.tokens import tokenize
+from dyknow.sparql.ast import NO_SPAN, Graph, variables_of, walk
+from dyknow.sparql.tokens import UNLIMITED, Lexer, Token
 
 WORDS = """register stream query as compute every select from named window on range step slide
 tumbling triples elements landmark rstream istream dstream graph where aggregate filter prefix base
@@ -93,8 +94,8 @@ def queries(draw: st.DrawFn) -> str:
 
 def meaning(query: ContinuousQuery) -> tuple[object, ...]:
     """All of a query but its spelling."""
-    clauses = tuple(replace(clause, span=HERE) for clause in query.streams)
-    conditions = tuple((condition, HERE) for condition, _ in query.aggregate_filters)
+    clauses = tuple(replace(clause, span=NO_SPAN) for clause in query.streams)
+    conditions = tuple((condition, NO_SPAN) for condition, _ in query.aggregate_filters)
     said = replace(query, streams=clauses, source="", prefixes={}, aggregate_filters=conditions)
     return said, _unlabelled(body_sparql(query))
 
@@ -174,6 +175,10 @@ def test_keywords_in_names_are_names(words: list[str], is_rsp_ql: bool) -> None:
     assert list(variables_of(query.body)) == [variable]
     assert sum(isinstance(one, Graph) for one in walk(query.body)) == is_rsp_ql
     assert meaning(parse_query(format_query(query))) == meaning(query)
+
+
+def tokenize(text: str) -> Iterator[Token]:
+    return iter(Lexer(text, UNLIMITED).next, None)
 
 
 def compacted(text: str) -> str:

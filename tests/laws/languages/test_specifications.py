@@ -20,9 +20,9 @@ from dyknow.languages.specification import (
     format_specification,
     parse_specification,
 )
-from dyknow.languages.specification.document import read
+from dyknow.languages.specification.document import read_document
 from dyknow.languages.specification.markup import BLANKS, NAMESPACE, scan
-from dyknow.languages.specification.refusals import refusal
+from dyknow.languages.specification.schema_rules import first_violation
 from dyknow.service.workers.messages import BadAnswer, ElementRow
 from dyknow.service.workers.xml_elements import rows_of, specification_of
 
@@ -184,9 +184,9 @@ def whole(body: str) -> str:
 @given(bodies)
 def test_the_rules_in_plain_words_are_those_of_the_schema(body: str) -> None:
     text = whole(body)
-    document = read(scan(text))
+    document = read_document(scan(text))
     accepted = SCHEMA.validate(document.tree)
-    assert (refusal(document) is None) == accepted, (text, SCHEMA.error_log)
+    assert (first_violation(document) is None) == accepted, (text, SCHEMA.error_log)
     refuse_or_parse(text)
 
 
@@ -209,11 +209,11 @@ def test_the_rules_are_the_schemas_for_texts_that_are_nearly_right(
     puts = st.sampled_from([*there, *ATTRIBUTES] if place[0] else FILLINGS)
     text = text[: place.start()] + data.draw(puts) + text[place.end() :]
     try:
-        document = read(scan(text))
+        document = read_document(scan(text))
     except LanguageError:
         # It may have an attribute twice.
         reject()
-    assert (refusal(document) is None) == SCHEMA.validate(document.tree), text
+    assert (first_violation(document) is None) == SCHEMA.validate(document.tree), text
     refuse_or_parse(text)
 
 
@@ -223,7 +223,7 @@ def test_tags_and_attributes_are_where_they_are_said_to_be(body: str) -> None:
     markup = scan(text)
     nodes = list(etree.fromstring(text).iter(etree.Element))
     assert len(markup.tags) == len(nodes)
-    for element, node in zip(read(markup).elements, nodes, strict=True):
+    for element, node in zip(read_document(markup).elements, nodes, strict=True):
         tag = element.tag
         assert text[tag.span.start] == "<"
         assert text[tag.span.end - 1] == ">"

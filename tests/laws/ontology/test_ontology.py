@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from dyknow.ontology.closure import by_owlrl, closure_of, entailed
+from dyknow.ontology.closure import cached_closure, closure_of, owlrl_closure
 from dyknow.ontology.entailment import Entailments, Rules
 from dyknow.ontology.errors import OntologyError
 from dyknow.ontology.hierarchy import Hierarchy
@@ -60,7 +60,7 @@ def schema() -> frozenset[Triple]:
     declared = [triple(c, RDF_TYPE.value, OWL + "Class") for c in CLASSES]
     declared += [triple(p, RDF_TYPE.value, OWL + "ObjectProperty") for p in PROPERTIES]
     stated = frozenset([triple(*statement) for statement in SCHEMA] + declared)
-    return stated | entailed(stated)
+    return stated | cached_closure(stated)
 
 
 @given(
@@ -77,10 +77,10 @@ def test_entailments_equal_owlrl(changes: list[tuple[list[Triple], list[Triple]]
         held, implied = live.update(added, removed)
         seen = (seen - implied.removed) | implied.added
         assert not held.added & held.removed
-    assert live.held == model
+    assert live.asserted == model
     assert live.current == seen
     # The slow twin: everything anew by owlrl, which says nothing new about schema terms.
-    twin = by_owlrl(schema() | model) - model - schema()
+    twin = owlrl_closure(schema() | model) - model - schema()
     assert live.current - model == twin
     assert live.current == Entailments(rules, model).current
 
@@ -105,7 +105,7 @@ def test_entailments_are_those_of_each_triple(
         before = live.current
         model = (model - set(removed)) | set(added)
         _, implied = live.update(added, removed)
-        assert live.held == model
+        assert live.asserted == model
         assert live.current == set().union(*map(rules.entail, model))
         assert live.current == (before - implied.removed) | implied.added
         assert not implied.added & before
@@ -223,7 +223,7 @@ def test_the_closure_is_owlrls(asserted: frozenset[Triple]) -> None:
         except OntologyError:  # a contradiction; owlrl names one of several
             return None
 
-    assert closed(closure_of) == closed(by_owlrl)
+    assert closed(closure_of) == closed(owlrl_closure)
 
 
 def test_a_chain_of_classes_closes_without_owlrl() -> None:
@@ -233,6 +233,6 @@ def test_a_chain_of_classes_closes_without_owlrl() -> None:
     separation = Separation(frozenset(chained | {Triple(node("a"), RDF_TYPE, names[0])}))
     assert separation.plain == set(names)
     assert not separation.rest
-    found = separation.closed(())
+    found = separation.merge_closure(())
     assert found is not None
     assert len(found) == 300 * 299 // 2 + 300

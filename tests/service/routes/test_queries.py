@@ -286,9 +286,9 @@ class TestRestart:
         engine = Engine(epoch="e1")
         engine.annotate(SSL)
         engine.queries.register(FAST)
-        kept = engine.ontology.registered.queries()
+        kept = dict(engine.ontology.registered.queries)
         engine.queries.remove("fast")
-        engine.ontology.registered.set_query("fast", kept["fast"].replace("s5.trdf", "s6.trdf"))
+        engine.ontology.registered.queries["fast"] = kept["fast"].replace("s5.trdf", "s6.trdf")
         engine.queries.recall()
         engine.queries.restore(lambda name: None)
         return engine

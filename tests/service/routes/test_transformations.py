@@ -155,7 +155,7 @@ CYCLE = (
 @pytest.mark.parametrize(
     ("body", "status", "said"),
     [
-        (glider(annotation="compunit glider trnsforms a:b to c:d"), 400, "cannot stand here"),
+        (glider(annotation="compunit glider trnsforms a:b to c:d"), 400, "is not allowed here"),
         (glider(annotation=SSL + " " + SSL), 400, "twice"),
         (glider(annotation="stream s contains speed(uav1) = v"), 400, "one declaration"),
         (glider(annotation=""), 400, "one declaration"),

@@ -206,12 +206,12 @@ def test_a_closed_pool_gives_no_worker() -> None:
 def test_copies_follow_every_change() -> None:
     ontology = Ontology.open()
     first = ontology.changes_since(None)
-    assert first.whole is not None
+    assert first.dump is not None
     assert ontology.changes_since(first.position).added == b""
     triple = Triple(NamedNode("urn:a"), NamedNode("urn:p"), Literal('x"\n'))
     ontology.mirror([triple], [])
     second = ontology.changes_since(first.position)
-    assert second.whole is None
+    assert second.dump is None
     assert b"urn:a" in second.added
     ontology.mirror([], [triple])
     third = ontology.changes_since(second.position)
@@ -220,7 +220,7 @@ def test_copies_follow_every_change() -> None:
     assert b"urn:a" not in ontology.changes_since(first.position).added
     many = [Triple(NamedNode(f"urn:a{i}"), NamedNode("urn:p"), Literal(i)) for i in range(MOST)]
     ontology.mirror(many, [])
-    assert ontology.changes_since(first.position).whole is not None
+    assert ontology.changes_since(first.position).dump is not None
 
 
 def test_a_worker_whose_copy_changes_for_long_needs_no_more_memory(worker: Worker) -> None:
@@ -264,7 +264,7 @@ def test_who_could_not_be_told_what_has_changed_is_replaced(
     troubles = [trouble]
 
     def troubled(worker: Worker, job: Job, most: int) -> Any:
-        if isinstance(job.work, Follow) and job.work.whole is None and troubles:
+        if isinstance(job.work, Follow) and job.work.dump is None and troubles:
             found = troubles.pop()
             if isinstance(found, WorkerError):
                 worker.kill(found.end)
@@ -290,7 +290,7 @@ def test_when_no_worker_has_memory_left_a_new_one_is_told(monkeypatch: pytest.Mo
     call = Worker.call
 
     def worn(worker: Worker, job: Job, most: int) -> Any:
-        if isinstance(job.work, Follow) and job.work.whole is None:
+        if isinstance(job.work, Follow) and job.work.dump is None:
             worker.kill(End.MEMORY)
             raise Died("no memory", End.MEMORY)
         return call(worker, job, most)

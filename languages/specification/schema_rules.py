@@ -1,9 +1,9 @@
-"""What the schema refuses, in plain words ([Introspection15 §3.2]).
+"""The rules of the schema, with plain messages ([Introspection15 §3.2]).
 
-The rules are those of the schema (`specification.xsd`), which says of a breach neither the column
-nor what to do, and whose list of breaches costs the square of their number. So they are walked here
-first, and the schema has the last word (`parser`). Law: what the schema refuses, this names, and
-nothing else (`tests/languages/test_specification.py`).
+The schema (`specification.xsd`) reports neither the column of an error nor a remedy, and its list
+of errors costs quadratic time. This module therefore checks the rules first, and the schema has the
+last word (`parser`). Law: this module refuses exactly the texts that the schema refuses
+(`tests/languages/test_specification.py`).
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
 from .document import Document, Element, Value
-from .markup import BLANKS, NAMESPACE, Attribute, shown
+from .markup import BLANKS, NAMESPACE, Attribute, abbreviate
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]*")
 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """What an element may be and hold; ``title`` is how messages call it.
+    """The rules for one kind of element; ``title`` is its name in messages.
 
-    ``references`` are attributes that name something there is, so any text but blanks;
-    ``verbatim`` ones are any text. The others are names.
+    ``references`` are attributes that name existing things, so any text that is not blank is
+    allowed; ``verbatim`` ones are any text. The others are names.
     """
 
     title: str
@@ -50,18 +50,16 @@ _KINDS: Final = {
 }
 _ELEMENTS: Final = ("specification", "insertions", "removals", *_UNIT_HOLDS)
 _MISSING: Final = {
-    ("unit", "type"): 'say its transformation: `type="gps"`',
-    ("stream", "name"): 'say which stream is read: `name="positions"`',
-    ("parameter", "name"): 'say which parameter it is: `name="baseline"`',
-    ("parameter", "value"): 'say what it is set to: `value="5s"`; `value=""` is the empty text',
+    ("unit", "type"): 'name its transformation: `type="gps"`',
+    ("stream", "name"): 'name the stream to read: `name="positions"`',
+    ("parameter", "name"): 'name the parameter: `name="baseline"`',
+    ("parameter", "value"): 'state its value: `value="5s"`; `value=""` is the empty text',
 }
-_NAME_OR_TYPE: Final = (
-    'say which unit or stream, `name="result"`, or all of which transformation, `type="gps"`'
-)
+_NAME_OR_TYPE: Final = 'name a unit or stream, `name="result"`, or a transformation, `type="gps"`'
 
 
-def refusal(document: Document) -> LanguageError | None:
-    """The first thing that the schema does not allow; None if there is nothing."""
+def first_violation(document: Document) -> LanguageError | None:
+    """Return the first violation of the schema; None if there is none."""
     try:
         _Walk(document).walk()
     except LanguageError as error:
@@ -72,7 +70,7 @@ def refusal(document: Document) -> LanguageError | None:
 @dataclass(slots=True)
 class _Walk:
     document: Document
-    # The kind of each element so far, and what may be there once only.
+    # The kind of each element so far, and the first element of each unique key.
     kinds: list[str] = field(default_factory=list)
     first: dict[tuple[str, int | None, str], Element] = field(default_factory=dict)
 
@@ -84,9 +82,9 @@ class _Walk:
             self.once(element, kind)
             if element.text is not None:
                 raise self.error(
-                    f"{_KINDS[kind].title} holds text",
+                    f"{_KINDS[kind].title} contains text",
                     Span(element.text, element.text + 1),
-                    "names and values stand in attributes; a comment is `<!-- … -->`",
+                    "put names and values into attributes; a comment is `<!-- … -->`",
                 )
 
     def error(self, message: str, span: Span, hint: str) -> LanguageError:
@@ -95,24 +93,24 @@ class _Walk:
     # -- elements ----------------------------------------------------------------------------
 
     def kind(self, element: Element) -> str:
-        """What the element is, by its name and what it stands in."""
+        """Return the kind of the element, by its name and parent."""
         if element.parent is None:
             return self.root(element)
         self.namespace(element)
         parent = _KINDS[self.kinds[element.parent]]
         if element.name in parent.holds:
             return parent.holds[element.name]
-        name, span = shown(element.name), element.tag.name_span
-        holds = f"{parent.title} holds {_listed(parent.holds)}"
+        name, span = abbreviate(element.name), element.tag.name_span
+        holds = f"{parent.title} contains {_enumerate(parent.holds)}"
         if element.name in _ELEMENTS:
-            raise self.error(f"`{name}` cannot stand in {parent.title}", span, holds)
+            raise self.error(f"`{name}` is not allowed in {parent.title}", span, holds)
         hint = did_you_mean(element.name, parent.holds) or holds
-        raise self.error(f"`{name}` is no element of a specification", span, hint)
+        raise self.error(f"`{name}` is not an element of a specification", span, hint)
 
     def root(self, element: Element) -> str:
         if element.name != "specification":
             raise self.error(
-                f"`{shown(element.name)}` is no specification",
+                f"`{abbreviate(element.name)}` is not a specification",
                 element.tag.name_span,
                 f"the first element is `specification`, of the namespace `{NAMESPACE}`",
             )
@@ -122,7 +120,7 @@ class _Walk:
     def namespace(self, element: Element) -> None:
         if element.namespace == NAMESPACE:
             return
-        name, namespace = shown(element.tag.name), shown(element.namespace)
+        name, namespace = abbreviate(element.tag.name), abbreviate(element.namespace)
         where = f"in the namespace `{namespace}`" if namespace else "in no namespace"
         prefix = self.document.elements[0].tag.name.rpartition(":")[0]
         if element.parent is None:
@@ -130,18 +128,18 @@ class _Walk:
         elif element.namespace or not prefix:
             hint = f"elements of a specification are in `{NAMESPACE}`"
         else:
-            hint = f"write `{shown(f'{prefix}:{element.name}')}`"
+            hint = f"write `{abbreviate(f'{prefix}:{element.name}')}`"
         raise self.error(f"`{name}` is {where}", element.tag.name_span, hint)
 
     # -- attributes --------------------------------------------------------------------------
 
     def attributes(self, element: Element, kind: str) -> None:
         rules = _KINDS[kind]
-        known = (*rules.required, *rules.optional)
+        allowed = (*rules.required, *rules.optional)
         for attribute in element.foreign:
             raise self.unknown(attribute, attribute.name.rpartition(":")[2], element, kind)
         for name, value in element.attributes.items():
-            if name not in known:
+            if name not in allowed:
                 raise self.unknown(value.place, name, element, kind)
         for name in rules.required:
             if name not in element.attributes:
@@ -157,15 +155,15 @@ class _Walk:
     def unknown(
         self, attribute: Attribute, name: str, element: Element, kind: str
     ) -> LanguageError:
-        """An attribute that is not the kind's; ``name`` is it without prefix."""
+        """Return the error for an attribute that the kind lacks; ``name`` has no prefix."""
         rules = _KINDS[kind]
-        known = (*rules.required, *rules.optional)
-        if name in known and name not in element.attributes:
+        allowed = (*rules.required, *rules.optional)
+        if name in allowed and name not in element.attributes:
             hint = f"write `{name}`, without a prefix"
         else:
-            near = "" if name in known else did_you_mean(name, known)
-            hint = near or f"it has {_listed(known) if known else 'none'}"
-        message = f"{rules.title} has no attribute `{shown(attribute.name)}`"
+            near = "" if name in allowed else did_you_mean(name, allowed)
+            hint = near or f"it has {_enumerate(allowed) if allowed else 'none'}"
+        message = f"{rules.title} has no attribute `{abbreviate(attribute.name)}`"
         return self.error(message, attribute.span, hint)
 
     def value(self, name: str, value: Value, kind: str) -> None:
@@ -180,13 +178,13 @@ class _Walk:
             )
         if name not in _KINDS[kind].references and _NAME.fullmatch(text) is None:
             raise self.error(
-                f"`{shown(text)}` is no name",
+                f"`{abbreviate(text)}` is not a name",
                 place,
                 "a name is letters a-z, digits, `_`, `.` and `-`, and begins with a letter or `_`",
             )
         if name not in _KINDS[kind].references and len(text) > LONGEST_NAME:
             raise self.error(
-                f"`{shown(text)}` has {len(text)} characters",
+                f"`{abbreviate(text)}` has {len(text)} characters",
                 place,
                 f"a name has at most {LONGEST_NAME}",
             )
@@ -202,45 +200,45 @@ class _Walk:
             raise self.error(
                 "a removed `cu` has both `name` and `type`",
                 list(element.attributes.values())[1].place.span,
-                "what is removed is said one way; two ways are two `cu`",
+                "give one of the two; two removals are two `cu`",
             )
 
-    # -- what may be there once --------------------------------------------------------------
+    # -- uniqueness -------------------------------------------------------------------------
 
     def once(self, element: Element, kind: str) -> None:
-        """A part is there once, a name is one unit's, and a unit has a parameter once."""
+        """Check uniqueness: of each section, of unit names, and of a unit's parameters."""
         span = element.tag.name_span
         match kind:
             case "insertions" | "removals":
-                if line := self.seen((kind, None, ""), element):
+                if line := self.first_line((kind, None, ""), element):
                     hint = f"put all into the one of line {line}"
-                    raise self.error(f"`{kind}` stands twice", span, hint)
+                    raise self.error(f"`{kind}` occurs twice", span, hint)
             case "unit" if "name" in element.attributes:
                 value = element.attributes["name"]
                 name = value.text.strip(BLANKS)
-                if line := self.seen((kind, None, name), element):
-                    message = f"two units have the name `{shown(name)}`"
+                if line := self.first_line((kind, None, name), element):
+                    message = f"two units have the name `{abbreviate(name)}`"
                     hint = f"the first is on line {line}; `stream` reads the same unit once more"
                     raise self.error(message, value.place.value, hint)
             case "parameter":
                 value = element.attributes["name"]
                 name = value.text.strip(BLANKS)
-                if line := self.seen((kind, element.parent, name), element):
-                    message = f"`{shown(name)}` is set twice"
-                    hint = f"line {line} sets it already; a unit has a parameter once"
+                if line := self.first_line((kind, element.parent, name), element):
+                    message = f"`{abbreviate(name)}` is set twice"
+                    hint = f"line {line} sets it already; a unit has each parameter once"
                     raise self.error(message, value.place.value, hint)
             case _:
                 pass
 
-    def seen(self, key: tuple[str, int | None, str], element: Element) -> int:
-        """The line of the first of this key; 0 if it is this one."""
+    def first_line(self, key: tuple[str, int | None, str], element: Element) -> int:
+        """Return the line of the first element with this key; 0 if it is this one."""
         first = self.first.setdefault(key, element)
         if first is element:
             return 0
         return self.document.source.count("\n", 0, first.tag.span.start) + 1
 
 
-def _listed(names: Iterable[str]) -> str:
-    """`` `a`, `b` and `c` ``; ``nothing`` for none."""
+def _enumerate(names: Iterable[str]) -> str:
+    """Return `` `a`, `b` and `c` ``; ``nothing`` if empty."""
     *others, last = [f"`{name}`" for name in names] or ["nothing"]
     return f"{', '.join(others)} and {last}" if others else last

@@ -1,7 +1,7 @@
-"""Which declarations need which ([DyKnow10 Def. 4.6, 4.7, 5.13-5.20]).
+"""The dependencies between declarations ([DyKnow10 Def. 4.6, 4.7, 5.13-5.20]).
 
-A declaration *makes* and *needs* tokens: keys of declarations, and ``feature pos`` for some
-generator of a feature, whichever it is. `signature` removes by these, `check` looks for circles.
+A declaration *makes* and *needs* tokens: keys of declarations, and ``feature pos`` for any
+generator of a feature. `signature` removes declarations by them; `check` detects circles.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from .declarations import (
 
 
 def feature_token(feature: str) -> str:
-    """What every generator of the feature makes."""
+    """Return the token that each generator of the feature makes."""
     return f"feature {feature}"
 
 
-def made_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
-    """The tokens that a declaration makes, each once."""
+def tokens_made(declaration: CheckedDeclaration) -> tuple[str, ...]:
+    """Return the tokens that a declaration makes, each once."""
     match declaration:
         case GeneratorDeclaration():
             return (declaration.key, feature_token(declaration.label.feature))
@@ -54,9 +54,9 @@ def made_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
             assert_never(declaration)
 
 
-def needed_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
-    """The tokens that a declaration needs, each once. A sort may be one that is not declared."""
-    own = made_by(declaration)
+def tokens_needed(declaration: CheckedDeclaration) -> tuple[str, ...]:
+    """Return the tokens that a declaration needs, each once. A needed sort may be undeclared."""
+    own = tokens_made(declaration)
     return tuple(token for token in dict.fromkeys(_needs(declaration)) if token not in own)
 
 
@@ -79,14 +79,15 @@ def _needs(declaration: CheckedDeclaration) -> Iterator[str]:
             for term in declaration.terms:
                 yield str(term.label)
         case SortDeclaration():
-            # The fields were copied, so nothing else is needed any more.
+            # Its fields are copies, so it needs no other sort.
             pass
         case _:
             assert_never(declaration)
 
 
 def generator_needs(generator: GeneratorDeclaration, *variables: str) -> Iterator[str]:
-    """The tokens of a generator; labels with one of ``variables`` are of some object only."""
+    """Yield the tokens that a generator needs. A label with one of ``variables`` needs any
+    generator of its feature."""
     match generator.process:
         case FromSource(name) | Compute(name):
             yield name
@@ -103,18 +104,21 @@ def generator_needs(generator: GeneratorDeclaration, *variables: str) -> Iterato
             yield feature_token(term.label.feature)
 
 
-def founded(
+def in_dependency_order(
     declarations: Iterable[CheckedDeclaration], known: AbstractSet[str]
 ) -> list[CheckedDeclaration]:
-    """Those that have what they need of the tokens ``known``, each behind what it uses, otherwise
-    in the order given. Cost: linear, once more for each declaration that is moved at worst."""
+    """Return the declarations whose needs among the tokens ``known`` are met, each after those that
+    it uses, otherwise in the given order. Cost: linear; in the worst case once more for each
+    declaration that moves."""
     waiting, done = list(declarations), list[CheckedDeclaration]()
-    made: set[str] = set()
+    available: set[str] = set()
     while waiting:
         left = []
         for declaration in waiting:
-            if all(token in made or token not in known for token in needed_by(declaration)):
-                made.update(made_by(declaration))
+            if all(
+                token in available or token not in known for token in tokens_needed(declaration)
+            ):
+                available.update(tokens_made(declaration))
                 done.append(declaration)
             else:
                 left.append(declaration)
@@ -125,13 +129,14 @@ def founded(
 
 
 def reaches(start: Iterable[str], wanted: str, edges: Mapping[str, AbstractSet[str]]) -> bool:
-    """Whether ``wanted`` is needed for ``start``, directly or not. Cost: linear in what is."""
-    seen, todo = set[str](), list(start)
+    """Return whether ``start`` needs ``wanted``, directly or not. Cost: linear in the needed
+    tokens."""
+    visited, todo = set[str](), list(start)
     while todo:
         token = todo.pop()
         if token == wanted:
             return True
-        if token not in seen:
-            seen.add(token)
+        if token not in visited:
+            visited.add(token)
             todo.extend(edges.get(token, ()))
     return False

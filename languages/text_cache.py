@@ -1,5 +1,8 @@
-"""What was read of the last texts, by how long they are: a few long ones hold as much as hundreds
-of short ones, and what a parser makes of a text takes up to a kilobyte a character."""
+"""A cache of parsed texts, bounded by the length of the texts.
+
+A parser makes up to a kilobyte for each character, so a few long texts need as much memory as
+hundreds of short ones.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,14 @@ from typing import Final, Generic, TypeVar
 T = TypeVar("T")
 
 CHARACTERS: Final = 256 * 1024
-"""Of all texts of which something is remembered, and the last one."""
+"""The greatest total length of the cached texts. The text parsed last stays in any case."""
 LEAST: Final = 512
-"""As so many a text counts that has fewer: so there are at most 512 of them."""
+"""The length that a shorter text counts as; the cache therefore contains at most 512 texts."""
 
 
-class Remembered(Generic[T]):
-    """A function of a text that remembers what it gave for the last ones; not what it raised. Any
-    thread may call. Cost of a text that is known: a look-up."""
+class TextCache(Generic[T]):
+    """Decorates a function of a text with a cache of its last results. Exceptions are not cached.
+    Thread-safe. Cost of a cached text: a look-up."""
 
     def __init__(self, work: Callable[[str], T]) -> None:
         self._work = work
@@ -35,7 +38,7 @@ class Remembered(Generic[T]):
                 return self._known[text]
         found = self._work(text)
         with self._lock:
-            # Another thread may have read it meanwhile: all are given the same.
+            # Another thread may have parsed it meanwhile: all callers get the same result.
             if text not in self._known:
                 self._known[text] = found
                 self._size += _size(text)
@@ -46,8 +49,3 @@ class Remembered(Generic[T]):
 
 def _size(text: str) -> int:
     return max(LEAST, len(text))
-
-
-def remembered(work: Callable[[str], T]) -> Remembered[T]:
-    """``work`` as a `Remembered`."""
-    return Remembered(work)

@@ -1,4 +1,4 @@
-"""The ontologies and shapes that come with the program."""
+"""The ontologies and shapes that the package contains."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HERE = Path(__file__).parent
 
 @dataclass(frozen=True, slots=True)
 class ShippedOntology:
-    """A Turtle file of this room and the graph that it is loaded into."""
+    """A Turtle file of this room, and the graph for its triples."""
 
     graph: NamedNode
     file: Path
@@ -29,7 +29,8 @@ class ShippedOntology:
 
 
 def shipped_ontologies() -> tuple[ShippedOntology, ...]:
-    """Stream space, aviation, and the alignments with other vocabularies."""
+    """Return the ontologies of the stream space and of aviation, and the alignments with other
+    vocabularies."""
     alignments = sorted((_HERE / "alignments").glob("*.ttl"))
     return (
         ShippedOntology(graphs.STREAM_SPACE_ONTOLOGY, _HERE / "dyknow.ttl"),
@@ -39,10 +40,10 @@ def shipped_ontologies() -> tuple[ShippedOntology, ...]:
 
 
 def shapes_text() -> str:
-    """The SHACL shapes of a well-formed stream space, as Turtle."""
+    """Return the SHACL shapes of a well-formed stream space, as Turtle."""
     return (_HERE / "shapes.ttl").read_text(encoding="utf-8")
 
 
 def text_hash(text: str) -> str:
-    """What tells one version of an ontology text from another."""
+    """Return a hash that identifies a version of an ontology text."""
     return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.languages.remembered import CHARACTERS, LEAST, Remembered, remembered
+from dyknow.languages.text_cache import CHARACTERS, LEAST, TextCache
 
 
-def counted() -> tuple[Remembered[list[str]], list[str]]:
+def counted() -> tuple[TextCache[list[str]], list[str]]:
     read: list[str] = []
 
-    @remembered
+    @TextCache
     def parse(text: str) -> list[str]:
         """Words."""
         read.append(text)

@@ -14,7 +14,7 @@ from dyknow.continuous.columns.expression_evaluation import (
 )
 from dyknow.converters.exact import _decoder
 from dyknow.engine.model.result_schema import _form
-from dyknow.languages.attached import attached
+from dyknow.languages.object_cache import ObjectCache
 from dyknow.ontology.ontology import Ontology
 from dyknow.sparql import parse_sparql
 from dyknow.streams.sample import Field, FieldType, Schema
@@ -29,7 +29,7 @@ class Thing:
 def test_it_is_asked_once_for_the_same() -> None:
     asked = []
 
-    @attached
+    @ObjectCache
     def work(thing: Thing, number: int) -> int:
         asked.append(number)
         return number + 1
@@ -43,7 +43,7 @@ def test_it_is_asked_once_for_the_same() -> None:
 
 
 def test_nothing_is_remembered_of_what_is_gone() -> None:
-    @attached
+    @ObjectCache
     def work(thing: Thing, number: int) -> int:
         return number
 
