@@ -1,4 +1,4 @@
-"""A plan of semantic matching as the specification in XML that would make it
+"""Writes a plan of semantic matching as a specification in XML
 ([Introspection15 §4.3]: the result of matching is a specification)."""
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from .serialize import Writer
 
 
 def plan_text(supply: Supply, transformations: Mapping[str, Transformation]) -> str | None:
-    """The specification whose insertions are the units of a plan; without any where the plan only
-    reads streams that there are. None where an event template is part of the plan: a specification
-    makes no continuous query.
+    """Write the units of a plan as a specification; without insertions if the plan only reads
+    existing streams. None for a plan with an event template: a specification makes no continuous
+    query.
 
-    Law: where it is applied, the same plan starts no further unit.
+    Law: after it was applied, the same plan starts no further unit.
     """
     shapes = _PlanShapes(transformations)
     tops = [shapes.of(source.node) for source in supply.sources]
     if shapes.has_query:
         return None
     made = [(shape, None) for shape in dict.fromkeys(tops) if isinstance(shape, Shape)]
-    # A name of the system only ties the units of a text together.
+    # A reserved name is a reference within the text only.
     elements = Writer({}, lambda shape: f"dyknow_reserved{shape.number}").write(made)
     return format_specification(Specification(elements, (), ""))
 
@@ -50,28 +50,28 @@ class _PlanShapes:
         self.has_query = False
 
     def of(self, node: Node) -> Shape | str:
-        """The shape of a node, or the name of a stream that there is."""
+        """Return the shape of a node, or the name of an existing stream."""
         match node:
             case UseStream(stream):
                 return stream
             case SelectObject(source, field, object):
                 given = (("field", field), ("object", shorten(object)))
-                return self._over(SELECT_OBJECT, given, (source,))
+                return self._shape_over(SELECT_OBJECT, given, (source,))
             case Synchronize(inputs):
-                return self._over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
+                return self._shape_over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
             case Compute():
-                return self._over(node.transformation, node.parameters, self._inputs(node))
+                return self._shape_over(node.transformation, node.parameters, self._inputs(node))
             case Detect():
                 self.has_query = True
                 return ""
             case _:
                 assert_never(node)
 
-    def _over(self, type: str, parameters: Parameters, inputs: tuple[Node, ...]) -> Shape:
+    def _shape_over(self, type: str, parameters: Parameters, inputs: tuple[Node, ...]) -> Shape:
         return self._shapes.of(type, parameters, tuple(map(self.of, inputs)))
 
     def _inputs(self, node: Compute) -> tuple[Node, ...]:
-        """What feeds the inputs of a unit; those that are synchronized as a matter of course."""
+        """Return the input nodes of a unit; those behind an implied synchronization, if any."""
         edges = tuple(edge.node for edge in node.inputs)
         known = self._transformations.get(node.transformation)
         if known is None or not isinstance(known.annotation, TransformationAnnotation):

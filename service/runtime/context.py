@@ -14,8 +14,8 @@ from ...engine.durability.commands import (
     ANYTIME,
     Command,
     EndStream,
+    ParsedBody,
     Publish,
-    ReadAlready,
     Tick,
 )
 from ...engine.engine import Engine
@@ -111,7 +111,7 @@ class Service:
         self.bodies.close()
         self.feeds.close()
 
-    async def do(self, command: Command, known: ReadAlready | None = None) -> Any:
+    async def do(self, command: Command, known: ParsedBody | None = None) -> Any:
         """Do ``command``; return what it gives when it is kept. Who publishes waits a moment for
         those who read the stream."""
         if not isinstance(command, ANYTIME):
