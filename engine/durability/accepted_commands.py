@@ -129,19 +129,19 @@ class AcceptedCommands:
                 raise
             return None
 
-    def record(self, command: Command, found: Any) -> None:
-        """Record that ``command`` was executed with the result ``found``."""
+    def record(self, command: Command, result: Any) -> None:
+        """Record that ``command`` was executed with the ``result``."""
         match command:
             case RequestEvent():
-                self._add_executed(Key(REQUEST, found.id), command)
+                self._add_executed(Key(REQUEST, result.id), command)
             case Subscribe() | SubscribeToFeature():
-                self._add_executed(Key(SUBSCRIPTION, found.id), command)
+                self._add_executed(Key(SUBSCRIPTION, result.id), command)
             case CancelEvent(id=id):
                 self._remove_executed(Key(REQUEST, id))
             case Unsubscribe(id=id):
                 self._remove_executed(Key(SUBSCRIPTION, id))
             case RegisterQuery():
-                self._add_executed(Key(QUERY, found.name), command)
+                self._add_executed(Key(QUERY, result.name), command)
             case RemoveQuery(name=name):
                 self._remove_executed(Key(QUERY, name))
             case _ if self._waiting:
@@ -203,15 +203,15 @@ class AcceptedCommands:
         return bool(keys)
 
     def _add_executed(self, key: Key, command: Command) -> None:
-        known = self._accepted.get(key)
-        if known is None or known.is_waiting:
+        accepted = self._accepted.get(key)
+        if accepted is None or accepted.is_waiting:
             self._accepted[key] = Accepted(command, is_waiting=False)
             self._waiting.pop(key, None)
 
     def _put_waiting(self, key: Key, command: Command, reason: str) -> None:
-        known = self._accepted.get(key)
-        is_shared = key.kind == QUERY and known is not None and known.is_waiting
-        users = known.users + 1 if known is not None and is_shared else 1
+        accepted = self._accepted.get(key)
+        is_shared = key.kind == QUERY and accepted is not None and accepted.is_waiting
+        users = accepted.users + 1 if accepted is not None and is_shared else 1
         self._accepted[key] = Accepted(command, True, users, reason)
         self._waiting[key] = None
 

@@ -68,11 +68,11 @@ class Outside:
     def by_name(self) -> dict[str, object]:
         """They and user-written code, by the names that a pickle has for them. A pickle refers to
         user-written code by the name of its process, not by its module."""
-        found = {name: value for name, value in self.arguments().items() if value is not None}
+        names = {name: value for name, value in self.arguments().items() if value is not None}
         for each in self.processes.all():
-            found[f"process {each.name}"] = each
-            found[f"code of {each.name}"] = each.code
-        return found
+            names[f"process {each.name}"] = each
+            names[f"code of {each.name}"] = each.code
+        return names
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +93,11 @@ def program(processes: Processes | None = None) -> str:
 
     Contract: call it soon after the modules were loaded, since it reads their files.
     """
-    known = () if processes is None else processes.all()
-    if not known:
+    loaded = () if processes is None else processes.all()
+    if not loaded:
         return _program()
-    digest = hashlib.sha256(repr(sorted(each.name for each in known)).encode())
-    for name, text in sorted(_modules(each.code for each in known).items()):
+    digest = hashlib.sha256(repr(sorted(each.name for each in loaded)).encode())
+    for name, text in sorted(_modules(each.code for each in loaded).items()):
         digest.update(f"\0{name}\0".encode() + text)
     return f"{_program()}, processes {digest.hexdigest()[:16]}"
 
@@ -105,20 +105,20 @@ def program(processes: Processes | None = None) -> str:
 def _modules(codes: Iterable[Any]) -> dict[str, bytes]:
     """The source of each module of user-written code, by name; the byte code where there is no
     source file."""
-    found = {}
+    sources = {}
     for code in codes:
         package = code.__module__.partition(".")[0]
         for name, module in tuple(sys.modules.items()):
             if name.partition(".")[0] == package:
                 path = getattr(module, "__file__", None)
                 if path is not None and Path(path).is_file():
-                    found[name] = Path(path).read_bytes()
-        if code.__module__ not in found:
+                    sources[name] = Path(path).read_bytes()
+        if code.__module__ not in sources:
             compiled = getattr(code, "__code__", None)
-            found[f"{code.__module__}.{code.__qualname__}"] = (
+            sources[f"{code.__module__}.{code.__qualname__}"] = (
                 b"" if compiled is None else marshal.dumps(compiled)
             )
-    return found
+    return sources
 
 
 @cache
@@ -268,8 +268,8 @@ def _reduce_function(value: FunctionType) -> Any:
     places = _codes(value.__module__)[code.co_qualname]
     cells = value.__closure__ or ()
     state = (value.__defaults__, value.__kwdefaults__, value.__dict__)
-    made = (value.__module__, code.co_qualname, places.index(code), cells)
-    return _function, made, state, None, None, _set_function
+    arguments = (value.__module__, code.co_qualname, places.index(code), cells)
+    return _function, arguments, state, None, None, _set_function
 
 
 def _function(module: str, name: str, place: int, cells: tuple[CellType, ...]) -> FunctionType:
@@ -288,10 +288,10 @@ def _codes(module: str) -> dict[str, list[CodeType]]:
     """The code objects of a module's functions by qualified name, in order of the source."""
     spec = importlib.util.find_spec(module)
     code = None if spec is None else spec.loader.get_code(module)  # type: ignore[union-attr]
-    found: dict[str, list[CodeType]] = {}
+    codes: dict[str, list[CodeType]] = {}
     for each in () if code is None else _within(code):
-        found.setdefault(each.co_qualname, []).append(each)
-    return found
+        codes.setdefault(each.co_qualname, []).append(each)
+    return codes
 
 
 def _within(code: CodeType) -> Iterator[CodeType]:
@@ -373,14 +373,14 @@ _REDUCERS: dict[type, Callable[[Any], Any]] = {
 
 def _run_deep(work: Callable[[], T]) -> T:
     """Run ``work`` on a thread with a large stack and a high recursion limit."""
-    found: list[T] = []
-    failed: list[Exception] = []
+    results: list[T] = []
+    errors: list[Exception] = []
 
     def run() -> None:
         try:
-            found.append(work())
+            results.append(work())
         except Exception as error:  # noqa: BLE001  raised again in the calling thread
-            failed.append(error)
+            errors.append(error)
 
     limit, stack = sys.getrecursionlimit(), threading.stack_size(_STACK)
     sys.setrecursionlimit(max(limit, _MAX_FRAMES))
@@ -391,6 +391,6 @@ def _run_deep(work: Callable[[], T]) -> T:
     finally:
         sys.setrecursionlimit(limit)
         threading.stack_size(stack)
-    if failed:
-        raise failed[0]
-    return found[0]
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -130,7 +130,7 @@ class RecordedEngine:
                 disk=disk,
                 on_doubt=self._directory.note_loss,
             )
-            recovering = RecoveryRun(
+            recovery = RecoveryRun(
                 self._directory,
                 self.log,
                 self._checkpoints,
@@ -138,9 +138,9 @@ class RecordedEngine:
                 self._runner.tape,
                 self._program,
             )
-            self.recovery = recovering.found
-            self.engine = recovering.run(now, progress)
-            self._accepted, self._needed = recovering.accepted, recovering.needed
+            self.recovery = recovery.report
+            self.engine = recovery.run(now, progress)
+            self._accepted, self._needed = recovery.accepted, recovery.needed
             self.engine.on_opened(self._on_opened)
             self.log.commit()
             self._directory.forget_loss()
@@ -251,9 +251,9 @@ class RecordedEngine:
         if aside is not None:
             wait_for_pickle = aside(lambda: self._put(*self._capture()), self.engine.ontology.lock)
             return PendingCheckpoint(position, wait_for_pickle, self.log, self._checkpoints)
-        found, unkept = self._capture()
+        captured, unkept = self._capture()
         return PendingCheckpoint(
-            position, lambda: self._put(found, unkept), self.log, self._checkpoints
+            position, lambda: self._put(captured, unkept), self.log, self._checkpoints
         )
 
     def _capture(self) -> tuple[Checkpoint, tuple[Unkept, ...]]:
@@ -266,8 +266,8 @@ class RecordedEngine:
         encoded = msgspec.msgpack.encode(portable)
         return Checkpoint(self.log.position, self._program, encoded, state.data), state.unkept
 
-    def _put(self, found: Checkpoint, unkept: tuple[Unkept, ...]) -> tuple[Unkept, ...]:
-        self._checkpoints.put(found)
+    def _put(self, checkpoint: Checkpoint, unkept: tuple[Unkept, ...]) -> tuple[Unkept, ...]:
+        self._checkpoints.put(checkpoint)
         return unkept
 
     def disk_use(self) -> DiskUse:

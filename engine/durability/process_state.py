@@ -55,17 +55,19 @@ def picklable_attributes(owner: Any, check: PickleCheck) -> tuple[dict[str, Any]
     the process has ever had. The caller leaves out the contents of ``_instance``, to which others
     refer too. Cost: pickles the state once more.
     """
-    found: dict[str, Any] = dict(vars(owner))
+    attributes: dict[str, Any] = dict(vars(owner))
     # Objects of one process usually fail for the same reason: report it once.
     reasons = dict.fromkeys(
         reason
-        for name, value in _user_state(found)
+        for name, value in _user_state(attributes)
         if (reason := _reason(name, value, check)) is not None
     )
     if reasons:
-        found |= {name: _INITIAL[name](found[name]) for name in _INITIAL if name in found}
+        attributes |= {
+            name: _INITIAL[name](attributes[name]) for name in _INITIAL if name in attributes
+        }
     computing = isinstance(owner, _COMPUTING)
-    return found, [Unkept(owner.implementation.name, each, computing) for each in reasons]
+    return attributes, [Unkept(owner.implementation.name, each, computing) for each in reasons]
 
 
 def _user_state(attributes: Mapping[str, Any]) -> Iterator[tuple[str, object]]:
@@ -99,9 +101,9 @@ def _culprit(
     down."""
     for _ in range(_MAX_DEPTH):
         for name, part in _parts(value):
-            found = check(part)
-            if found is not None:
-                path, value, error = path + name, part, found
+            part_error = check(part)
+            if part_error is not None:
+                path, value, error = path + name, part, part_error
                 break
         else:
             break

@@ -73,7 +73,7 @@ class RecoveryRun:
         tape: Tape,
         program: str,
     ) -> None:
-        self.found = Recovery()
+        self.report = Recovery()
         self.accepted = AcceptedCommands()
         """The accepted commands of the engine."""
         self.needed: dict[str, str] = {}
@@ -92,12 +92,12 @@ class RecoveryRun:
     def run(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
         """Return the engine after the last command of the log. Raises `JournalError`."""
         if self._log.torn is not None:
-            self.found.notes.append(f"cut off, an unfinished write: {self._log.torn}")
+            self.report.notes.append(f"cut off, an unfinished write: {self._log.torn}")
         if self._log.mark_fault is not None and self._log.doubt is None:
-            self.found.notes.append(self._log.mark_fault)
+            self.report.notes.append(self._log.mark_fault)
         if self._directory.repaired is not None:
             self._begin_epoch(self._directory.repaired)
-        self.found.notes += self._checkpoints.gone()
+        self.report.notes += self._checkpoints.gone()
         found = self._from_checkpoint(now)
         if found is None:
             found = self._from_log(now)
@@ -106,23 +106,23 @@ class RecoveryRun:
         self._tape.is_playing = True
         for position, data in self._log.read(done):
             self._replay(engine, position, data)
-            self.found.replayed += 1
-            if progress is not None and self.found.replayed % 1000 == 0:
-                progress(self.found.replayed, count)
+            self.report.replayed += 1
+            if progress is not None and self.report.replayed % 1000 == 0:
+                progress(self.report.replayed, count)
         self._tape.is_playing = False
         self._check_writer()
         for reason, times in self._refused_batches.items():
             note = f"{times} batches could not be replayed: {reason}"
-            self.found.notes.append(note)
+            self.report.notes.append(note)
             engine.report_not_restored(note)
         gone = still_missing(engine, self.accepted, self.needed, self._outside.processes)
         for name, module in gone.items():
-            self.found.notes.append(missing_message(name, module))
-            if not self.found.is_continued:
+            self.report.notes.append(missing_message(name, module))
+            if not self.report.is_continued:
                 engine.report_not_restored(missing_message(name, module))
-        if not self.found.is_continued:
-            known = gone | process_modules(self._outside.processes)
-            begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
+        if not self.report.is_continued:
+            modules = gone | process_modules(self._outside.processes)
+            begin = Begin(secrets.token_hex(4), now, self._program, modules, INSTANTS)
             self._log.append(encode_command(begin))
             begin.apply(engine)
         return engine
@@ -134,7 +134,7 @@ class RecoveryRun:
                 kept = self._checkpoints.read(position)
                 found = self._from_state(kept, now)
             except (JournalDamaged, CheckpointError) as error:
-                self.found.notes.append(f"a checkpoint was skipped: {error}")
+                self.report.notes.append(f"a checkpoint was skipped: {error}")
                 continue
             if position > self._log.position or position + 1 < self._log.first:
                 raise JournalDamaged(
@@ -142,7 +142,7 @@ class RecoveryRun:
                     f"{self._log.first} to {self._log.position}",
                     "restore the folder from a backup (dyknow restore)",
                 )
-            self.found.position = position
+            self.report.position = position
             return found, position
         return None
 
@@ -176,7 +176,7 @@ class RecoveryRun:
         first_reserved = self._after_queries(kept.position)
         engine, self.accepted, lost = engine_from(portable, now, self._outside, first_reserved)
         self._begin_epoch(reason)
-        self.found.notes += lost
+        self.report.notes += lost
         return engine
 
     def _from_log(self, now: int) -> tuple[Engine, int]:
@@ -184,12 +184,12 @@ class RecoveryRun:
         store = self._directory.old_store
         ontology = None if store is None else Ontology.open_copy(store)
         if not self._log.position:
-            known = process_modules(self._outside.processes)
-            begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
+            modules = process_modules(self._outside.processes)
+            begin = Begin(secrets.token_hex(4), now, self._program, modules, INSTANTS)
             self._log.append(encode_command(begin))
             self._log.commit()
             if store is not None:
-                self.found.notes.append(
+                self.report.notes.append(
                     f"{self._directory.path} was written by an earlier version: definitions were "
                     "restored, and there are no samples"
                 )
@@ -226,8 +226,8 @@ class RecoveryRun:
         return after_reserved(names)
 
     def _begin_epoch(self, reason: str) -> None:
-        self.found.is_continued = False
-        self.found.notes.append(f"{reason}: numbers of samples and ids of events begin anew")
+        self.report.is_continued = False
+        self.report.notes.append(f"{reason}: numbers of samples and ids of events begin anew")
 
     def _replay(self, engine: Engine, position: int, data: bytes) -> None:
         """Replay a command. It succeeded once, so a failure means another program or an error in
@@ -244,7 +244,7 @@ class RecoveryRun:
             self._check_writer()
         if isinstance(command, Tick):
             self._tape.play(command.readings)
-        if isinstance(command, Refused) and not self.found.is_continued:
+        if isinstance(command, Refused) and not self.report.is_continued:
             # This program might accept it, although the client was told that it failed.
             return
         expected = None
@@ -258,7 +258,7 @@ class RecoveryRun:
 
     def _check_writer(self) -> None:
         """Begin a new epoch if another program wrote the record: its results may differ."""
-        if self._writer != self._program and self.found.is_continued:
+        if self._writer != self._program and self.report.is_continued:
             self._begin_epoch(_writer_differs(self._writer, self._program))
 
     def _handle_refusal(
@@ -273,9 +273,9 @@ class RecoveryRun:
         match command:
             case Publish(stream=stream):
                 self._refused_batches[f"{stream}: {error}"] += 1
-                self.found.is_continued = False
+                self.report.is_continued = False
                 return
-            case WorkBacklog() if not self.found.is_continued:
+            case WorkBacklog() if not self.report.is_continued:
                 # In another program other windows may be due; the backlog closes them.
                 return
             case AddKpl(text=text, unit=unit):

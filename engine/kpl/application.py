@@ -181,8 +181,8 @@ class Application:
                 "remove these first, or all together with cascade",
             )
         keys = (*dependents, found.key)
-        made = {key for key in keys if key in self._units or key in self._own_streams}
-        outside = self._configuration.readers_outside(made, self._is_ours)
+        streams = {key for key in keys if key in self._units or key in self._own_streams}
+        outside = self._configuration.readers_outside(streams, self._is_ours)
         if outside:
             stream, reader = outside
             raise Conflict(

@@ -129,20 +129,20 @@ class Admission:
         """The code of a sink; None in a rehearsal."""
         if self._rehearsal:
             return None
-        found = self._processes.sinks.get(declaration.name)
-        if found is None:
-            known = ", ".join(self._processes.sinks) or "none"
+        implementation = self._processes.sinks.get(declaration.name)
+        if implementation is None:
+            names = ", ".join(self._processes.sinks) or "none"
             raise UnknownFeature(
                 f"sink {declaration.name!r} has no implementation",
-                f"write it with @dyknow.sink and load its module; there are: {known}",
+                f"write it with @dyknow.sink and load its module; there are: {names}",
             )
-        if len(found.inputs) != len(declaration.terms):
+        if len(implementation.inputs) != len(declaration.terms):
             raise Conflict(
-                f"sink {found.name!r} is declared with {len(declaration.terms)} inputs, "
-                f"its code takes {len(found.inputs)}",
+                f"sink {implementation.name!r} is declared with {len(declaration.terms)} inputs, "
+                f"its code takes {len(implementation.inputs)}",
                 "make the declaration and the decorator the same",
             )
-        return found
+        return implementation
 
 
 def _check_sorts(declaration: CompunitDeclaration, implementation: UnitImplementation) -> None:

@@ -85,14 +85,14 @@ class Network:
 
     def implementation(self, name: str, key: str) -> UnitImplementation:
         """The code of a computational unit. Raises `UnknownFeature`."""
-        found = self._processes.units.get(name)
-        if found is None:
-            known = ", ".join(self._processes.units) or "none"
+        code = self._processes.units.get(name)
+        if code is None:
+            names = ", ".join(self._processes.units) or "none"
             raise UnknownFeature(
                 f"computational unit {name!r} of {key} has no implementation",
-                f"write it with @dyknow.computational_unit and load its module; there are: {known}",
+                f"write it with @dyknow.computational_unit and load its module; there are: {names}",
             )
-        return found
+        return code
 
     def start_generator(
         self,
@@ -280,7 +280,7 @@ def _past(life: StreamGenerator, policy: Policy) -> Past:
     if policy.is_default:
         return Past(life, [segment.batch for segment in segments], life.ends_at)
     adaptation = adapt(policy, rules=life.rules)
-    batches = [made for segment in segments for made in adaptation.push(segment.batch)]
+    batches = [batch for segment in segments for batch in adaptation.push(segment.batch)]
     return Past(life, [*batches, *adaptation.end()], life.ends_at)
 
 

@@ -270,11 +270,11 @@ def _interleave(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, Samp
 def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> Proof:
     """Prove a stream with a policy."""
     policy, keys, (source,) = unit.policy, unit.keys, unit.inputs
-    whole, made = unit.past_of(source), unit.output.stream.all()
+    whole, output = unit.past_of(source), unit.output.stream.all()
     failure, refutation = rehearsal.broken.get(unit.output.name), None
     if failure is None:
         try:
-            refutation = prove_each(made, whole, policy, keys)
+            refutation = prove_each(output, whole, policy, keys)
         except PolicyError as error:
             failure = f"PolicyError: {error}"
     approximates = policy.approximation is Approximation.MOST_RECENT
@@ -293,7 +293,7 @@ def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> 
 
 def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
     """Prove the stream of a `join` or `sync`."""
-    made, kernel = unit.output.stream.all(), unit.kernel
+    output, kernel = unit.output.stream.all(), unit.kernel
     pasts = [unit.past_of(source) for source in unit.inputs]
     failure = rehearsal.broken.get(unit.output.name)
     refutation: Counterexample | None = None
@@ -303,9 +303,9 @@ def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
             TupleInput(past, names, inner_times=inner_times)
             for past, names in zip(pasts, unit.field_names, strict=True)
         ]
-        counters = PolicyCounters(sent=len(made))
+        counters = PolicyCounters(sent=len(output))
         if failure is None:
-            refutation = prove_join(made, inputs)
+            refutation = prove_join(output, inputs)
     else:
         last = max((end for end in kernel.ends if end is not None), default=None)
         ends = [None if end == last else end for end in kernel.ends]
@@ -315,7 +315,7 @@ def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
         counters.drop(Constraint.AVAILABLE, counted.late)
         counters.drop(Constraint.ORDER, counted.dropped)
         if failure is None:
-            refutation = prove_states(made, inputs, kernel.policy)
+            refutation = prove_states(output, inputs, kernel.policy)
     counters.received = sum(map(len, pasts))
     return Proof(
         stream=unit.output.name,

@@ -92,11 +92,11 @@ class Elaboration:
     def elaborate(self, insertions: Sequence[UnitSpecification]) -> tuple[ElaboratedUnit, ...]:
         """Elaborate all elements of the text, in order of dependency. Raises `LanguageError`."""
         self._named = {one.name: one for one in elements_of(insertions) if one.name is not None}
-        made = []
+        elaborated = []
         for element in self._in_order(insertions):
             piece = self._pieces[id(element)] = self._piece(element)
-            made.append(ElaboratedUnit(element, piece))
-        return tuple(made)
+            elaborated.append(ElaboratedUnit(element, piece))
+        return tuple(elaborated)
 
     # -- order -------------------------------------------------------------------------------
 
@@ -109,12 +109,12 @@ class Elaboration:
             done.setdefault(id(top), False)
             while stack:
                 element, rest = stack[-1]
-                for given in rest:
-                    below = self._element(given)
+                for source in rest:
+                    below = self._element(source)
                     if below is None or done.get(id(below)):
                         continue
                     if id(below) in done:
-                        raise self._cycle_error([one for one, _ in stack], below, given.span)
+                        raise self._cycle_error([one for one, _ in stack], below, source.span)
                     done[id(below)] = False
                     stack.append((below, iter(below.inputs)))
                     break
@@ -123,8 +123,8 @@ class Elaboration:
                     done[id(element)] = True
                     yield element
 
-    def _element(self, given: Input) -> UnitSpecification | None:
-        return self._named.get(given.name) if isinstance(given, StreamReference) else given
+    def _element(self, source: Input) -> UnitSpecification | None:
+        return self._named.get(source.name) if isinstance(source, StreamReference) else source
 
     def _cycle_error(
         self, path: Sequence[UnitSpecification], back: UnitSpecification, span: Span
@@ -141,30 +141,30 @@ class Elaboration:
     # -- one element -------------------------------------------------------------------------
 
     def _piece(self, element: UnitSpecification) -> InputStream:
-        pieces = [self._input(given) for given in element.inputs]
+        pieces = [self._input(source) for source in element.inputs]
         try:
             match element.type:
                 case "selectObject":
-                    made = self._selection(element, pieces)
+                    piece = self._selection(element, pieces)
                 case "synchronize":
                     self._check_parameters(element)
-                    made = self._unit(element, pieces, (), synchronize_node(pieces))
+                    piece = self._unit(element, pieces, (), synchronize_node(pieces))
                 case "policy":
-                    made = self._adaptation(element, pieces)
+                    piece = self._adaptation(element, pieces)
                 case _:
-                    made = self._transformation(element, pieces)
+                    piece = self._transformation(element, pieces)
         except WiringError as error:
             span = element.span if error.input is None else element.inputs[error.input].span
             raise LanguageError(error.message, self._source, span, error.hint) from error
-        assert isinstance(made.what, Shape)
-        if made.what.chain > MAX_CHAIN:
+        assert isinstance(piece.what, Shape)
+        if piece.what.chain > MAX_CHAIN:
             raise LanguageError(
                 f"a chain of more than {MAX_CHAIN} units read each other here",
                 self._source,
                 element.span,
                 "combine several units of the chain into one",
             )
-        return made
+        return piece
 
     def _unit(
         self,
@@ -188,31 +188,31 @@ class Elaboration:
         return inputs if isinstance(recipe.inputs[0].node, Synchronize) else inputs[:1]
 
     def _selection(self, element: UnitSpecification, pieces: Sequence[InputStream]) -> InputStream:
-        given = self._check_parameters(element)
+        by_name = self._check_parameters(element)
         self._check_one_input(element, pieces)
-        object = given["object"]
+        object = by_name["object"]
         try:
             iri = iri_of(object.value)
         except (LanguageError, UnknownFeature) as error:
             text = error.message if isinstance(error, LanguageError) else error.detail
             raise self._error(object.span or element.span, f"`object`: {text}") from error
-        field = given["field"].value.strip()
+        field = by_name["field"].value.strip()
         parameters = (("field", field), ("object", shorten(iri)))
         return self._unit(element, pieces, parameters, select_node(pieces[0], field, iri))
 
     def _adaptation(self, element: UnitSpecification, pieces: Sequence[InputStream]) -> InputStream:
-        given = self._check_parameters(element)["policy"]
+        parameter = self._check_parameters(element)["policy"]
         self._check_one_input(element, pieces)
         try:
-            policy = parse_policy(given.value)
+            policy = parse_policy(parameter.value)
         except LanguageError as error:
             place = f"column {error.column} of the policy"
             raise self._error(
-                given.span or element.span, f"{place}: {error.message}", error.hint
+                parameter.span or element.span, f"{place}: {error.message}", error.hint
             ) from error
         if policy.is_default:
             raise self._error(
-                given.span or element.span,
+                parameter.span or element.span,
                 "the policy has no constraint",
                 "write constraints as after `with` in KPL: any change, max delay 5s",
             )
@@ -224,46 +224,46 @@ class Elaboration:
     def _transformation(
         self, element: UnitSpecification, pieces: Sequence[InputStream]
     ) -> InputStream:
-        known = self._transformations.get(element.type)
-        if known is None:
+        transformation = self._transformations.get(element.type)
+        if transformation is None:
             raise self._unknown_transformation(element)
-        overriding = self._overriding(element, known)
-        described = TransformationDescription.of(known.annotation)
-        node = compute_node(described, pieces, self._vocabulary)
+        overriding = self._overriding(element, transformation)
+        description = TransformationDescription.of(transformation.annotation)
+        node = compute_node(description, pieces, self._vocabulary)
         return self._unit(element, pieces, overriding, replace(node, parameters=overriding))
 
     def _unknown_transformation(self, element: UnitSpecification) -> LanguageError:
-        known = (*self._transformations, *SYSTEM)
-        near = difflib.get_close_matches(element.type, known, n=3)
+        names = (*self._transformations, *SYSTEM)
+        near = difflib.get_close_matches(element.type, names, n=3)
         return LanguageError(
             f"there is no transformation called `{element.type}`",
             self._source,
             element.span,
-            f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(known)}",
+            f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(names)}",
         )
 
     # -- parameters --------------------------------------------------------------------------
 
     def _check_parameters(self, element: UnitSpecification) -> dict[str, Parameter]:
         """Return the parameters of a system transformation, which has to have exactly its own."""
-        wanted = SYSTEM[element.type]
-        names = ", ".join(wanted) or "none"
+        own_names = SYSTEM[element.type]
+        names = ", ".join(own_names) or "none"
         for parameter in element.parameters:
-            if parameter.name not in wanted:
+            if parameter.name not in own_names:
                 raise self._error(
                     parameter.span or element.span,
                     f"`{element.type}` has no parameter `{parameter.name}`",
                     f"its parameters are: {names}",
                 )
-        given = {parameter.name: parameter for parameter in element.parameters}
-        for name in wanted:
-            if name not in given:
+        by_name = {parameter.name: parameter for parameter in element.parameters}
+        for name in own_names:
+            if name not in by_name:
                 raise self._error(
                     element.span,
                     f"`{element.type}` has no `{name}`",
                     f'add <spec:parameter name="{name}" value="…" />',
                 )
-        return given
+        return by_name
 
     def _check_one_input(self, element: UnitSpecification, pieces: Sequence[InputStream]) -> None:
         if len(pieces) != 1:
@@ -274,35 +274,37 @@ class Elaboration:
             )
 
     def _overriding(
-        self, element: UnitSpecification, known: Transformation
+        self, element: UnitSpecification, transformation: Transformation
     ) -> tuple[tuple[str, str], ...]:
         """Return the parameters that differ from the transformation's own."""
-        given = {parameter.name: parameter.value for parameter in element.parameters}
+        values = {parameter.name: parameter.value for parameter in element.parameters}
         try:
-            self._check(known, given)
+            self._check(transformation, values)
         except DyknowError as error:
-            at_fault = self._parameter_at_fault(element, known, given)
+            at_fault = self._parameter_at_fault(element, transformation, values)
             raise self._error(
                 at_fault or element.span,
-                f"no unit can be made of `{known.name}`: {error.detail}",
+                f"no unit can be made of `{transformation.name}`: {error.detail}",
                 error.hint or "see GET /transformations",
             ) from error
-        own = self._transformations.parameters_of(known)
+        own = self._transformations.parameters_of(transformation)
         return tuple(
-            sorted((name, value) for name, value in given.items() if own.get(name) != value)
+            sorted((name, value) for name, value in values.items() if own.get(name) != value)
         )
 
-    def _check(self, known: Transformation, given: dict[str, str]) -> None:
-        self._transformations.check(replace(known, parameters={**known.parameters, **given}))
+    def _check(self, transformation: Transformation, values: dict[str, str]) -> None:
+        self._transformations.check(
+            replace(transformation, parameters={**transformation.parameters, **values})
+        )
 
     def _parameter_at_fault(
-        self, element: UnitSpecification, known: Transformation, given: dict[str, str]
+        self, element: UnitSpecification, transformation: Transformation, values: dict[str, str]
     ) -> Span | None:
         """Find the parameter whose absence removes the error."""
         for parameter in element.parameters:
-            others = {name: value for name, value in given.items() if name != parameter.name}
+            others = {name: value for name, value in values.items() if name != parameter.name}
             try:
-                self._check(known, others)
+                self._check(transformation, others)
             except DyknowError:
                 continue
             return parameter.span
@@ -310,46 +312,46 @@ class Elaboration:
 
     # -- streams -----------------------------------------------------------------------------
 
-    def _input(self, given: Input) -> InputStream:
-        element = self._element(given)
+    def _input(self, source: Input) -> InputStream:
+        element = self._element(source)
         if element is not None:
             return self._pieces[id(element)]
-        assert isinstance(given, StreamReference)
-        return self._stream(given)
+        assert isinstance(source, StreamReference)
+        return self._stream(source)
 
-    def _stream(self, given: StreamReference) -> InputStream:
+    def _stream(self, reference: StreamReference) -> InputStream:
         """A stream that exists already."""
-        generator = self._find_stream(given)
+        generator = self._find_stream(reference)
         unit = self._configuration.units.get(generator.name)
         if unit is not None and unit in self._removed:
             raise self._error(
-                given.span,
-                f"stream `{given.name}` is removed by this text",
+                reference.span,
+                f"stream `{reference.name}` is removed by this text",
                 "read another one, or leave the removal out",
             )
         if unit is not None and self._running.is_broken(unit):
             why = unit.failure or "a unit that it depends on has failed"
             raise self._error(
-                given.span,
-                f"stream `{given.name}` gets no more samples: {why}",
+                reference.span,
+                f"stream `{reference.name}` gets no more samples: {why}",
                 "remove the unit that makes it, and insert it again",
             )
         fields: Fields = {field.name: field.type for field in generator.schema.fields}
-        made = self._running.producer(generator)
-        what = generator.name if made is None else self._running.shape_of[generator.name]
+        producer = self._running.producer(generator)
+        what = generator.name if producer is None else self._running.shape_of[generator.name]
         return InputStream(what, self._contents_of(generator), fields)
 
-    def _find_stream(self, given: StreamReference) -> StreamGenerator:
+    def _find_stream(self, reference: StreamReference) -> StreamGenerator:
         try:
-            if self._restoring and is_reserved(given.name):
+            if self._restoring and is_reserved(reference.name):
                 raise UnknownStream("the system named it in an earlier run")
-            return self._configuration.stream(given.name)
+            return self._configuration.stream(reference.name)
         except UnknownStream:
-            known = (*self._named, *self._configuration.streams, *self._configuration.aliases)
-            near = difflib.get_close_matches(given.name, known, n=3)
+            names = (*self._named, *self._configuration.streams, *self._configuration.aliases)
+            near = difflib.get_close_matches(reference.name, names, n=3)
             raise self._error(
-                given.span,
-                f"there is no stream called `{given.name}`, nor a `cu` of that name here",
+                reference.span,
+                f"there is no stream called `{reference.name}`, nor a `cu` of that name here",
                 f"did you mean {' or '.join(near)}?" if near else "GET /streams shows all",
             ) from None
 

@@ -205,9 +205,9 @@ class Plans:
     def expand_supplies(self, matches: Sequence[Match]) -> tuple[Supply, ...]:
         """The supplies of the matches, with each stream of a running unit replaced by its node.
         Two requests thus compare equal whether or not an earlier request started the unit."""
-        made = self.shareable_nodes(Since.NOW)
-        found = (match.supply for match in matches if match.supply is not None)
-        return tuple(expanded(supply, made) for supply in found)
+        nodes = self.shareable_nodes(Since.NOW)
+        supplies = (match.supply for match in matches if match.supply is not None)
+        return tuple(expanded(supply, nodes) for supply in supplies)
 
     def _is_customized(self, node: Node) -> bool:
         """Whether matching would not construct this node by itself."""
@@ -283,8 +283,8 @@ class Plans:
                 self._may_be_future.add(name)
             case Since.NOW:
                 lasts = (source.stream.last_available for source in unit.inputs)
-                known = (last for last in lasts if last is not None)
-                self._begins_after[name] = max(known, default=TIME_MIN)
+                times = (last for last in lasts if last is not None)
+                self._begins_after[name] = max(times, default=TIME_MIN)
             case Since.START:
                 self._complete_since[name] = max(
                     map(self._history_start, unit.inputs), default=TIME_MIN

@@ -259,9 +259,9 @@ class Queries:
         inputs: dict[str, StreamGenerator] = {}
         converters: dict[str, list[SampleConverter]] = defaultdict(list)
         wanted = [(supply, source) for supply in supplies for source in supply.sources]
-        asked: dict[tuple[object, ...], set[str]] = defaultdict(set)
+        features_of: dict[tuple[object, ...], set[str]] = defaultdict(set)
         for supply, source in wanted:
-            asked[_element(source)].add(supply.want.feature)
+            features_of[_element(source)].add(supply.want.feature)
         # Two patterns may want one feature of one stream: convert its samples once.
         read: set[tuple[str, tuple[Content, ...], Unit | None]] = set()
         for supply, source in wanted:
@@ -269,7 +269,7 @@ class Queries:
             inputs[generator.name] = generator
             annotation = wanted_annotation(supply, source, generator.name)
             target: Unit | None = source.port.target
-            if len(asked[_element(source)]) > 1:
+            if len(features_of[_element(source)]) > 1:
                 # Wanted as several features: convert it as its own one, which entails the wider.
                 annotation = own_annotation(source, generator.name)
                 target = None

@@ -61,7 +61,7 @@ class _Agreements:
 
     source: str
     rules: Rules
-    known: dict[Hashable, frozenset[str] | None]
+    by_kind: dict[Hashable, frozenset[str] | None]
 
 
 class RequestSharing:
@@ -98,10 +98,12 @@ class RequestSharing:
             return None
         supplies = own
         if selected:
-            every = self._supplies_without_selection(template, request, own, selected, strategy)
-            if every is None:
+            all_objects = self._supplies_without_selection(
+                template, request, own, selected, strategy
+            )
+            if all_objects is None:
                 return None
-            supplies = every
+            supplies = all_objects
         terms = tuple((v.value, t if v.value in fixed else None) for v, t in query.bindings.items())
         kind = (template.source, terms, selected, supplies)
         least = OWN_OBJECTS if selected else SAME_STREAMS
@@ -135,7 +137,7 @@ class RequestSharing:
         """Return the parameters on which such requests have to agree, or None; cached. Requests
         that differ in one of these would each need a plan of its own over the shared streams."""
         streamed = frozenset(supply.want.feature for supply in supplies)
-        given = frozenset(variable.value for variable in query.bindings)
+        parameters = frozenset(variable.value for variable in query.bindings)
         agreements = self._agreements.get(template.name)
         rules = self._ontology.rules
         if (
@@ -145,15 +147,15 @@ class RequestSharing:
         ):
             agreements = _Agreements(template.source, rules, {})
             self._agreements[template.name] = agreements
-        known = agreements.known
-        kind = (given, selected, streamed)
-        if kind not in known:
-            if len(known) >= _MAX_CACHED:
-                known.clear()
-            known[kind] = self._plans.queries.agreement(
+        by_kind = agreements.by_kind
+        kind = (parameters, selected, streamed)
+        if kind not in by_kind:
+            if len(by_kind) >= _MAX_CACHED:
+                by_kind.clear()
+            by_kind[kind] = self._plans.queries.agreement(
                 template.query, query.bindings, streamed, selected
             )
-        return known[kind]
+        return by_kind[kind]
 
     def _supplies_without_selection(
         self,
@@ -175,17 +177,17 @@ class RequestSharing:
         except (ArgumentError, NeedsError):
             # The template needs these arguments to find its objects.
             return None
-        found = self._plans.match(wants, strategy, self._plans.unusable_streams(Since.NOW))
-        every = self._plans.expand_supplies(found)
-        if len(every) != len(supplies) or _count_reads(every) != _count_reads(supplies):
+        matches = self._plans.match(wants, strategy, self._plans.unusable_streams(Since.NOW))
+        all_objects = self._plans.expand_supplies(matches)
+        if len(all_objects) != len(supplies) or _count_reads(all_objects) != _count_reads(supplies):
             return None
         outlines = _Outlines()
         same = all(
             [outlines.of(one.node) for one in mine.sources]
             == [outlines.of(one.node) for one in other.sources]
-            for mine, other in zip(supplies, every, strict=True)
+            for mine, other in zip(supplies, all_objects, strict=True)
         )
-        return every if same else None
+        return all_objects if same else None
 
 
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:

@@ -22,22 +22,22 @@ def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
     named = (("FROM", query.static), ("FROM NAMED", query.static_named))
     for clause, graph in ((clause, graph) for clause, graphs in named for graph in graphs):
         if not ontology.has_ontology(graph):
-            known = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
+            loaded = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
             raise NoPlan(
                 f"{clause} <{graph}> names no loaded ontology",
                 (graph,),
                 "the service does not fetch graphs: load it (POST /ontologies), or leave "
-                f"{clause} out; loaded are {known}",
+                f"{clause} out; loaded are {loaded}",
             )
 
 
 def find_streams(
-    plans: Plans, wanted: Needs, strategy: str, since: Beginning, asked: str
+    plans: Plans, wanted: Needs, strategy: str, since: Beginning, description: str
 ) -> tuple[Match, ...]:
-    """Match each feature that ``asked`` (a description) needs. Raises `NoPlan`, `BadArguments`."""
-    without = plans.unusable_streams(since)
+    """Match each feature that ``description`` needs. Raises `NoPlan`, `BadArguments`."""
+    unusable = plans.unusable_streams(since)
     try:
-        matches = plans.match(wanted.wants, strategy, without, explained=True)
+        matches = plans.match(wanted.wants, strategy, unusable, explained=True)
     except UnknownStrategy as error:
         raise BadArguments(str(error)) from error
     missing = tuple(
@@ -48,7 +48,7 @@ def find_streams(
     )
     if missing or not matches:
         raise NoPlan(
-            f"no stream and no transformation answers {asked}: "
+            f"no stream and no transformation answers {description}: "
             + ("; ".join(missing) or "the query needs no feature of a stream"),
             missing,
             "annotate a stream that contains the feature, or one from which it can be computed; "

@@ -74,8 +74,8 @@ def find_stream(configuration: Configuration, iri: str) -> StreamGenerator | Non
 
 def _unknown_stream(configuration: Configuration, iri: str) -> UnknownStream:
     names = tuple(_names(iri))
-    known = sorted({*configuration.streams, *configuration.aliases})
-    near = difflib.get_close_matches(names[-1], known, n=3)
+    existing = sorted({*configuration.streams, *configuration.aliases})
+    near = difflib.get_close_matches(names[-1], existing, n=3)
     hint = f"did you mean {' or '.join(f'<{stream_iri(name)}>' for name in near)}?"
     if not near:
         hint = f"write <{DYKNOW}NAME{ENDING}> with the name of a stream; GET /streams lists them"

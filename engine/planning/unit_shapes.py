@@ -161,8 +161,8 @@ class RunningShapes:
                     return None
                 return self._shape_over(unit, POLICY, (("policy", format_policy(policy)),), named)
             case (SelectObject(_, field, object), Since() | Moment()):
-                given = (("field", field), ("object", shorten(object)))
-                return self._shape_over(unit, SELECT_OBJECT, given, named)
+                parameters = (("field", field), ("object", shorten(object)))
+                return self._shape_over(unit, SELECT_OBJECT, parameters, named)
             case (Synchronize(), Since() | Moment()):
                 return self._shape_over(unit, SYNCHRONIZE, (), named)
             case (Compute() as node, Since() | Moment()):
@@ -192,20 +192,22 @@ class RunningShapes:
     ) -> tuple[Shape | str, ...] | None:
         """Return the streams behind the implied synchronization of a unit's inputs, one for each
         input; None for a unit without one."""
-        known = self._transformations.get(node.transformation)
-        if known is None or not isinstance(known.annotation, TransformationAnnotation):
+        transformation = self._transformations.get(node.transformation)
+        if transformation is None or not isinstance(
+            transformation.annotation, TransformationAnnotation
+        ):
             return None
-        fields = [port.field for port in known.annotation.inputs]
+        fields = [port.field for port in transformation.annotation.inputs]
         if not node.inputs or not is_implied(node.inputs[0], fields):
             return None
         synchronizing = self.producer(unit.inputs[0])
         if synchronizing is None:
             return None
-        together = node.inputs[0].node
-        assert isinstance(together, Synchronize)
+        synchronize = node.inputs[0].node
+        assert isinstance(synchronize, Synchronize)
         feeding = {
             port.target_field: self._input(source)
-            for edge, source in zip(together.inputs, synchronizing.inputs, strict=True)
+            for edge, source in zip(synchronize.inputs, synchronizing.inputs, strict=True)
             for port in edge.ports
         }
         read = {port.target_field: port.source_field for port in node.inputs[0].ports}
@@ -217,9 +219,13 @@ def is_implied(edge: Edge, fields: list[str]) -> bool:
     """Whether ``edge`` synchronizes several streams for the one unit with inputs ``fields``."""
     if not isinstance(edge.node, Synchronize):
         return False
-    made = {port.target_field for feed in edge.node.inputs for port in feed.ports}
+    synchronized = {port.target_field for feed in edge.node.inputs for port in feed.ports}
     read = {port.target_field: port.source_field for port in edge.ports}
-    return read.keys() == set(fields) and made == set(read.values()) and made <= set(fields)
+    return (
+        read.keys() == set(fields)
+        and synchronized == set(read.values())
+        and synchronized <= set(fields)
+    )
 
 
 def _since(key: object) -> object:

@@ -148,12 +148,12 @@ def fields_of(node: Compute | SelectObject | Synchronize, pieces: Sequence[Input
     """Return the fields of a node's stream over the inputs ``pieces``."""
     if isinstance(node, SelectObject):
         return pieces[0].fields
-    made: dict[str, FieldType | None] = {
+    fields: dict[str, FieldType | None] = {
         role.id_field: None for role in node.roles if role.id_field is not None
     }
     if isinstance(node, Compute):
-        return {**made, node.output.field: None}
-    return made | {port.target_field: None for edge in node.inputs for port in edge.ports}
+        return {**fields, node.output.field: None}
+    return fields | {port.target_field: None for edge in node.inputs for port in edge.ports}
 
 
 def bind_recipe(
@@ -204,8 +204,8 @@ def _feed_from_one(
 ) -> list[tuple[Node, Roles, Port]]:
     """Feed all ports from one stream, by fields about the same objects."""
     options = [_options(port, piece, vocabulary, 0) for port in ports]
-    known = [option.roles for own in options for option in own if option.roles is not None]
-    for roles in known or [_roles(piece)]:
+    candidates = [option.roles for own in options for option in own if option.roles is not None]
+    for roles in candidates or [_roles(piece)]:
         fitting = [[o for o in own if o.roles is None or o.roles == roles] for own in options]
         if all(fitting):
             return [(piece.stand_in, roles, own[0].port) for own in fitting]
@@ -238,8 +238,8 @@ def _options(
         except UnitError as error:
             contradiction = contradiction or str(error)
             continue
-        made = Port(content.field, port.field, content.feature, content.unit, port.unit, change)
-        options.append(_Option(made, content.roles))
+        fed_port = Port(content.field, port.field, content.feature, content.unit, port.unit, change)
+        options.append(_Option(fed_port, content.roles))
     if contents and not options:
         raise WiringError(
             f"input `{port.field}` cannot be fed by `{contents[0].field}`: {contradiction}",

@@ -395,12 +395,12 @@ class RegisteredQueries:
         streams = {unit.name: stream for stream, unit in self._configuration.units.items()}
         readers: dict[str, None] = {}
         for reader in self._configuration.readers_of(running.name):
-            made = [streams.get(reader, "")]
-            if isinstance(self._configuration.units.get(made[0]), TemplateUnit):
+            outputs = [streams.get(reader, "")]
+            if isinstance(self._configuration.units.get(outputs[0]), TemplateUnit):
                 # A shared query reads the stream for its instances: name these.
-                parts = self._configuration.readers_of(made[0])
-                made = [streams.get(part, part) for part in parts]
-            queries = [stream for stream in made if stream in self._running]
+                parts = self._configuration.readers_of(outputs[0])
+                outputs = [streams.get(part, part) for part in parts]
+            queries = [stream for stream in outputs if stream in self._running]
             readers |= dict.fromkeys([f"query {name}" for name in queries] or [reader])
         return tuple(readers)
 

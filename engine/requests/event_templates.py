@@ -89,11 +89,11 @@ class EventTemplates:
         try:
             return self._library.get(request.event)
         except NoSuchTemplate as error:
-            known = ", ".join(shorten(name) for name in self._library.names())
+            names = ", ".join(shorten(name) for name in self._library.names())
             raise UnknownEvent(
                 f"no event {shorten(request.event)} has a template",
                 did_you_mean(error.suggestions)
-                or (f"there are {known}" if known else "register one with POST /templates"),
+                or (f"there are {names}" if names else "register one with POST /templates"),
             ) from error
 
     def publish(self) -> None:

@@ -61,8 +61,8 @@ class PlanChoice:
 
     def may_serve(self, stream: str, subscription: AdaptiveSubscription) -> bool:
         """Whether a stream might serve a subscription, directly or through transformations."""
-        known = self._space.streams.get(stream)
-        if known is None:
+        description = self._space.streams.get(stream)
+        if description is None:
             return False
         want = subscription.wish.want
         vocabulary = self._ontology.vocabulary
@@ -77,7 +77,7 @@ class PlanChoice:
                 or not content.roles
                 or not sorts.why_not(content.roles[0], subject)
             )
-            for content in known.contents
+            for content in description.contents
         )
 
     def may_improve(self, subscription: AdaptiveSubscription, quality: float) -> bool:

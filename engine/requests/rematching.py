@@ -281,16 +281,16 @@ class Rematching:
 
     def _note_gain(self, stream: str, *, is_only_quality: bool = False) -> None:
         """Record subscriptions for which a new stream, or one with a new quality, may be better."""
-        known = self._space.streams.get(stream)
-        if known is None:
+        description = self._space.streams.get(stream)
+        if description is None:
             return
-        for feature in dict.fromkeys(content.feature for content in known.contents):
+        for feature in dict.fromkeys(content.feature for content in description.contents):
             for subscription in self._interested(feature):
                 considers = subscription.wish.considers_quality
                 if (
                     stream not in subscription.reads
                     and (considers or not is_only_quality)
-                    and self._choice.may_improve(subscription, known.quality)
+                    and self._choice.may_improve(subscription, description.quality)
                     and self._choice.may_serve(stream, subscription)
                 ):
                     self._add_candidate(subscription, stream)

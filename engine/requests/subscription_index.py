@@ -163,8 +163,8 @@ def _put(index: _Index, key: str, id: str) -> None:
 
 def _drop(index: _Index, keys: Iterable[str], id: str) -> None:
     for key in keys:
-        known = index.get(key)
-        if known is not None:
-            known.pop(id, None)
-            if not known:
+        ids = index.get(key)
+        if ids is not None:
+            ids.pop(id, None)
+            if not ids:
                 del index[key]

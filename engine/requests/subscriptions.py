@@ -91,8 +91,8 @@ class Subscriptions:
 
     def rematches(self, id: str) -> Sequence[Rematch]:
         """The switches of an adaptive subscription, oldest first; empty for another one."""
-        found = self._get(id)
-        return found.rematches if isinstance(found, AdaptiveSubscription) else ()
+        subscription = self._get(id)
+        return subscription.rematches if isinstance(subscription, AdaptiveSubscription) else ()
 
     def _next_id(self) -> str:
         self._number += 1
@@ -134,41 +134,44 @@ class Subscriptions:
         """The ids of the subscriptions whose samples are those of ``stream``: they read it without
         constraints, or it was unit for them."""
         return tuple(
-            id for id, found in self._subscriptions.items() if stream in _streams_of(found)
+            id
+            for id, subscription in self._subscriptions.items()
+            if stream in _streams_of(subscription)
         )
 
     def view(self, id: str) -> SubscriptionView:
         """The view of a subscription. Raises `UnknownRequest`."""
-        found = self._get(id)
-        if isinstance(found, AdaptiveSubscription):
+        subscription = self._get(id)
+        if isinstance(subscription, AdaptiveSubscription):
             return replace(
-                _adaptive_view(found), failure=self._configuration.failure_of(found.unit)
+                _adaptive_view(subscription),
+                failure=self._configuration.failure_of(subscription.unit),
             )
-        unit = found.unit
+        unit = subscription.unit
         counters: dict[str, object] = {}
         violations = None
         if unit is not None:
             counters = counts_of(unit)
             violations = None if unit.violations is None else unit.violations.name
-        last = unit or self._configuration.units.get(found.source.name)
+        last = unit or self._configuration.units.get(subscription.source.name)
         return SubscriptionView(
             id=id,
-            source=found.source.name,
-            policy=format_policy(found.policy),
-            since=str(found.since),
-            stream=found.source.name if unit is None else unit.output.name,
+            source=subscription.source.name,
+            policy=format_policy(subscription.policy),
+            since=str(subscription.since),
+            stream=subscription.source.name if unit is None else unit.output.name,
             counters=counters,
             violations=violations,
             failure=None if last is None else self._configuration.failure_of(last),
         )
 
     def _get(self, id: str) -> _Subscription | AdaptiveSubscription:
-        found = self._subscriptions.get(id)
-        if found is None:
+        subscription = self._subscriptions.get(id)
+        if subscription is None:
             raise UnknownRequest(
                 f"there is no subscription {id!r}", "GET /subscriptions lists those that run"
             )
-        return found
+        return subscription
 
     def _obtain_for_user(
         self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
@@ -211,33 +214,35 @@ class Subscriptions:
         return unit
 
 
-def _streams_of(found: _Subscription | AdaptiveSubscription) -> tuple[str, ...]:
-    if isinstance(found, AdaptiveSubscription):
-        return found.unit.output.name, found.output.name
-    return (found.source.name if found.unit is None else found.unit.output.name,)
+def _streams_of(subscription: _Subscription | AdaptiveSubscription) -> tuple[str, ...]:
+    if isinstance(subscription, AdaptiveSubscription):
+        return subscription.unit.output.name, subscription.output.name
+    return (
+        subscription.source.name if subscription.unit is None else subscription.unit.output.name,
+    )
 
 
-def _adaptive_view(found: AdaptiveSubscription) -> SubscriptionView:
-    wish, adapted = found.wish, found.adaptation
+def _adaptive_view(subscription: AdaptiveSubscription) -> SubscriptionView:
+    wish, adapted = subscription.wish, subscription.adaptation
     violations = None if adapted is None or adapted.violations is None else adapted.violations.name
     return SubscriptionView(
-        id=found.id,
-        source=found.unit.output.name,
+        id=subscription.id,
+        source=subscription.unit.output.name,
         policy=format_policy(wish.policy),
         since=str(wish.since),
-        stream=found.output.name,
+        stream=subscription.output.name,
         counters={} if adapted is None else counts_of(adapted),
         violations=violations,
         adaptive=AdaptiveView(
             want=str(wish.want),
             strategy=wish.strategy,
-            state=str(found.state),
-            failure=found.unit.failure,
-            reads=found.source_names,
-            missing=found.missing,
+            state=str(subscription.state),
+            failure=subscription.unit.failure,
+            reads=subscription.source_names,
+            missing=subscription.missing,
             staleness=wish.staleness,
             quality=wish.quality,
             hold_off=wish.hold_off,
-            rematches=len(found.rematches),
+            rematches=len(subscription.rematches),
         ),
     )

@@ -42,27 +42,27 @@ class _Change:
     """A checked text and its effect on the running units.
 
     ``removed``: the units that the text removes; ``ended``: the insertions that held them;
-    ``made``: the inserted units, inputs first; ``stopping``: the units that stop.
+    ``elaborated``: the inserted units, inputs first; ``stopping``: the units that stop.
     """
 
     specification: Specification
     running: RunningShapes
     removed: dict[ComputationalUnit, list[Removal]]
     ended: tuple[Insertion, ...]
-    made: tuple[ElaboratedUnit, ...] = ()
+    elaborated: tuple[ElaboratedUnit, ...] = ()
     stopping: tuple[ComputationalUnit, ...] = ()
 
     @property
     def used(self) -> set[ComputationalUnit]:
         """The running units that the text uses."""
-        shapes = [shape for one in self.made for shape in (one.shape, *one.shape.inputs)]
+        shapes = [shape for one in self.elaborated for shape in (one.shape, *one.shape.inputs)]
         units = self.running.unit_of
         return {units[s] for s in shapes if isinstance(s, Shape) and s in units}
 
     @property
     def named(self) -> tuple[tuple[str, ElaboratedUnit], ...]:
         """The names in the text, with their units."""
-        pairs = ((one.element.name, one) for one in self.made)
+        pairs = ((one.element.name, one) for one in self.elaborated)
         return tuple((name, one) for name, one in pairs if name and not is_reserved(name))
 
     def error(self, place: Removal | ElaboratedUnit, message: str, hint: str) -> LanguageError:
@@ -220,8 +220,8 @@ class Specifications:
             removed,
             restoring=restoring,
         )
-        made = elaboration.elaborate(specification.insertions)
-        change = _Change(specification, running, removed, ended, made)
+        elaborated = elaboration.elaborate(specification.insertions)
+        change = _Change(specification, running, removed, ended, elaborated)
         users = Counter(dict.fromkeys(removed, 0))
         users.update(one.unit for one in ended)
         change = replace(change, stopping=stopping_units(self._configuration, users, change.used))
@@ -242,9 +242,9 @@ class Specifications:
         tops = change.specification.insertions
         stopped = [(unit, unit_view(unit)) for unit in change.stopping]
         try:
-            transaction.start(change.made, free)
-            transaction.name(change.made)
-            transaction.replace_insertions(change.made, tops, left)
+            transaction.start(change.elaborated, free)
+            transaction.name(change.elaborated)
+            transaction.replace_insertions(change.elaborated, tops, left)
             self._insertions.replace_lost([name for name, _ in change.named])
             self._insertions.store(self._running_shapes())
         except BaseException:
@@ -253,7 +253,7 @@ class Specifications:
         for stream in transaction.renamed:
             self._insertions.report_aliases(stream)
         self._stop_removed(change)
-        units = dict.fromkeys(transaction.units[one.shape] for one in change.made)
+        units = dict.fromkeys(transaction.units[one.shape] for one in change.elaborated)
         started = transaction.started
         return SpecificationView(
             started=tuple(map(unit_view, started)),

@@ -61,20 +61,20 @@ class InsertionTransaction:
         streams = (self._configuration.aliases[alias] for alias, _ in self._aliases)
         return tuple(dict.fromkeys(streams))
 
-    def start(self, made: Sequence[ElaboratedUnit], free: Mapping[Shape, str]) -> None:
+    def start(self, elaborated: Sequence[ElaboratedUnit], free: Mapping[Shape, str]) -> None:
         """Start the units that do not run, inputs first, without sharing removed units. ``free``:
         the names for new streams."""
         for unit in self._removed:
             self._configuration.unshare(unit)
-        for one in made:
+        for one in elaborated:
             if one.shape not in self.units:
                 text = element_text(one.element)
                 stream = self._stream(one, free.get(one.shape), text)
                 self.units[one.shape] = self._configuration.units[stream.name]
 
-    def name(self, made: Sequence[ElaboratedUnit]) -> None:
+    def name(self, elaborated: Sequence[ElaboratedUnit]) -> None:
         """Name the streams; a stream with another name gets an alias."""
-        for one in made:
+        for one in elaborated:
             name = one.element.name
             stream = self.units[one.shape].output.name
             if name is None or is_reserved(name) or name == stream:
@@ -88,14 +88,14 @@ class InsertionTransaction:
 
     def replace_insertions(
         self,
-        made: Sequence[ElaboratedUnit],
+        elaborated: Sequence[ElaboratedUnit],
         tops: Sequence[UnitSpecification],
         left: Sequence[Insertion],
     ) -> None:
         """Replace the insertions by those ``left``, the ``tops``, and the elements that gave an
         alias. An element equal to an existing insertion, by unit and name, adds none; an unnamed
         one adds none to a unit that has an insertion."""
-        shapes = {id(one.element): one.shape for one in made}
+        shapes = {id(one.element): one.shape for one in elaborated}
         now = list(left)
         of_unit: dict[ComputationalUnit, list[Insertion]] = {}
         for one in left:
@@ -106,9 +106,9 @@ class InsertionTransaction:
             named = element.name is not None and not is_reserved(element.name)
             one = Insertion(element.name if named else None, unit, element)
             there = of_unit.setdefault(unit, [])
-            if any(known.name == one.name for known in there) or (there and not named):
+            if any(other.name == one.name for other in there) or (there and not named):
                 continue
-            nameless = next((known for known in there if known.name is None), None)
+            nameless = next((other for other in there if other.name is None), None)
             if nameless is not None:
                 now[now.index(nameless)] = there[there.index(nameless)] = one
                 continue

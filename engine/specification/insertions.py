@@ -166,14 +166,14 @@ class Insertions:
 
     def _text(self, running: RunningShapes) -> str:
         names = self.names(running)
-        known = [one for one in self.all if one.unit.output.name in running.shape_of]
-        tops = [(running.shape_of[one.unit.output.name], one.name) for one in known]
+        with_shape = [one for one in self.all if one.unit.output.name in running.shape_of]
+        tops = [(running.shape_of[one.unit.output.name], one.name) for one in with_shape]
         shapes = [shape for shape, _ in tops]
         new_name = None if can_be_copied(shapes, names) else running.stream_of.__getitem__
         writer = Writer(names, new_name)
         # A unit that has lost an input has no shape: store its element as it was written.
-        there = set(known)
-        others = [one.element for one in self.all if one not in there]
+        written = set(with_shape)
+        others = [one.element for one in self.all if one not in written]
         elements = (*writer.write(tops), *others, *(lost.element for lost in self.lost))
         return format_specification(Specification(elements, (), "")) if elements else ""
 
@@ -185,13 +185,13 @@ def _is_named_by(element: UnitSpecification, removal: Removal) -> bool:
 def _with_references(element: UnitSpecification, names: Collection[str]) -> UnitSpecification:
     """Replace the inputs with these names by references."""
 
-    def read(given: Input) -> Input:
-        if isinstance(given, StreamReference):
-            return given
-        if given.name in names:
-            assert given.name is not None
-            return StreamReference(given.name, given.span)
-        return _with_references(given, names)
+    def read(source: Input) -> Input:
+        if isinstance(source, StreamReference):
+            return source
+        if source.name in names:
+            assert source.name is not None
+            return StreamReference(source.name, source.span)
+        return _with_references(source, names)
 
     return replace(element, inputs=tuple(map(read, element.inputs)))
 

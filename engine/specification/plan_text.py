@@ -35,9 +35,9 @@ def plan_text(supply: Supply, transformations: Mapping[str, Transformation]) -> 
     tops = [shapes.of(source.node) for source in supply.sources]
     if shapes.has_query:
         return None
-    made = [(shape, None) for shape in dict.fromkeys(tops) if isinstance(shape, Shape)]
+    insertions = [(shape, None) for shape in dict.fromkeys(tops) if isinstance(shape, Shape)]
     # A reserved name is a reference within the text only.
-    elements = Writer({}, lambda shape: f"dyknow_reserved{shape.number}").write(made)
+    elements = Writer({}, lambda shape: f"dyknow_reserved{shape.number}").write(insertions)
     return format_specification(Specification(elements, (), ""))
 
 
@@ -55,8 +55,8 @@ class _PlanShapes:
             case UseStream(stream):
                 return stream
             case SelectObject(source, field, object):
-                given = (("field", field), ("object", shorten(object)))
-                return self._shape_over(SELECT_OBJECT, given, (source,))
+                parameters = (("field", field), ("object", shorten(object)))
+                return self._shape_over(SELECT_OBJECT, parameters, (source,))
             case Synchronize(inputs):
                 return self._shape_over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
             case Compute():
@@ -73,14 +73,18 @@ class _PlanShapes:
     def _inputs(self, node: Compute) -> tuple[Node, ...]:
         """Return the input nodes of a unit; those behind an implied synchronization, if any."""
         edges = tuple(edge.node for edge in node.inputs)
-        known = self._transformations.get(node.transformation)
-        if known is None or not isinstance(known.annotation, TransformationAnnotation):
+        transformation = self._transformations.get(node.transformation)
+        if transformation is None or not isinstance(
+            transformation.annotation, TransformationAnnotation
+        ):
             return edges
-        fields = [port.field for port in known.annotation.inputs]
+        fields = [port.field for port in transformation.annotation.inputs]
         if not node.inputs or not is_implied(node.inputs[0], fields):
             return edges
-        together = node.inputs[0].node
-        assert isinstance(together, Synchronize)
-        feeding = {port.target_field: edge.node for edge in together.inputs for port in edge.ports}
+        synchronize = node.inputs[0].node
+        assert isinstance(synchronize, Synchronize)
+        feeding = {
+            port.target_field: edge.node for edge in synchronize.inputs for port in edge.ports
+        }
         read = {port.target_field: port.source_field for port in node.inputs[0].ports}
         return tuple(feeding[read[field]] for field in fields)

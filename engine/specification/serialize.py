@@ -60,11 +60,11 @@ class Writer:
         self._tops = {shape for shape, _ in tops}
         shapes = list(_inputs_first(shape for shape, _ in tops))
         read = Counter(below for shape in shapes for below in _inputs(shape))
-        given: dict[Shape, set[str | None]] = {}
+        top_names: dict[Shape, set[str | None]] = {}
         for shape, name in tops:
-            given.setdefault(shape, set()).add(name)
+            top_names.setdefault(shape, set()).add(name)
         for shape in shapes:
-            self._label(shape, given.get(shape, set()), read[shape])
+            self._label(shape, top_names.get(shape, set()), read[shape])
         ordered = self._own_names_first(tops, shapes)
         return tuple(
             self._element(shape, name or self._reference_name(shape)) for shape, name in ordered
@@ -88,14 +88,14 @@ class Writer:
     def _own_name(self, shape: Shape) -> str | None:
         return next(iter(self._names.get(shape, ())), None)
 
-    def _label(self, shape: Shape, given: set[str | None], read: int) -> None:
+    def _label(self, shape: Shape, top_names: set[str | None], read: int) -> None:
         """Choose the name by which the readers of a shape refer to it."""
         names = self._names.get(shape, ())
-        others = [name for name in names if name not in given]
+        others = [name for name in names if name not in top_names]
         if others and read:
             self._inner[shape] = self._labels[shape] = others[0]
         elif names:
-            self._labels[shape] = next((name for name in names if name in given), names[0])
+            self._labels[shape] = next((name for name in names if name in top_names), names[0])
         elif self._new_name is not None and read > (shape not in self._tops):
             self._labels[shape] = self._new_name(shape)
 

@@ -692,9 +692,7 @@ def test_what_has_failed_is_not_shared(listing):
     apply(listing, PLACE)
     unit = listing._parts.configuration.units["place"]
     unit.cut_off("out of order")
-    assert (
-        "or failed:\n  dyknow_cu2 (GPSto3D) has failed -->" in listing.current_specification()
-    )
+    assert "or failed:\n  dyknow_cu2 (GPSto3D) has failed -->" in listing.current_specification()
     assert listing.insertions()[0].failure == "out of order"
     error = refused(listing, '<cu type="GPSto3D"><stream name="place"/></cu>')
     assert error.message == "stream `place` gets no more samples: out of order"
