@@ -248,6 +248,7 @@ class Engine:
         try:
             accepted = self.intake.publish(name, incoming, now, idempotency_key, digest)
         except Exception:
+            # The log has no record of a refused batch, so the batch must not change the time.
             self._now = before
             raise
         generator = self._parts.configuration.stream(name)
@@ -289,6 +290,7 @@ class Engine:
         self._parts.rematching.tick(self._now)
         self._parts.settle()
         self._parts.collect()
+        # Writes a part of a large change of the mirror, so that no query has to write all of it.
         self.ontology.apply_pending_piece()
         if now - SECOND >= self._counted:
             self._counted = now

@@ -8,8 +8,8 @@ samples under the same numbers, byte by byte.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -158,8 +158,8 @@ class RecordedEngine:
     def do(self, command: Command, parsed: ParsedBody | None = None) -> Any:
         """Log ``command``, execute it and return its result. ``parsed``: its parsed body.
 
-        Raises `JournalFull`, `JournalBroken` and the errors of the command. Then the command is
-        neither logged nor executed.
+        Raises `JournalFull`, `JournalBroken` and the errors of the command. Then the command was
+        not executed, and the log has at most a record that it was `Refused`.
         """
         refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
         self._append_pending()
@@ -172,33 +172,27 @@ class RecordedEngine:
                 command = msgspec.structs.replace(command, name=name)
         # Encode first: a command that cannot be encoded must not be executed.
         text = encode_command(command)
-        self._is_executing = True
-        try:
-            with self.log.entry(text) as entry:
-                # The size of the sources' results is not known before, so the tape checks for room
-                # as it records them.
-                begun = len(entry.payload) + READINGS
-                self._runner.tape.record(lambda size: entry.has_room(begun + size))
-                result = self._accepted.do(self.engine, command, parsed)
-                readings = self._runner.tape.taken()
-                if readings and isinstance(command, Tick):
-                    entry.payload = encode_command(Tick(command.now, readings))
-        except JournalError:
-            raise
-        except refusals as error:
-            # A refused command may still have had effects, which a replay must repeat: streams
-            # opened on demand, numbers used. A batch can only have opened streams.
-            self._pending_records += self._opened_on_demand
-            if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
-                self._pending_records.append(Refused(encode_command(command)))
-            self._try_append_pending()
-            raise
-        except Exception as error:
-            self.failure = f"{type(error).__name__} in a command: {error}"
-            raise
-        finally:
-            self._is_executing = False
-            self._opened_on_demand.clear()
+        with self._executing("a command", refusals):
+            try:
+                with self.log.entry(text) as entry:
+                    # The size of the sources' results is not known before, so the tape checks for
+                    # room as it records them.
+                    begun = len(entry.payload) + READINGS
+                    self._runner.tape.record(lambda size: entry.has_room(begun + size))
+                    result = self._accepted.do(self.engine, command, parsed)
+                    readings = self._runner.tape.taken()
+                    if readings and isinstance(command, Tick):
+                        entry.payload = encode_command(Tick(command.now, readings))
+            except JournalError:
+                raise
+            except refusals as error:
+                # A refused command may still have had effects, which a replay must repeat: streams
+                # opened on demand, numbers used. A batch can only have opened streams.
+                self._pending_records += self._opened_on_demand
+                if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
+                    self._pending_records.append(Refused(encode_command(command)))
+                self._try_append_pending()
+                raise
         self._accepted.record(command, result)
         self._try_report_sink_failures()
         return result
@@ -210,20 +204,11 @@ class RecordedEngine:
         """
         self._append_pending()
         self._report_sink_failures()
-        self._is_executing = True
-        try:
+        with self._executing("closing windows"):
             self.log.check_room(_WINDOWS)
             with self.log.entry(encode_command(WorkBacklog())) as entry:
                 done = self.engine.work_backlog(new=new, begins=begins)
                 entry.payload = encode_command(WorkBacklog(done)) if done else b""
-        except JournalError:
-            raise
-        except Exception as error:
-            self.failure = f"{type(error).__name__} in closing windows: {error}"
-            raise
-        finally:
-            self._is_executing = False
-            self._opened_on_demand.clear()
         self._try_report_sink_failures()
 
     @property
@@ -293,6 +278,22 @@ class RecordedEngine:
 
     # -- internals ---------------------------------------------------------------------------
 
+    @contextmanager
+    def _executing(self, work: str, refusals: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+        """Mark the present time as within a command, and record an unexpected error of it."""
+        expected: tuple[type[Exception], ...] = (JournalError, *refusals)
+        self._is_executing = True
+        try:
+            yield
+        except expected:
+            raise
+        except Exception as error:
+            self.failure = f"{type(error).__name__} in {work}: {error}"
+            raise
+        finally:
+            self._is_executing = False
+            self._opened_on_demand.clear()
+
     def _on_opened(self, stream: str) -> None:
         """Log that a stream was created on demand. A replay of the present command, if there is
         one, creates it again, so only a refused command needs the record."""
@@ -327,19 +328,12 @@ class RecordedEngine:
         tape = self._runner.tape
         while tape.outcomes:
             command = ReportSinkFailures(tuple(tape.outcomes))
-            self._is_executing = True
-            try:
-                with self.log.entry(encode_command(command)):
-                    del tape.outcomes[: len(command.outcomes)]
-                    command.apply(self.engine)
-            except JournalError:
-                raise
-            except Exception as error:
-                self.failure = f"{type(error).__name__} in telling of sinks: {error}"
-                raise
-            finally:
-                self._is_executing = False
-                self._opened_on_demand.clear()
+            with (
+                self._executing("reporting failures of sinks"),
+                self.log.entry(encode_command(command)),
+            ):
+                del tape.outcomes[: len(command.outcomes)]
+                command.apply(self.engine)
 
     def _write_first_checkpoint(self) -> None:
         """Write a checkpoint of a new epoch. Without one, each start before the first checkpoint

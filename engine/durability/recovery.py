@@ -103,6 +103,7 @@ class RecoveryRun:
             found = self._from_log(now)
         engine, done = found
         count = self._log.position - done
+        # The tape returns the readings of sources; it calls neither sources nor sinks again.
         self._tape.is_playing = True
         for position, data in self._log.read(done):
             self._replay(engine, position, data)

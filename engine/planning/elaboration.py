@@ -25,7 +25,6 @@ from ...matching.space import TransformationDescription
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import shorten
 from ...streams.generator import StreamGenerator
-from ...streams.policies.policy import Policy
 from ..catalog.name_resolution import iri_of
 from ..catalog.transformation_library import Transformation, Transformations
 from ..configuration.configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration
@@ -368,8 +367,3 @@ class Elaboration:
         return LanguageError(
             message, self._source, span, hint or "see docs/reference/specifications.md"
         )
-
-
-def policy_of(piece: InputStream) -> Policy | None:
-    """The policy of an adaptation; None of another unit."""
-    return piece.recipe if isinstance(piece.recipe, Policy) else None

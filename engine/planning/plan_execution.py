@@ -106,8 +106,9 @@ class Plans:
         """The available time from which on nothing was evicted, for streams of units that began
         with the history of their inputs."""
         self._broken: set[str] = set()
+        """Streams of units that failed or depend on a failed unit."""
         self._synchronized: set[str] = set()
-        """Streams of synchronization units."""
+        """Streams of synchronization units, which matching does not use (`match`)."""
         self._nodes: dict[str, tuple[Node, Beginning]] = {}
         """The node and beginning of each stream that a unit of a plan makes."""
         self._sources: dict[str, SourceUnit] = {}
@@ -119,14 +120,14 @@ class Plans:
         past is not shared with one that began with new samples. Raises `Forgotten` if the stream
         has evicted samples since the moment ``since``.
         """
-        found = self._share_or_build(node, _unit_beginning(node, since))
-        check_kept(since, found.stream)
-        return found
-
-    def _share_or_build(self, node: Node, since: Beginning) -> StreamGenerator:
         if isinstance(node, UseStream):
-            return self._configuration.stream(node.stream)
-        return self._configuration.share((node, since), lambda: self._build(node, since)).output
+            stream = self._configuration.stream(node.stream)
+        else:
+            begin = _unit_beginning(node, since)
+            unit = self._configuration.share((node, begin), lambda: self._build(node, begin))
+            stream = unit.output
+        check_kept(since, stream.stream)
+        return stream
 
     def tick(self, now: int) -> None:
         """Read the sources that are due at ``now`` (ns)."""

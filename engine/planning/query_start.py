@@ -121,6 +121,7 @@ class QueryStarter:
                     supplies = supplies_of(matches)
                     unit = self._plans.queries.start(query, supplies, since, settings).unit
         except Exception:
+            # Units of its plan may have started before the error.
             self._configuration.release_unused()
             raise
         if instance is not None and pattern is None:

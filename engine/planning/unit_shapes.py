@@ -127,7 +127,8 @@ class RunningShapes:
                     todo.append(producer)
 
     def _add(self, unit: ComputationalUnit, named: set[ComputationalUnit]) -> None:
-        exists = all(self._exists(source) for source in unit.sources)
+        streams = self._configuration.streams
+        exists = all(streams.get(source.name) is source for source in unit.sources)
         if unit.failure is not None or not exists or not self._broken.isdisjoint(unit.sources):
             self._broken.add(unit.output)
         key = self._configuration.key_of(unit)
@@ -140,11 +141,10 @@ class RunningShapes:
         self.stream_of.setdefault(shape, unit.output.name)
         if unit.output not in self._broken:
             other = self.unit_of.get(shape)
-            if other is None or _since(self._configuration.key_of(other)) is not Since.NOW:
+            key = None if other is None else self._configuration.key_of(other)
+            # A unit that began with new samples is the one that a text would start.
+            if not isinstance(key, tuple) or key[-1] is not Since.NOW:
                 self.unit_of[shape] = unit
-
-    def _exists(self, source: StreamGenerator) -> bool:
-        return self._configuration.streams.get(source.name) is source
 
     def _shape(
         self, unit: ComputationalUnit, key: object, named: set[ComputationalUnit]
@@ -226,7 +226,3 @@ def is_implied(edge: Edge, fields: list[str]) -> bool:
         and synchronized == set(read.values())
         and synchronized <= set(fields)
     )
-
-
-def _since(key: object) -> object:
-    return key[-1] if isinstance(key, tuple) else None

@@ -153,6 +153,7 @@ class RegisteredQueries:
                 existing.users += 1
                 existing.unit.users += 1
                 return self.view(name)
+            # A unit failed, or a stream was removed or has another annotation: start it anew.
             self._stop(existing)
         self._number += 1
         registration = Registration.of(self._number, submission, query)
@@ -160,6 +161,7 @@ class RegisteredQueries:
             running = self._start(name, registration, query)
         except Exception as error:
             if existing is not None:
+                # It has stopped already; its registration stays, for a later attempt.
                 self._lost[name] = _Lost(existing.registration, str(error))
             if isinstance(error, RecursionError):
                 # Parsers bound the depth of each construct, but their combinations can be deeper.
@@ -327,7 +329,7 @@ class RegisteredQueries:
     def restore(self, restored: Callable[[str], None]) -> None:
         """Start the recalled queries in order of registration; call ``restored`` with the name of
         each that starts."""
-        for name, lost in sorted(self._lost.items(), key=_number_of):
+        for name, lost in sorted(self._lost.items(), key=lambda item: item[1].registration.number):
             registration = lost.registration
             try:
                 self._start(name, registration, parse_query(registration.submission.source))
@@ -412,7 +414,3 @@ class RegisteredQueries:
 def _own_name(name: str) -> str:
     """Return the name of a query's stream for the name in its text."""
     return local_name(name) if ":" in name else name
-
-
-def _number_of(item: tuple[str, _Lost]) -> int:
-    return item[1].registration.number

@@ -37,6 +37,7 @@ class Subscriptions:
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
         self._rematching: Rematching
+        """Set by `rematch_with`: `Rematching` needs `adapt`, so it is created later."""
         self._subscriptions: dict[str, _Subscription | AdaptiveSubscription] = {}
         self._number = 0
 
@@ -68,7 +69,8 @@ class Subscriptions:
         unit_of_policy = (
             None if parsed.is_default else self._obtain_for_user(source, parsed, since, keys)
         )
-        id = self._next_id()
+        self._number += 1
+        id = f"subscription{self._number}"
         self._subscriptions[id] = _Subscription(id, source, parsed, since, unit_of_policy)
         return self.view(id)
 
@@ -93,10 +95,6 @@ class Subscriptions:
         """The switches of an adaptive subscription, oldest first; empty for another one."""
         subscription = self._get(id)
         return subscription.rematches if isinstance(subscription, AdaptiveSubscription) else ()
-
-    def _next_id(self) -> str:
-        self._number += 1
-        return f"subscription{self._number}"
 
     @property
     def number(self) -> int:

@@ -254,18 +254,17 @@ class Specifications:
             self._insertions.report_aliases(stream)
         self._stop_removed(change)
         units = dict.fromkeys(transaction.units[one.shape] for one in change.elaborated)
-        started = transaction.started
+        started, running = transaction.started, self._configuration.units
         return SpecificationView(
             started=tuple(map(unit_view, started)),
-            stopped=tuple(view for unit, view in stopped if not self._runs(unit)),
+            stopped=tuple(
+                view for unit, view in stopped if running.get(unit.output.name) is not unit
+            ),
             there=tuple(unit_view(unit) for unit in units if unit not in started),
             named=tuple(
                 (name, transaction.units[one.shape].output.name) for name, one in change.named
             ),
         )
-
-    def _runs(self, unit: ComputationalUnit) -> bool:
-        return self._configuration.units.get(unit.output.name) is unit
 
     def _stop_removed(self, change: _Change) -> None:
         """Stop the removed units; the status stream reports the removal as the cause."""
@@ -370,7 +369,7 @@ class Specifications:
         stream = self._configuration.stream(name)
         unit = self._configuration.units.get(stream.name)
         if unit is not None and (
-            unit in change.stopping or unit is self._running_unit(change, one)
+            unit in change.stopping or unit is change.running.unit_of.get(one.shape)
         ):
             return
         raise change.error(
@@ -380,6 +379,3 @@ class Specifications:
             if unit is not None and unit in self._insertions.units(change.running)
             else "choose another name",
         )
-
-    def _running_unit(self, change: _Change, one: ElaboratedUnit) -> ComputationalUnit | None:
-        return change.running.unit_of.get(one.shape)

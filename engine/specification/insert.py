@@ -135,7 +135,11 @@ class InsertionTransaction:
         if isinstance(recipe, Policy):
             (source,) = one.shape.inputs
             with configuration.as_specified(name, text):
-                generator = self._generator(source)
+                generator = (
+                    configuration.stream(source)
+                    if isinstance(source, str)
+                    else self.units[source].output
+                )
                 keys = policy_keys(configuration, generator)
                 return self._subscriptions.obtain(generator, recipe, Since.NOW, keys).output
         assert recipe is not None
@@ -151,11 +155,6 @@ class InsertionTransaction:
                         self._plans.obtain(edge.node)
         with configuration.as_specified(name, text):
             return self._plans.obtain(node)
-
-    def _generator(self, source: Shape | str) -> StreamGenerator:
-        if isinstance(source, str):
-            return self._configuration.stream(source)
-        return self.units[source].output
 
     def _node(self, stand_in: UseStream, shapes: Mapping[str, Shape]) -> Node:
         """Return the node of a running unit, so that matching shares it. For an explicit
