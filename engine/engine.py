@@ -60,7 +60,7 @@ from .model.views import (
     Totals,
 )
 from .parts import EngineArguments, Parts
-from .planning import explain as explanations
+from .planning import explanations
 from .processes.external_io import Outcome
 from .processes.registry import PROCESSES, Processes
 from .processes.supervision import DIRECT, Runner

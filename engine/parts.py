@@ -34,7 +34,7 @@ from .requests.event_templates import EventTemplates
 from .requests.rematching import Rematching
 from .requests.sample_rdf import SampleRdf
 from .requests.subscriptions import Subscriptions
-from .specification.apply import Specifications
+from .specification.specifications import Specifications
 from .units.backlog import Backlog, Turns
 from .units.work_time import BusyTime, Stopwatch
 from .users import Users

@@ -41,7 +41,7 @@ from ..units.mediation import MediationUnit
 from ..units.sampled_source import SampledSource
 from ..units.sink import Sink
 from ..units.violations import SUFFIX
-from .check import Admission
+from .admission import Admission
 from .network import Network, is_needed
 
 Process = ComputationalUnit | SampledSource | Sink | ConfigurationProcess

@@ -1,7 +1,7 @@
 """Elaborates a specification to the shapes of its units ([Introspection15 §3.2]).
 
 It checks each `cu`: transformation, parameters, inputs, and the field that feeds each input. Errors
-have a place in the text. It starts nothing; `apply` starts the elaborated units.
+have a place in the text. It starts nothing; `specifications` starts the elaborated units.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
 from ..units.shared_query import TALLY, InstanceUnit, TemplateUnit
-from . import explain as explanations
+from . import explanations
 from .query_sharing import FormInstance
 
 

@@ -36,7 +36,7 @@ from ..model.errors import (
 )
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
-from ..planning import explain as explanations
+from ..planning import explanations
 from ..planning.plan_execution import Plans
 from ..planning.query_start import QueryStarter, StartedQuery, bad_arguments_for_unsupported
 from ..planning.registrations import (

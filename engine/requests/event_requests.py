@@ -31,7 +31,7 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan, UnknownRequest
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
-from ..planning import explain as explanations
+from ..planning import explanations
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
 from ..planning.request_sharing import RequestSharing, ShareableQuery

@@ -1,5 +1,5 @@
 """Determines the units that stop when insertions are removed, and the users of a unit
-([Introspection15 §3.2]). `apply` calls this before it changes anything.
+([Introspection15 §3.2]). `specifications` calls this before it changes anything.
 """
 
 from __future__ import annotations

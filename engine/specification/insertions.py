@@ -26,7 +26,7 @@ from ..model.status_changes import Change, ChangeKind
 from ..model.views import InsertionView
 from ..planning.unit_shapes import RunningShapes, Shape
 from ..units.base import ComputationalUnit
-from .serialize import Writer, can_be_copied
+from .writer import Writer, can_be_copied
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from ...rdf.namespaces import shorten
 from ..catalog.transformation_library import Transformation
 from ..configuration.configuration import SELECT_OBJECT, SYNCHRONIZE
 from ..planning.unit_shapes import Parameters, Shape, Shapes, is_implied
-from .serialize import Writer
+from .writer import Writer
 
 
 def plan_text(supply: Supply, transformations: Mapping[str, Transformation]) -> str | None:

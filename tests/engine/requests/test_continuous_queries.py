@@ -559,7 +559,7 @@ def test_a_query_that_cannot_be_evaluated_is_told_so_beforehand(flying, monkeypa
         raise ValueError("these do not go together")
 
     monkeypatch.setattr("dyknow.engine.planning.query_units.ContinuousEvaluator", refuses)
-    monkeypatch.setattr("dyknow.engine.planning.explain.ContinuousEvaluator", refuses)
+    monkeypatch.setattr("dyknow.engine.planning.explanations.ContinuousEvaluator", refuses)
     for ask in (flying.queries.register, flying.queries.explain):
         with pytest.raises(BadArguments, match="go together"):
             ask(FAST)

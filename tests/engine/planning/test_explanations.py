@@ -2,7 +2,7 @@
 
 import pytest
 
-from dyknow.engine.planning import explain
+from dyknow.engine.planning import explanations
 from dyknow.languages.csparql import parse_template
 
 
@@ -21,4 +21,4 @@ from dyknow.languages.csparql import parse_template
 )
 def test_windows_in_words(window: str, words: str) -> None:
     text = f"REGISTER TEMPLATE dyknow:E(?o) AS SELECT ?o WHERE {{ ?o ?p ?v }} WINDOW {window}"
-    assert f"window: {words}\n" in explain.explain_template(parse_template(text))
+    assert f"window: {words}\n" in explanations.explain_template(parse_template(text))

@@ -19,7 +19,7 @@ from ..planning.wiring import bind_recipe
 from ..requests.subscriptions import Subscriptions
 from ..units.base import ComputationalUnit
 from .insertions import Insertion, Insertions
-from .serialize import element_text
+from .writer import element_text
 
 
 class InsertionTransaction:

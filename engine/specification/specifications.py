@@ -2,7 +2,7 @@
 ([Introspection15 §3.2, Listing 1]).
 
 The whole text is checked before any change (`elaboration`, `dependents`). Then new units start
-(`insert`), and removed units stop last, so that a failure in between can be undone.
+(`insertion_transaction`), and removed units stop last, so that a failure in between can be undone.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from ..model.errors import Refused
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import InsertionView, SpecificationView
 from ..planning.elaboration import ElaboratedUnit, Elaboration
-from ..planning.explain import unit_view
+from ..planning.explanations import unit_view
 from ..planning.plan_execution import Plans
 from ..planning.unit_shapes import RunningShapes, Shape
 from ..requests.subscriptions import Subscriptions
 from ..units.base import ComputationalUnit
 from .dependents import Users, remaining_users, stopping_units, uncounted_users
-from .insert import InsertionTransaction
+from .insertion_transaction import InsertionTransaction
 from .insertions import Insertion, Insertions, LostInsertion
-from .serialize import Writer, comment_text, element_text
+from .writer import Writer, comment_text, element_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
