@@ -152,9 +152,7 @@ class Application:
         """Start the processes of declarations, in order; they were checked against `signature`.
         Calls ``started`` with the key of each.
 
-        Raises `UnknownFeature` for a computational unit without code, `Conflict` where code or a
-        stream differs from its declaration, `AlreadyExists` for the name of another stream,
-        `Refused` for a reserved name; changes nothing then.
+        Raises the errors of `Admission.check`, and changes nothing then.
         """
         new = tuple(declarations)
         for declaration in new:

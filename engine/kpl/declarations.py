@@ -48,9 +48,9 @@ _KINDS = {
 class KplDeclarations:
     """The KPL declarations and their application.
 
-    The ontology stores the declarations in canonical spelling. A declaration that is no longer
-    valid after a restart (the code of a unit is missing, a stream has other fields) is reported on
-    the status stream and not started, but stays stored.
+    The ontology stores the declarations in canonical spelling. After a restart one of them may no
+    longer be valid: the code of a unit is missing, or a stream has other fields. The status stream
+    reports it, and it stays stored.
     """
 
     def __init__(
