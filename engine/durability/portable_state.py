@@ -97,8 +97,8 @@ class PortableHead(msgspec.Struct):
 def portable_of(
     engine: Engine,
     accepted: AcceptedCommands,
-    processes: Mapping[str, str] | None = None,
-    unkept: Iterable[Unkept] = (),
+    processes: Mapping[str, str],
+    unkept: Iterable[Unkept],
 ) -> Portable:
     """Return the portable state of ``engine``. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
@@ -117,7 +117,7 @@ def portable_of(
         [_stream_state(each) for each in kept],
         list(unnamed.values()),  # type: ignore[arg-type]
         list(engine.intake.keys),
-        dict(processes or {}),
+        dict(processes),
         list(unkept),
         [command for _, _, command in waiting],  # type: ignore[misc]
         [*unnamed, *engine.next_ids],

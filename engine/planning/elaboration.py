@@ -74,9 +74,9 @@ class Elaboration:
         transformations: Transformations,
         configuration: Configuration,
         running: RunningShapes,
-        removed: Collection[ComputationalUnit] = (),
+        removed: Collection[ComputationalUnit],
         *,
-        restoring: bool = False,
+        restoring: bool,
     ) -> None:
         self._source = source
         self._vocabulary = vocabulary

@@ -107,7 +107,7 @@ def match_view(
     space: StreamSpace,
     is_running: Callable[[Node], bool],
 ) -> MatchView:
-    """Return the view of a match whose plan does not run."""
+    """Return the view of a match, without executing its plan."""
     plan = cost = quality = None
     if match.supply is not None:
         plan = PlanView(render(match), streams_of(match.supply), (), "")
