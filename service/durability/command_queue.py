@@ -23,10 +23,10 @@ from typing import Any, Protocol
 import anyio
 import anyio.to_thread
 
-from ...engine.durability.accepted_commands import Waiting
+from ...engine.durability.accepted_commands import WaitingCommand
 from ...engine.durability.checkpoint import CheckpointError
-from ...engine.durability.commands import Command, ReadAlready, TellUnkept, done
-from ...engine.durability.durable_engine import DiskUse, RecordedEngine, Unwritten
+from ...engine.durability.commands import Command, ParsedBody, ReportUnkept, execute
+from ...engine.durability.durable_engine import DiskUse, PendingCheckpoint, RecordedEngine
 from ...engine.durability.process_state import Unkept
 from ...engine.engine import Engine
 from ...journal.errors import JournalError
@@ -118,11 +118,11 @@ class Keeper:
         recorded = self._recorded
         return recorded is None or recorded.log.durable == recorded.log.position
 
-    def not_started(self) -> tuple[Waiting, ...]:
+    def not_started(self) -> tuple[WaitingCommand, ...]:
         """What an earlier run has accepted and cannot be done at present, oldest first."""
         return () if self._recorded is None else self._recorded.waiting()
 
-    def waits(self, kind: str) -> dict[str, Waiting]:
+    def waits(self, kind: str) -> dict[str, WaitingCommand]:
         """The same of one kind, by the id or name under which people give it up."""
         return {each.key.name: each for each in self.not_started() if each.key.kind == kind}
 
@@ -130,16 +130,16 @@ class Keeper:
         """Whom to show what is kept."""
         self._audience = audience
 
-    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
+    def do(self, command: Command, known: ParsedBody | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
         self._backlog.before(command)
         found = self._done(command, known)
         self._backlog.after_command()
         return found
 
-    def _done(self, command: Command, known: ReadAlready | None) -> Any:
+    def _done(self, command: Command, known: ParsedBody | None) -> Any:
         if self._recorded is None:
-            return done(self._engine, command, known)
+            return execute(self._engine, command, known)
         with self._recording():
             return self._recorded.do(command, known)
 
@@ -335,14 +335,14 @@ class Keeper:
         self._recover(CHECKPOINT)
         for process in set(unkept) - self._unkept:
             await self.windows_closed()
-            self.do(TellUnkept(process.process, process.reason))
+            self.do(ReportUnkept(process.process, process.reason))
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
             )
         # No more than there are processes: a reason may be another one each time.
         self._unkept = set(unkept)
 
-    async def _put(self, unwritten: Unwritten) -> tuple[Unkept, ...]:
+    async def _put(self, unwritten: PendingCheckpoint) -> tuple[Unkept, ...]:
         """Put a checkpoint on the disk and keep it, or leave nothing of it."""
         loop = asyncio.get_running_loop()
         try:

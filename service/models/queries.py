@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
-from ...engine.durability.accepted_commands import Waiting, query_view
+from ...engine.durability.accepted_commands import WaitingCommand, query_view
 from ...engine.model import views
 from .events import PlanModel
 from .parts import iso
@@ -70,7 +70,7 @@ class QueryModel(BaseModel):
     explanation: str | None = Field(None, description="each stage, where it was asked for")
 
     @classmethod
-    def waiting(cls, waiting: Waiting, epoch: str) -> QueryModel:
+    def waiting(cls, waiting: WaitingCommand, epoch: str) -> QueryModel:
         """One that waits, as it was asked for; of a text that is not understood any more there is
         less to say."""
         return cls.of(query_view(waiting), epoch)
