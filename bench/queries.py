@@ -61,7 +61,7 @@ class Side:
 
     @classmethod
     def of(cls, texts: list[str], least: int) -> Side:
-        usual, query_sharing.ALIKE = query_sharing.ALIKE, least
+        usual, query_sharing.MIN_SHARED = query_sharing.MIN_SHARED, least
         try:
             engine = Engine()
             engine.annotate("stream speeds contains speed(UAV) = v for every UAV = id")
@@ -71,7 +71,7 @@ class Side:
                 engine.queries.register(f"REGISTER QUERY q{i} AS {text} # {least}")
             return cls(engine, (time.perf_counter() - begin) / len(texts) * 1e3, [])
         finally:
-            query_sharing.ALIKE = usual
+            query_sharing.MIN_SHARED = usual
 
     def step(self, incoming: Incoming) -> None:
         begin = time.perf_counter()
@@ -86,7 +86,7 @@ class Side:
 
 def measured(kind: str, queries: int) -> tuple[Side, Side]:
     texts = [KINDS[kind](i / queries) for i in range(queries)]
-    sides = Side.of(texts, query_sharing.ALIKE), Side.of(texts, queries + 1)
+    sides = Side.of(texts, query_sharing.MIN_SHARED), Side.of(texts, queries + 1)
     speeds = Speeds()
     for second in range(WARM + STEPS):
         incoming = Incoming(speeds.of(second), False)

@@ -1,8 +1,8 @@
-"""The engine: the one face of the running system for the service, the CLI and tests.
+"""The engine: the interface of the running system for the service, the CLI and tests.
 
-Every method is synchronous and runs to its end; callers see to it that only one runs at a time.
-Time comes in as an argument (`publish`, `tick`); nothing here reads a clock. What is done stands in
-the parts (`parts`); the file is long because there is a method for each thing that can be asked.
+Every method is synchronous; callers run one at a time. Time is an argument (`publish`, `tick`), and
+nothing here reads a clock. The parts (`parts`) do the work. The file is long because it has a
+method for each command and question.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ from .model.views import (
     TemplateView,
     Totals,
 )
-from .parts import Parts, Setting
-from .planning import explain as explanations
+from .parts import EngineArguments, Parts
+from .planning import explanations
 from .processes.external_io import Outcome
 from .processes.registry import PROCESSES, Processes
 from .processes.supervision import DIRECT, Runner
@@ -75,16 +75,17 @@ from .units.work_time import Stopwatch
 
 
 class Engine:
-    """Streams, templates and event requests over one ontology.
+    """Streams, templates, requests and their units over one ontology.
 
-    ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
-    this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
-    the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
-    ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
-    ``data``. With a ``stopwatch`` the work of units is measured. ``budget``
-    is what a window of a continuous query may cost. With ``turns`` windows close in
-    `work_backlog` only.
-    By the ``rules`` (`Rules.version`) it restores what an earlier run was told.
+    - ``data``: the directory of the ontology's store; None: in memory. ``ontology`` replaces it.
+    - ``epoch``: the first half of event ids.
+    - ``first_reserved``: the first N of ``dyknow_reserved<N>``.
+    - ``now``: the time (ns) until `publish` and `tick` bring a later one.
+    - ``processes``: the user-written processes that KPL may name; ``runner`` calls them.
+    - ``stopwatch``: measures the work of units.
+    - ``budget``: bounds the cost of a window of a continuous query.
+    - ``turns``: with them windows close in `work_backlog` only.
+    - ``rules``: the rules (`Rules.version`) for restoring the definitions of an earlier run.
     """
 
     def __init__(
@@ -108,12 +109,14 @@ class Engine:
         self._now = now
         self._counted = TIME_MIN
         self._measured: int | None = None
-        given = Setting(first_reserved, processes, runner, stopwatch, budget, turns, rules)
-        self._parts = parts = Parts(ontology, lambda: self._now, given)
+        arguments = EngineArguments(
+            first_reserved, processes, runner, stopwatch, budget, turns, rules
+        )
+        self._parts = parts = Parts(ontology, lambda: self._now, arguments)
         self.ontology = ontology
         self.dictionary = parts.dictionary
         self.backlog = parts.backlog
-        """Units whose windows take long, if there are ``turns`` for them."""
+        """The units with windows to close; always empty without ``turns``."""
         self.rules = parts.configuration.rules
         """The rules of commands; recovery changes them."""
         self.intake = parts.intake
@@ -123,18 +126,18 @@ class Engine:
 
     @property
     def failures(self) -> int:
-        """Number of failures on the status stream: while it stays, nothing more has failed."""
+        """The number of failures on the status stream. A caller polls it to notice new failures."""
         return self._parts.failures
 
     @property
     def now(self) -> int:
-        """The latest time (ns) that it was told."""
+        """The latest time (ns) of a command."""
         return self._now
 
     # -- streams -----------------------------------------------------------------------------
 
     def declare(self, declaration: StreamDeclaration) -> StreamView:
-        """Make a stream, or change one; see `DeclaredStreams`. A source of KPL is in use always."""
+        """Declare a stream, or change one (`DeclaredStreams`). A source of KPL is always in use."""
         declared, application = self._parts.declared, self._parts.application
         name, is_new = declaration.name, not declared.has(declaration)
         if is_new and (name in application.sampled or not declared.can_extend(declaration)):
@@ -146,7 +149,7 @@ class Engine:
         return self._view(generator)
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
-        """Annotate streams and transformations by an SSL text; see `Annotations`."""
+        """Annotate streams and transformations by an SSL text (`Annotations`)."""
         with self._parts.manager.together():
             annotated = self._parts.annotations.annotate(ssl)
             self._parts.settle()
@@ -157,14 +160,15 @@ class Engine:
         described: Sequence[DescribedStream],
         transformations: Sequence[DescribedTransformation] = (),
     ) -> tuple[CheckedAnnotation, ...]:
-        """Annotate streams and transformations in names, all of them or none; see `Annotations`."""
+        """Annotate streams and transformations by structures instead of a text, all of them or none
+        (`Annotations`)."""
         with self._parts.manager.together():
             annotations = self._parts.annotations.describe_all(described, transformations)
             self._parts.settle()
         return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
-        """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""
+        """Set the quality (0..1) of a stream. Raises `UnknownStream` and `BadArguments`."""
         self._parts.annotations.set_quality(stream, quality)
         self._parts.settle()
 
@@ -173,61 +177,61 @@ class Engine:
         return self._parts.annotations.all()
 
     def streams(self) -> tuple[StreamView, ...]:
-        """All streams, the status stream among them."""
+        """The views of all streams, with the status stream."""
         return tuple(
             self._view(generator) for generator in self._parts.configuration.streams.values()
         )
 
     def stream(self, name: str) -> StreamView:
-        """One stream; raises `UnknownStream`."""
+        """The view of a stream. Raises `UnknownStream`."""
         return self._view(self._parts.configuration.stream(name))
 
     def has_stream(self, name: str) -> bool:
-        """Whether there is a stream of this name already; none is made by asking."""
+        """Whether a stream of this name exists. Unlike `generator` this creates none on demand."""
         return self._parts.configuration.has(name)
 
     def before_demand(self, check: Callable[[], None]) -> None:
-        """Call ``check`` before a stream comes into being because somebody asks for it (of late
-        samples, of violations), in whatever way; what it raises is what who asks gets."""
+        """Call ``check`` before a stream is created on demand (late samples, violations). The
+        request that demands it raises the error of ``check``."""
         self._parts.configuration.before_demand = check
 
     def published(self) -> tuple[StreamGenerator, ...]:
-        """The streams that people publish to."""
+        """The streams that clients publish to."""
         there = self._parts.configuration.streams.items()
         return tuple(
             each for name, each in there if not self._parts.configuration.is_made_by_system(name)
         )
 
     def generators(self) -> tuple[StreamGenerator, ...]:
-        """What is behind all streams: for who wants less of each than a view. Cost: O(streams)."""
+        """The generators of all streams, cheaper than their views. Cost: O(streams)."""
         return tuple(self._parts.configuration.streams.values())
 
     def units(self) -> tuple[ComputationalUnit, ...]:
-        """All units that run, to read what they count. Cost: O(units)."""
+        """The running units, for their counters. Cost: O(units)."""
         return tuple(self._parts.configuration.units.values())
 
     def generator(self, name: str) -> StreamGenerator:
-        """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
+        """The generator of a stream, to read and subscribe. Raises `UnknownStream`."""
         return self._parts.configuration.stream(name)
 
     def accepting(self, name: str) -> StreamGenerator:
-        """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
-        a stream that the system makes."""
+        """The generator of a stream that clients publish to. Raises `UnknownStream`, and `Refused`
+        for a stream that the system makes."""
         return self.intake.accepting(name)
 
-    def on_opened(self, heard: Callable[[str], None]) -> None:
-        """Tell ``heard`` of streams that come into being by being asked for: of late samples, of
-        violations."""
-        self._parts.configuration.on_opened = heard
+    def on_opened(self, listener: Callable[[str], None]) -> None:
+        """Call ``listener`` with the name of each stream that is created on demand (late samples,
+        violations)."""
+        self._parts.configuration.on_opened = listener
 
     def remove_stream(self, name: str) -> None:
-        """Forget a declared stream and its annotation, or one of late samples, which are then only
-        counted again; raises `UnknownStream`, `Refused` for another that the system makes, and
-        `Conflict` while a unit or KPL needs it."""
+        """Remove a declared stream and its annotation, or a stream of late samples, which are only
+        counted then. Raises `UnknownStream`, `Refused` for other streams of the system, and
+        `Conflict` while a unit or KPL reads it."""
         if name not in self._parts.configuration.late:
             name = self.accepting(name).name
         self._refuse_if_source(name)
-        self._parts.rematching.withdraw(name)
+        self._parts.rematching.leave_stream(name)
         self._parts.declared.remove(name)
         self._parts.settle()
 
@@ -239,28 +243,29 @@ class Engine:
         idempotency_key: str | None = None,
         digest: bytes = b"",
     ) -> int:
-        """Take a batch into a stream, whole; returns how many samples were accepted.
+        """Publish a whole batch to a stream; return the number of accepted samples.
 
-        A key that was used for this stream before has no second effect and gives the same answer;
-        with another ``digest`` of what was sent it is a `Conflict`. So is a batch to be stamped on
-        arrival where samples brought their own available times, and the other way round: the one
-        would make all of the other late.
+        A key that was used for this stream before has no second effect and returns the same answer;
+        with another ``digest`` of the body it raises `Conflict`. So does a batch to be stamped on
+        arrival in a stream whose samples brought their own available times, and the reverse: either
+        would make the other's samples late.
         """
         before, self._now = self._now, max(self._now, now)
         try:
             accepted = self.intake.publish(name, incoming, now, idempotency_key, digest)
         except Exception:
+            # The log has no record of a refused batch, so the batch must not change the time.
             self._now = before
             raise
         generator = self._parts.configuration.stream(name)
         self._parts.idleness.note_samples(generator, self._now)
-        self._parts.rematching.came(generator.name, self._now)
+        self._parts.rematching.on_arrival(generator.name, self._now)
         self._parts.settle()
         self._parts.collect()
         return accepted
 
     def end(self, name: str) -> None:
-        """A recording has come to its end: what waits for more samples is decided now."""
+        """End a stream, such as a recording: its readers wait for no more samples."""
         generator = self.accepting(name)
         generator.end()
         self._parts.changed(Change(ChangeKind.STREAM_ENDED, generator.name))
@@ -268,8 +273,8 @@ class Engine:
         self._parts.collect()
 
     def tick(self, now: int) -> None:
-        """The time is ``now``: streams that are stamped on arrival have nothing before it, others
-        may have fallen idle."""
+        """Advance the time to ``now``: the watermarks of streams that are stamped on arrival, idle
+        streams, sources that are due, and hold-offs of adaptive subscriptions."""
         self._now = max(self._now, now)
         self._parts.application.tick(now)
         self._parts.plans.tick(now)
@@ -282,7 +287,8 @@ class Engine:
             waiting = unit.waits_for
             if not waiting:
                 continue
-            # Where everything that has come was stamped on arrival, so will be what is to come.
+            # If all inputs with samples are stamped on arrival, assume the same of those without:
+            # their first samples will have a later time than ``now``.
             begun = set(unit.inputs).difference(waiting)
             if begun and all(self._parts.configuration.is_stamped(source) for source in begun):
                 for source in waiting:
@@ -290,13 +296,14 @@ class Engine:
         self._parts.rematching.tick(self._now)
         self._parts.settle()
         self._parts.collect()
+        # Writes a part of a large change of the mirror, so that no query has to write all of it.
         self.ontology.apply_pending_piece()
         if now - SECOND >= self._counted:
             self._counted = now
             self._parts.count_subscribers()
 
     def work_backlog(self, *, new: bool = False, begins: bool = True) -> tuple[TurnRecord, ...]:
-        """Close windows that are due (`Backlog.work`); return what was done."""
+        """Close due windows (`Backlog.work`); return the records of the turns."""
         done = tuple(self.backlog.work(new=new, begins=begins))
         if done:
             self._parts.settle()
@@ -304,33 +311,34 @@ class Engine:
         return done
 
     def backlog_of(self, stream: str) -> tuple[WindowUnit, ...]:
-        """The units of the backlog that read ``stream``, themselves or through other units."""
+        """The units of the backlog that read ``stream``, directly or through other units."""
         return self._parts.evaluation.backlog_of(stream)
 
     def failure_of(self, generator: StreamGenerator) -> str | None:
-        """Why nothing more comes in a stream: what feeds it has failed. None while something may.
-        See `Configuration.failure_of`."""
+        """The failure that keeps samples from a stream; None if there is none
+        (`Configuration.failure_of`)."""
         return self._parts.evaluation.failure(generator)
 
     def failed(self) -> tuple[FailureView, ...]:
-        """The units that were cut off. Cost: O(units), and for each failure O(requests)."""
+        """The failed units. Cost: O(units), and O(requests) for each failure."""
         return self._parts.evaluation.failed()
 
     def evaluation(self, name: str) -> EvaluationView:
-        """How far all is that reads stream ``name``; raises `UnknownStream`. Cost: O(units²)."""
+        """How far all readers have evaluated stream ``name``. Raises `UnknownStream`. Cost:
+        O(units²)."""
         return self._parts.evaluation.of(name)
 
     def replay_turns(self, done: Sequence[TurnRecord]) -> None:
-        """Do what `work_backlog` did. Raises ``ValueError`` where there is no such work to do."""
+        """Replay turns of `work_backlog`. Raises ``ValueError`` if there is no such work to do."""
         self.backlog.replay(done)
         self._parts.settle()
         self._parts.collect()
 
     def measure(self) -> None:
-        """Let SPARQL see the rates and subscribers there are: whoever asks calls this before.
+        """Mirror the present rates and subscribers in the ontology; call it before a SPARQL query.
 
-        Rates change all the time, so they are mirrored when somebody wants to know, at most once a
-        second. Cost: a look at each stream, and what changed.
+        Rates change all the time, so they are mirrored on demand, at most once a second. Cost:
+        O(streams + changes).
         """
         if self._measured is not None and self._now - self._measured < SECOND:
             return
@@ -342,15 +350,15 @@ class Engine:
             self._parts.manager.mirror_samples(streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
-        """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
+        """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
+        triples."""
         return self._parts.rdf.of(name, batch)
 
     # -- templates ---------------------------------------------------------------------------
 
     def register_template(self, text: str, *, replace: bool = False) -> TemplateView:
-        """Register an event template; its event concept is known from now on.
-
-        Raises `LanguageError`, and `AlreadyExists` unless ``replace``.
+        """Register an event template and its event concept. Raises `LanguageError`, and
+        `AlreadyExists` unless ``replace``.
         """
         view = self._parts.templates.register(text, replace=replace)
         self._parts.settle()
@@ -361,34 +369,33 @@ class Engine:
         return self._parts.templates.views()
 
     def template(self, name: str) -> TemplateView:
-        """One template by local name, prefixed name or IRI; raises `UnknownTemplate`."""
+        """The view of a template by local name, prefixed name or IRI. Raises `UnknownTemplate`."""
         return self._parts.templates.view(name)
 
     def remove_template(self, name: str) -> None:
-        """Forget a template; raises `UnknownTemplate`, and `Conflict` while a request uses it."""
+        """Remove a template. Raises `UnknownTemplate`, and `Conflict` while a request uses it."""
         self._parts.templates.remove(name)
 
     # -- events ------------------------------------------------------------------------------
 
     def parse_request(self, text: str) -> EventRequest:
-        """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``; raises `LanguageError`."""
+        """Parse ``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``. Raises `LanguageError`."""
         return parse_event_request(text)
 
     def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
-        """The same from parts, each argument as text; raises `LanguageError`."""
+        """Make a request of an event and the texts of its arguments. Raises `LanguageError`."""
         parsed = tuple(parse_argument(argument) for argument in arguments)
         return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
 
     def request_event(
         self, request: EventRequest, strategy: str = "fast", since: str = Since.NOW
     ) -> EventView:
-        """Find or build the streams that answer the request, and start what is needed.
+        """Start the units that answer a request; equal requests share stream and units.
 
-        The same request again shares stream and units. With ``since`` ``start`` the answer begins
-        with the kept history of the streams that are read; with a time (as `read_time` has it) or a
-        duration before the newest sample of them all, with what was available then or later. Raises
-        `UnknownEvent`, `BadArguments`, `NoPlan`, and `Forgotten` where some of that is not kept;
-        then nothing runs that did not run before.
+        With ``since`` = ``start`` the answer begins with the kept history of its inputs. With a
+        time (format of `read_time`), or a duration before their newest sample, it begins with the
+        samples available from then on. Raises `UnknownEvent`, `BadArguments`, `NoPlan`, and
+        `Forgotten` if samples since then were evicted; starts nothing then.
         """
         begin = parse_beginning(since)
         return self._parts.requests.start(
@@ -400,15 +407,15 @@ class Engine:
         return self._parts.requests.views()
 
     def event_ids(self) -> tuple[str, ...]:
-        """Those of the running requests, oldest first."""
+        """The ids of the running requests, oldest first."""
         return self._parts.requests.ids()
 
     def event(self, id: str) -> EventView:
-        """One running request; raises `UnknownRequest`."""
+        """The view of a running request. Raises `UnknownRequest`."""
         return self._parts.requests.view(id)
 
     def cancel_event(self, id: str) -> None:
-        """End a request; units without users stop."""
+        """Cancel a request; units without users stop. Raises `UnknownRequest`."""
         self._parts.requests.cancel(id)
 
     # -- subscriptions -----------------------------------------------------------------------
@@ -422,7 +429,7 @@ class Engine:
         *,
         keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe to a stream under a policy; see `Subscriptions.start`. For ``since`` see
+        """Subscribe to a stream under a policy (`Subscriptions.start`). For ``since`` see
         `request_event`."""
         return self._parts.subscriptions.start(
             stream, policy, unit, parse_beginning(since), keyed=keyed
@@ -443,14 +450,14 @@ class Engine:
         hold_off: int = 2 * SECOND,
         keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe to a feature of objects or a sort, whatever streams hold it ([Introspection15
-        §4.4]); see `Wish`. What cannot be met now waits until it can. Raises `UnknownFeature`,
-        `BadArguments` and `LanguageError`."""
+        """Subscribe to a feature of objects or a sort, instead of a stream ([Introspection15
+        §4.4]); `Wish` explains the arguments. Without a plan the subscription waits for one. Raises
+        `UnknownFeature`, `BadArguments` and `LanguageError`."""
         want = checked_want(self.ontology.vocabulary, feature, sort, objects)
         checked_strategy(strategy)
         check_quality(quality)
         if min(hold_off, hold_off if staleness is None else staleness - 1) < 0:
-            raise BadArguments("staleness is longer than nothing, hold_off not less than nothing")
+            raise BadArguments("staleness must be greater than 0, and hold_off at least 0")
         parsed = parse_policy(policy, unit)
         begin = parse_beginning(since)
         wish = Wish(want, strategy, parsed, begin, staleness, quality, hold_off, keyed)
@@ -458,105 +465,104 @@ class Engine:
             return self._parts.subscriptions.start_adaptive(wish)
 
     def rematches(self, id: str) -> Sequence[Rematch]:
-        """The switches of a subscription, oldest first; raises `UnknownRequest`. What is given
-        holds later ones, too, as they come."""
+        """The switches of a subscription, oldest first. Raises `UnknownRequest`. The returned
+        sequence grows with later switches."""
         return self._parts.subscriptions.rematches(id)
 
     def subscriptions(self) -> tuple[SubscriptionView, ...]:
-        """The subscriptions that run, oldest first."""
+        """The running subscriptions, oldest first."""
         return self._parts.subscriptions.views()
 
     def subscription_ids(self) -> tuple[str, ...]:
-        """Those of the subscriptions that run, oldest first."""
+        """The ids of the running subscriptions, oldest first."""
         return self._parts.subscriptions.ids()
 
     def subscription(self, id: str) -> SubscriptionView:
-        """One subscription; raises `UnknownRequest`."""
+        """The view of a subscription. Raises `UnknownRequest`."""
         return self._parts.subscriptions.view(id)
 
     def unsubscribe(self, id: str) -> None:
-        """Give a subscription up; its stream goes with the last of those that share it."""
+        """Cancel a subscription; its stream is removed with the last one that shares it. Raises
+        `UnknownRequest`."""
         self._parts.subscriptions.cancel(id)
 
     # -- KPL ---------------------------------------------------------------------------------
 
     def add_kpl(self, text: str, unit: str = "ms") -> tuple[DeclarationView, ...]:
-        """Declare sources, units, generators and streams in KPL, and start them; all of the text
-        or nothing. Gives what is new. ``unit`` is what integers are where the text does not say.
-
-        Raises `LanguageError`, and what `Application.add` raises.
+        """Add and start all declarations of a KPL text, or none; return the new ones. ``unit`` is
+        the default unit of integers in the text. Raises `LanguageError`, and the errors of
+        `Application.add`.
         """
         with self._parts.manager.together():
             added = self._parts.kpl.add(text, unit)
         return tuple(self._parts.kpl.view(key) for key in added)
 
     def kpl(self) -> tuple[DeclarationView, ...]:
-        """Everything declared in KPL, in order."""
+        """The KPL declarations in order."""
         return self._parts.kpl.views()
 
     def kpl_text(self) -> str:
-        """The same as a KPL text, integers in ms."""
+        """The KPL declarations as a text, integers in ms."""
         return self._parts.kpl.text()
 
     def kpl_declaration(self, name: str) -> tuple[DeclarationView, tuple[str, ...]]:
-        """One declaration, and the names of all that cannot be without it; raises
-        `UnknownDeclaration`."""
+        """A declaration and the names of its dependents. Raises `UnknownDeclaration`."""
         return self._parts.kpl.view(name), self._parts.kpl.used_by(name)
 
     def restore_kpl(self, text: str, unit: str = "ms") -> None:
-        """Declare of a KPL text, that an earlier run has taken, what holds; the others are told and
-        kept, as after a restart. Raises nothing."""
+        """Add the declarations of a KPL text that are still valid, where an earlier run accepted
+        all. The others are reported and stored, as after a restart. Raises nothing."""
         with self._parts.manager.together():
-            self._parts.kpl.add_what_holds(text, unit)
+            self._parts.kpl.add_valid(text, unit)
 
     def forget_kpl(self, name: str) -> bool:
-        """Forget what was declared in KPL by an earlier run and does not hold any more; whether
-        there was such a declaration."""
+        """Remove a KPL declaration of an earlier run that was not restored; return whether there
+        was one."""
         return self._parts.kpl.forget(name)
 
     def remove_kpl(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
-        """Stop and forget a declaration; see `Application.remove`."""
+        """Stop and remove a declaration (`Application.remove`)."""
         with self._parts.manager.together():
             return self._parts.kpl.remove(name, cascade=cascade)
 
     # -- specifications ----------------------------------------------------------------------
 
     def apply_specification(self, text: str | bytes) -> SpecificationView:
-        """Insert and remove units as an XML text says ([Introspection15 §3.2]); all of it or
-        nothing. Raises `LanguageError`."""
+        """Insert and remove all units of an XML text ([Introspection15 §3.2]), or none. Raises
+        `LanguageError`."""
         return self.take_specification(parse_specification(text))
 
     def take_specification(self, specification: Specification) -> SpecificationView:
-        """The same with what `parse_specification` made of a text, maybe in another process."""
+        """Apply a specification that `parse_specification` parsed, maybe in another process."""
         with self._parts.manager.together():
             view = self._parts.specifications.apply(specification)
             self._parts.settle()
         return view
 
     def current_specification(self) -> str:
-        """The running configuration as an XML text that `apply_specification` takes."""
+        """The running configuration as an XML text for `apply_specification`."""
         return self._parts.specifications.current()
 
     def insertions(self) -> tuple[InsertionView, ...]:
-        """What specifications inserted, in order."""
+        """The insertions of specifications, in order."""
         return self._parts.specifications.views()
 
     # -- meaning -----------------------------------------------------------------------------
 
     def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
-        """Add a domain ontology, or replace the one called ``name`` (an IRI): its sorts, features
-        and objects are known from now on, also to queries that run. Raises `OntologyError`."""
+        """Add a domain ontology, or replace the one called ``name`` (an IRI). Running queries see
+        its sorts, features and objects too. Raises `OntologyError`."""
         self.take_ontology(self.ontology.prepare(text, name=name, format=format))
 
     def take_ontology(self, prepared: PreparedOntology) -> None:
-        """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
+        """Install an ontology that `Ontology.prepare` parsed, maybe in another thread."""
         self.ontology.install(prepared)
         self._parts.rdf.forget_all()
-        self._parts.templates.tell()
+        self._parts.templates.publish()
         self._parts.rematching.ontology_changed()
         self._parts.settle()
 
-    # -- knowing -----------------------------------------------------------------------------
+    # -- matching and explanations -----------------------------------------------------------
 
     def match(
         self,
@@ -566,20 +572,20 @@ class Engine:
         objects: Sequence[str] = (),
         strategy: str = "fast",
     ) -> MatchView:
-        """Semantic matching without executing: what would give ``feature``, and why."""
+        """Match a feature without executing the plan; return the plan and the alternatives."""
         want = checked_want(self.ontology.vocabulary, feature, sort, objects)
         checked_strategy(strategy)
-        without = self._parts.plans.unusable(Since.NOW)
+        without = self._parts.plans.unusable_streams(Since.NOW)
         (found,) = self._parts.plans.match([want], strategy, without, explained=True)
         view = explanations.match_view(
             want, found, strategy, self._parts.manager.space, self._parts.plans.is_running
         )
-        supplies = self._parts.plans.made_from([found])
+        supplies = self._parts.plans.expand_supplies([found])
         texts = [plan_text(supply, self._parts.known_transformations) for supply in supplies]
         return replace(view, specification=next(iter(texts), None))
 
     def explain_running(self, id: str) -> str:
-        """Each stage of a query or request that runs; raises `UnknownRequest`."""
+        """Explain the stages of a running query or request. Raises `UnknownRequest`."""
         if self.queries.has(id):
             return self.queries.explain_running(id)
         return self._parts.requests.explain_running(id)
@@ -587,62 +593,62 @@ class Engine:
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None
     ) -> str:
-        """Every stage of a request, a template or a query, as text for people."""
+        """Explain a request, a template or a query as text, without starting it."""
         if event is not None:
             request = self.parse_request(event)
             return self._parts.requests.explain(self._parts.templates.of(request), request)
         if template is not None:
-            return explanations.template(self._parts.templates.find(template))
+            return explanations.explain_template(self._parts.templates.find(template))
         if query is not None:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
 
     @property
     def next_ids(self) -> tuple[str, str]:
-        """What the next request and the next subscription would be called."""
+        """The ids of the next request and the next subscription."""
         return (
             f"event{self._parts.requests.number + 1}",
             f"subscription{self._parts.subscriptions.number + 1}",
         )
 
     def keep_id(self, id: str) -> None:
-        """The next request or subscription is called ``id``, as it was in an earlier run, if that
-        is later than all there were."""
-        for made, number in self._numbered(id):
-            made.number_after(number - 1)
+        """Let the next request or subscription have ``id``, as in an earlier run, unless it is
+        below an id that was used."""
+        for part, number in self._numbered(id):
+            part.number_after(number - 1)
 
     def skip_id(self, id: str) -> None:
-        """No later request, subscription or query without a name is called ``id``."""
-        for made, number in self._numbered(id):
-            made.number_after(number)
+        """Give ``id`` to no later request, subscription or unnamed query."""
+        for part, number in self._numbered(id):
+            part.number_after(number)
         self._parts.configuration.skip_reserved(id)
 
     def _numbered(self, id: str) -> Iterator[tuple[EventRequests | Subscriptions, int]]:
-        """Whose id it is, and its number."""
+        """Yield the part that gives ids of this kind, and the number in ``id``."""
         requests, subscriptions = self._parts.requests, self._parts.subscriptions
-        for name, made in (("event", requests), ("subscription", subscriptions)):
+        for name, part in (("event", requests), ("subscription", subscriptions)):
             number = id.removeprefix(name)
             if number != id and number.isdigit():
-                yield made, int(number)
+                yield part, int(number)
 
-    def tell_not_restored(self, reason: str) -> None:
-        """Tell on the status stream what of an earlier run does not go on, and why."""
+    def report_not_restored(self, reason: str) -> None:
+        """Report on the status stream that a part of an earlier run was not restored."""
         self._parts.changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
 
-    def hear_of_sinks(self, outcomes: Sequence[Outcome]) -> None:
-        """What came of calls of sinks counts from now on, and is told on the status stream."""
+    def report_sink_failures(self, outcomes: Sequence[Outcome]) -> None:
+        """Count outcomes of calls of sinks, and report failures on the status stream."""
         for outcome in outcomes:
-            self._parts.application.hear(outcome)
+            self._parts.application.record_outcome(outcome)
         self._parts.settle()
 
-    def tell_unkept(self, process: str, reason: str) -> None:
-        """Tell on the status stream that what a user-written process remembers is not kept."""
+    def report_unkept(self, process: str, reason: str) -> None:
+        """Report on the status stream that checkpoints lack the state of a user-written process."""
         self._parts.changed(
             Change(ChangeKind.STATE_LOST, transformation=process, specification=reason)
         )
 
     def totals(self) -> Totals:
-        """How much there is of what people make. Cost: O(ontologies)."""
+        """The numbers of objects that clients have created. Cost: O(ontologies)."""
         configuration = self._parts.configuration
         return Totals(
             len(configuration.streams) - len(configuration.units),
@@ -657,8 +663,8 @@ class Engine:
         )
 
     def object_name(self, text: str) -> str:
-        """What a name that people give an object stands for: an id without a prefix is one in the
-        object namespace of the annotated streams, where these have one in common, else `dyknow:`.
+        """Resolve the name of an object to a term. An id without a prefix is in the namespace of
+        the annotated streams if they share one, else in `dyknow:`.
         """
         if text == "self" or ":" in text or text.startswith("<"):
             return text
@@ -667,7 +673,7 @@ class Engine:
         namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
         return f"<{object_iri(text, namespace)}>"
 
-    # -- within ------------------------------------------------------------------------------
+    # -- internals ---------------------------------------------------------------------------
 
     def _refuse_if_source(self, name: str) -> None:
         if self._parts.application.uses_stream(name):

@@ -1,4 +1,4 @@
-"""What an engine is made of, put together and told of each other."""
+"""The parts of an engine: creates and connects them."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from .requests.event_templates import EventTemplates
 from .requests.rematching import Rematching
 from .requests.sample_rdf import SampleRdf
 from .requests.subscriptions import Subscriptions
-from .specification.apply import Specifications
+from .specification.specifications import Specifications
 from .units.backlog import Backlog, Turns
 from .units.work_time import BusyTime, Stopwatch
 from .users import Users
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
-    """What an engine is given; see `Engine`."""
+class EngineArguments:
+    """The arguments of `Engine` that its parts need."""
 
     first_reserved: int
     processes: Processes
@@ -54,33 +54,35 @@ class Setting:
 
 
 class Parts:
-    """The parts of an engine, each made of those before it. ``clock`` gives the engine's time (ns).
+    """The parts of an engine, in order of dependency. ``clock`` returns the engine's time (ns).
 
-    Who changes something tells `changed`; the status stream has it from there, and so have all that
-    listen, in the order of `_listen`.
+    A part that changes something calls `changed`. That adds the change to the status stream and
+    calls the listeners, in the order of `_listen`.
     """
 
-    def __init__(self, ontology: Ontology, clock: Callable[[], int], given: Setting) -> None:
+    def __init__(
+        self, ontology: Ontology, clock: Callable[[], int], arguments: EngineArguments
+    ) -> None:
         self.ontology = ontology
         self.dictionary = TermDictionary()
         self.failures = 0
-        """Number of failures on the status stream: while it stays, nothing more has failed."""
+        """The number of failures on the status stream. A caller polls it to notice new failures."""
         self._status = StatusStream(clock)
         self.changed = self._status.report
-        self._make_streams(given)
-        self._make_requests(clock, given)
+        self._make_streams(arguments)
+        self._make_requests(clock, arguments)
         self._listen()
 
-    def _make_streams(self, given: Setting) -> None:
-        """What streams and units there are, and what is known of them."""
-        self.known_transformations = Transformations(self.ontology.vocabulary, given.processes)
-        busy_time = None if given.stopwatch is None else BusyTime(given.stopwatch)
-        self.backlog = Backlog(given.turns)
-        """Units whose windows take long, if there are turns for them."""
+    def _make_streams(self, arguments: EngineArguments) -> None:
+        """Create the parts for streams, units and their meaning."""
+        self.known_transformations = Transformations(self.ontology.vocabulary, arguments.processes)
+        busy_time = None if arguments.stopwatch is None else BusyTime(arguments.stopwatch)
+        self.backlog = Backlog(arguments.turns)
+        """The units with windows to close; always empty without turns."""
         self.configuration = Configuration(
-            self.changed, given.first_reserved, busy_time, self.backlog
+            self.changed, arguments.first_reserved, busy_time, self.backlog
         )
-        self.configuration.rules.version = given.rules
+        self.configuration.rules.version = arguments.rules
         self.manager = SemanticsManager(self.ontology, self._subscribers)
         self.configuration.annotations = self.manager.annotations
         self.intake = Intake(self.configuration)
@@ -89,7 +91,11 @@ class Parts:
             self.ontology, self.dictionary, self.configuration, self.changed
         )
         self.rdf = SampleRdf(
-            self.configuration, self.declared, self.manager, self._answered, self._of_query
+            self.configuration,
+            self.declared,
+            self.manager,
+            self._annotation_of_answer,
+            self._query_converter,
         )
         self.transformations = RegisteredTransformations(
             self.ontology,
@@ -107,8 +113,8 @@ class Parts:
             self.changed,
         )
 
-    def _make_requests(self, clock: Callable[[], int], given: Setting) -> None:
-        """What people ask for."""
+    def _make_requests(self, clock: Callable[[], int], arguments: EngineArguments) -> None:
+        """Create the parts for requests, queries, subscriptions, KPL and specifications."""
         self.library = TemplateLibrary(self.ontology)
         space = self.manager.space
         self.plans = Plans(
@@ -118,8 +124,8 @@ class Parts:
             self.configuration,
             space,
             self.changed,
-            given.runner,
-            given.budget,
+            arguments.runner,
+            arguments.budget,
         )
         self.requests = EventRequests(
             self.ontology,
@@ -146,8 +152,8 @@ class Parts:
         )
         self.application = Application(
             self.configuration,
-            given.processes,
-            runner=given.runner,
+            arguments.processes,
+            runner=arguments.runner,
             check_name=self.declared.check_name,
             forget=self.declared.forget_annotation,
         )
@@ -160,7 +166,7 @@ class Parts:
             self.plans,
             space,
             clock,
-            self.subscriptions.adapted,
+            self.subscriptions.adapt,
         )
         self.subscriptions.rematch_with(self.rematching)
         self.specifications = Specifications(
@@ -178,41 +184,45 @@ class Parts:
         )
 
     def _listen(self) -> None:
-        # What the ontology and matching know of a change comes first: who is told next asks them.
+        # The semantics manager first: the other listeners query the ontology and matching, which
+        # have to include the change.
         for listener in (
             self.manager.mirror,
-            self._heard,
-            self.plans.heard,
-            self.rematching.heard,
-            self.specifications.heard,
+            self._on_change,
+            self.plans.on_change,
+            self.rematching.on_change,
+            self.specifications.on_change,
         ):
             self._status.listen(listener)
 
     def restore(self, now: int) -> None:
-        """Take up again what an earlier run was told, as the ontology keeps it."""
+        """Restore the definitions of an earlier run that the ontology stores."""
         self._status.open(self.configuration.add_stream(STATUS, SCHEMA, retention=RETENTION))
         self.transformations.report_all()
         for event, reason in self.library.broken.items():
             self.changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
         self.transformations.restore()
-        self.templates.tell()
+        self.templates.publish()
         self.declared.restore_streams()
         for generator in self.configuration.streams.values():
             self.idleness.note_samples(generator, now)
-        # Policies depend on the annotations of the streams that they read.
+        # KPL restores annotations as its streams start: policies depend on the annotations of
+        # their inputs.
         with self.manager.together():
             self.kpl.restore(self.annotations.restore_one)
-        # Queries read streams that are declared, annotated, specified, and each other's; what is
-        # said of their own streams, and specifications that read these, wait for them.
+        # A query may read declared streams, streams of specifications and those of other queries,
+        # and a specification may read those of queries. So queries are tried before and after
+        # specifications, and annotations of a query's stream wait until the query has started.
         self.annotations.restore(later=self.queries.recall())
         with self.manager.together():
             self.queries.restore(self.annotations.restore_one)
             self.specifications.restore()
             self.queries.restore(self.annotations.restore_one)
-        self.queries.tell_lost()
+        self.queries.report_lost()
 
     def settle(self) -> None:
-        """Carry out what the last change has caused, until nothing more follows."""
+        """Process the consequences of the last change until there are no more: KPL, annotations
+        that units report, rematching."""
         with self.manager.together():
             self.application.settle()
             reports = self.configuration.reports
@@ -221,36 +231,37 @@ class Parts:
             self.rematching.settle()
 
     def collect(self) -> None:
-        """Forget terms that nobody has any more."""
-        # What is half done holds terms that nobody knows of.
+        """Evict terms that have no holder."""
+        # A half-done window uses terms that no holder reports.
         if not self.backlog.is_mid_window:
             self.dictionary.collect()
 
     def count_subscribers(self) -> None:
-        """Mirror how many read each stream."""
+        """Mirror the number of readers of each stream in the ontology."""
         streams = self.configuration.streams.items()
         self.manager.count_subscribers(
             (name, each.subscribers + each.listeners) for name, each in streams
         )
 
-    def _heard(self, change: Change) -> None:
-        """What is remembered of a stream holds no more."""
+    def _on_change(self, change: Change) -> None:
+        """Count failures, and drop caches of a changed stream."""
         self.failures += change.kind in (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
         if change.kind is ChangeKind.STREAM_REMOVED:
             self.intake.forget_keys(change.stream)
         self.rdf.forget(change.stream)
 
     def _subscribers(self, name: str) -> int:
-        """Those within the engine: what is matched does not depend on who looks on."""
+        """The number of subscribers within the engine. Clients do not count, since matching must
+        not depend on them."""
         generator = self.configuration.streams.get(name)
         return 0 if generator is None else generator.subscribers
 
-    def _answered(self, name: str) -> StreamAnnotation | None:
-        """How samples of what the system answers are written as triples."""
+    def _annotation_of_answer(self, name: str) -> StreamAnnotation | None:
+        """The annotation by which the samples of an answer convert to triples."""
         found = self.rematching.of_stream(name)
         if found is None:
             return self.requests.rdf_of(name)
         return found.rdf(self.ontology.vocabulary)
 
-    def _of_query(self, name: str) -> SampleConverter | None:
+    def _query_converter(self, name: str) -> SampleConverter | None:
         return self.queries.converter(name)

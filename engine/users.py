@@ -1,4 +1,4 @@
-"""Who uses a unit: requests, queries, subscriptions and KPL declarations, by name."""
+"""The users of a unit: requests, queries, subscriptions and KPL declarations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .requests.subscriptions import Subscriptions
 
 
 class Users:
-    """Names the users of a unit or a stream, for people to find them."""
+    """Finds the users of a unit or a stream, for messages that name them."""
 
     def __init__(
         self,
@@ -24,8 +24,8 @@ class Users:
         self._kpl = kpl
 
     def __call__(self, unit: str, stream: str) -> tuple[str, ...]:
-        """Those that have ``unit`` at work for them, read ``stream`` as it is, or are answered by
-        it. Either may be empty."""
+        """Return the KPL declarations that run ``unit``, and the requests, queries and
+        subscriptions whose samples are those of ``stream``. Either argument may be empty."""
         answered = (*self._requests.of_stream(stream), *self._queries.of_stream(stream))
         subscribed = self._subscriptions.of_stream(stream)
         views = self._kpl.views() if unit else ()

@@ -1,9 +1,9 @@
-"""What people have asked for that no definition in the ontology keeps: requests, subscriptions,
-queries without a name; and what was accepted once and cannot be done by this program.
+"""The accepted commands that the ontology does not store: requests, subscriptions and unnamed
+queries; and accepted commands that this program cannot execute.
 
-What cannot be done now (a module is missing, another version refuses it) waits under the very id
-that it has had: nothing else gets that id meanwhile, by it people can give it up, and under it the
-next program tries again.
+A command that fails after a restart (a module is missing, another version refuses it) waits under
+the id that it had. Nothing else gets that id meanwhile, users can remove the command by it, and the
+next start tries the command again.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from ..engine import Engine
 from ..model.beginning import Beginning, parse_beginning, start_from_retained
 from ..model.errors import UNKNOWN
 from ..model.views import QueryView
-from ..planning.registrations import Asked as AskedQuery
-from ..planning.registrations import Registration, usual_semantics
+from ..planning.registrations import Registration, Submission, usual_semantics
 from .commands import (
     REFUSALS,
     Annotate,
@@ -35,7 +34,7 @@ from .commands import (
     DeclareStream,
     Describe,
     LoadOntology,
-    ReadAlready,
+    ParsedBody,
     RegisterAnnotatedTransformation,
     RegisterQuery,
     RegisterTemplate,
@@ -48,23 +47,23 @@ from .commands import (
     Subscribe,
     SubscribeToFeature,
     Unsubscribe,
-    done,
-    written,
+    encode_command,
+    execute,
 )
 
 REQUEST, SUBSCRIPTION, QUERY = "request", "subscription", "query"
-"""Kinds of what waits."""
+"""Kinds of keys that have ids of their own."""
 _UNIT = "transformation"
 
 
 class Key(NamedTuple):
-    """What a command makes: its kind, and the id or name by which people give it up."""
+    """The kind of object that a command creates, and the id or name by which users remove it."""
 
     kind: str
     name: str
 
 
-_REMOVED: dict[type[Command], tuple[str, ...]] = {
+_REMOVING: dict[type[Command], tuple[str, ...]] = {
     CancelEvent: (REQUEST,),
     Unsubscribe: (SUBSCRIPTION,),
     RemoveQuery: (QUERY,),
@@ -72,23 +71,24 @@ _REMOVED: dict[type[Command], tuple[str, ...]] = {
     RemoveTransformation: (_UNIT,),
     RemoveTemplate: ("template",),
 }
-"""Commands whose one member is what they remove, and the kinds that it may be of."""
+"""Commands whose only member names an object to remove, and the kinds that it may have."""
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """``command`` was accepted once, for ``times`` users. Unless ``is_waiting`` it is done."""
+class Accepted:
+    """An accepted ``command`` and the number of its users. It was executed unless
+    ``is_waiting``."""
 
     command: Command
     is_waiting: bool
-    times: int = 1
+    users: int = 1
     reason: str = ""
     """Why it waits."""
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
-    """``command``, of ``users`` people, that would make what ``key`` says, and why it does not."""
+class WaitingCommand:
+    """A command that waits, the key of the object that it would create, and why it failed."""
 
     key: Key
     command: Command
@@ -96,162 +96,167 @@ class Waiting:
     users: int
 
 
-class Standing:
-    """The commands whose results have no name by which the ontology would keep them, and those
-    that wait; oldest first."""
+class AcceptedCommands:
+    """Accepted commands whose results the ontology does not store, and waiting commands; oldest
+    first."""
 
     def __init__(self) -> None:
-        self._asked: dict[Key, Asked] = {}
+        self._accepted: dict[Key, Accepted] = {}
         self._waiting: dict[Key, None] = {}
 
-    def all(self) -> Iterator[tuple[Key, Asked]]:
-        """What is done, and what waits, in the order in which it was accepted."""
-        yield from self._asked.items()
+    def all(self) -> Iterator[tuple[Key, Accepted]]:
+        """Iterate over executed and waiting commands in the order of acceptance."""
+        yield from self._accepted.items()
 
     def waiting(self) -> Iterator[tuple[Key, Command]]:
-        """What was accepted and could not be done again."""
-        return ((key, self._asked[key].command) for key in self._waiting)
+        """Iterate over the waiting commands."""
+        return ((key, self._accepted[key].command) for key in self._waiting)
 
-    def waiting_views(self) -> tuple[Waiting, ...]:
-        """The same, for people."""
-        asked = ((key, self._asked[key]) for key in self._waiting)
-        return tuple(Waiting(key, one.command, one.reason, one.times) for key, one in asked)
+    def waiting_views(self) -> tuple[WaitingCommand, ...]:
+        """The waiting commands with their reasons, for users."""
+        accepted = ((key, self._accepted[key]) for key in self._waiting)
+        return tuple(
+            WaitingCommand(key, one.command, one.reason, one.users) for key, one in accepted
+        )
 
-    def do(self, engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
-        """Do ``command``, see `commands.done`; what is to be removed may be waiting."""
+    def do(self, engine: Engine, command: Command, parsed: ParsedBody | None = None) -> Any:
+        """Execute ``command`` (`commands.execute`). Where it removes an object that the engine does
+        not know, remove the waiting command of that name."""
         try:
-            return done(engine, command, known)
+            return execute(engine, command, parsed)
         except UNKNOWN:
-            if not self.give_up(command):
+            if not self.remove_waiting(command):
                 raise
             return None
 
-    def note(self, command: Command, found: Any) -> None:
-        """``command`` was done, and gave ``found``."""
+    def record(self, command: Command, result: Any) -> None:
+        """Record that ``command`` was executed with the ``result``."""
         match command:
             case RequestEvent():
-                self._done(Key(REQUEST, found.id), command)
+                self._add_executed(Key(REQUEST, result.id), command)
             case Subscribe() | SubscribeToFeature():
-                self._done(Key(SUBSCRIPTION, found.id), command)
+                self._add_executed(Key(SUBSCRIPTION, result.id), command)
             case CancelEvent(id=id):
-                self._ended(Key(REQUEST, id))
+                self._remove_executed(Key(REQUEST, id))
             case Unsubscribe(id=id):
-                self._ended(Key(SUBSCRIPTION, id))
+                self._remove_executed(Key(SUBSCRIPTION, id))
             case RegisterQuery():
-                self._done(Key(QUERY, found.name), command)
+                self._add_executed(Key(QUERY, result.name), command)
             case RemoveQuery(name=name):
-                self._ended(Key(QUERY, name))
+                self._remove_executed(Key(QUERY, name))
             case _ if self._waiting:
-                # What was said anew counts, and of what was taken back nothing comes again.
-                for key in (*_defines(command), *self._removed(command)):
-                    self._forget(key)
+                # A new definition replaces a waiting one, and a removal cancels it.
+                for key in (*_defined_keys(command), *self._waiting_keys(command)):
+                    self._discard(key)
 
-    def expected(self, command: Command, engine: Engine) -> Key | None:
-        """What ``command`` is going to make, before it is done; None: nothing with an id."""
+    def expected_key(self, command: Command, engine: Engine) -> Key | None:
+        """The key of the object that ``command`` will create; None: one without an id."""
         match command:
             case RequestEvent():
                 return Key(REQUEST, engine.next_ids[0])
             case Subscribe() | SubscribeToFeature():
                 return Key(SUBSCRIPTION, engine.next_ids[1])
             case RegisterQuery(text=text, name=name):
-                # The same one again, without a name, was one with a user more.
-                meant = _unnamed(command)
-                same = (key for key, other in self.waiting() if _unnamed(other) == meant)
+                # Registering an equal unnamed query again adds a user to the same query.
+                meant = _without_name(command)
+                same = (key for key, other in self.waiting() if _without_name(other) == meant)
                 return next(same, None) or Key(QUERY, engine.queries.name_for(text, name))
             case _:
                 return None
 
-    def wait(self, command: Command, key: Key | None, engine: Engine, error: Exception) -> str:
-        """``command`` was accepted by an earlier run and is refused now: it waits as ``key``, see
-        `expected`, which is given to nothing else. The reason is told, and given."""
+    def add_waiting(
+        self, command: Command, key: Key | None, engine: Engine, error: Exception
+    ) -> str:
+        """Let ``command``, which an earlier run accepted and this one refuses, wait under ``key``
+        (`expected_key`). Reserves the id of ``key``; reports the reason and returns it."""
         if key is None:
-            for own, part in _parts(command):
-                self._wait(own, part, str(error))
+            for own_key, part in _split(command):
+                self._put_waiting(own_key, part, str(error))
             reason = f"{error}\n{command}"
         else:
             engine.skip_id(key.name)
-            self._wait(key, command, str(error))
+            self._put_waiting(key, command, str(error))
             reason = f"{key.kind} {key.name}: {error}\n{command}"
-        engine.tell_not_restored(reason)
+        engine.report_not_restored(reason)
         return reason
 
-    def again(self, command: Command, engine: Engine) -> str | None:
-        """Do what an earlier run has accepted; where that is refused now it waits, and the reason
-        is told."""
-        key = self.expected(command, engine)
+    def replay(self, command: Command, engine: Engine) -> str | None:
+        """Execute a command that an earlier run accepted. If it is refused now, let it wait and
+        return the reason."""
+        key = self.expected_key(command, engine)
         try:
-            self.note(command, _done_again(command, engine))
+            self.record(command, _execute_again(command, engine))
         except REFUSALS as error:
-            return self.wait(command, key, engine, error)
+            return self.add_waiting(command, key, engine, error)
         return None
 
-    def give_up(self, command: Command) -> bool:
-        """Do ``command``, by which something is removed that the engine does not know: it waits.
-        Whether it did."""
-        keys = self._removed(command)
+    def remove_waiting(self, command: Command) -> bool:
+        """Remove the waiting commands that ``command`` names, or one of their users; return whether
+        there was one."""
+        keys = self._waiting_keys(command)
         for key in keys:
-            asked = self._asked[key]
-            if asked.times > 1:
-                self._asked[key] = replace(asked, times=asked.times - 1)
+            accepted = self._accepted[key]
+            if accepted.users > 1:
+                self._accepted[key] = replace(accepted, users=accepted.users - 1)
             else:
-                self._forget(key)
+                self._discard(key)
         return bool(keys)
 
-    def _done(self, key: Key, command: Command) -> None:
-        known = self._asked.get(key)
-        if known is None or known.is_waiting:
-            self._asked[key] = Asked(command, is_waiting=False)
+    def _add_executed(self, key: Key, command: Command) -> None:
+        accepted = self._accepted.get(key)
+        if accepted is None or accepted.is_waiting:
+            self._accepted[key] = Accepted(command, is_waiting=False)
             self._waiting.pop(key, None)
 
-    def _wait(self, key: Key, command: Command, reason: str) -> None:
-        known = self._asked.get(key)
-        is_shared = key.kind == QUERY and known is not None and known.is_waiting
-        times = known.times + 1 if known is not None and is_shared else 1
-        self._asked[key] = Asked(command, True, times, reason)
+    def _put_waiting(self, key: Key, command: Command, reason: str) -> None:
+        accepted = self._accepted.get(key)
+        is_shared = key.kind == QUERY and accepted is not None and accepted.is_waiting
+        users = accepted.users + 1 if accepted is not None and is_shared else 1
+        self._accepted[key] = Accepted(command, True, users, reason)
         self._waiting[key] = None
 
-    def _ended(self, key: Key) -> None:
-        """It was removed from the engine: what waits is not what was there."""
+    def _remove_executed(self, key: Key) -> None:
+        """Remove an executed command. A waiting one of this key never ran, so it stays."""
         if key not in self._waiting:
-            self._asked.pop(key, None)
+            self._accepted.pop(key, None)
 
-    def _forget(self, key: Key) -> None:
-        self._asked.pop(key, None)
+    def _discard(self, key: Key) -> None:
+        self._accepted.pop(key, None)
         self._waiting.pop(key, None)
 
-    def _removed(self, command: Command) -> tuple[Key, ...]:
-        """What of that which waits ``command`` removes."""
-        kinds = _REMOVED.get(type(command), ())
+    def _waiting_keys(self, command: Command) -> tuple[Key, ...]:
+        """The keys of the waiting commands that ``command`` removes."""
+        kinds = _REMOVING.get(type(command), ())
         if not kinds:
             return ()
         name = next(iter(msgspec.structs.astuple(command)))
         return tuple(key for key in self._waiting if key.kind in kinds and name in _spellings(key))
 
 
-def _done_again(command: Command, engine: Engine) -> Any:
-    """What ``command`` gives. One that begins at a moment of which its streams have forgotten a
-    part since begins with what they keep."""
+def _execute_again(command: Command, engine: Engine) -> Any:
+    """Execute ``command`` and return its result. If its streams have evicted samples after the
+    moment at which it begins, it begins with the oldest samples that they keep."""
     match command:
         case RequestEvent() | Subscribe() | SubscribeToFeature() | RegisterQuery():
 
-            def begun(since: Beginning) -> Any:
+            def begin_at(since: Beginning) -> Any:
                 return msgspec.structs.replace(command, since=str(since)).apply(engine)
 
-            return start_from_retained(parse_beginning(command.since), begun)
+            return start_from_retained(parse_beginning(command.since), begin_at)
         case _:
             return command.apply(engine)
 
 
-def _unnamed(command: Command) -> Command:
-    """The command as it was asked for: which name is free is no part of that."""
+def _without_name(command: Command) -> Command:
+    """The command without the name that the engine chose, so that equal requests compare equal."""
     if isinstance(command, RegisterQuery) and command.name:
         return msgspec.structs.replace(command, name="")
     return command
 
 
-def query_view(waiting: Waiting) -> QueryView:
-    """A query that waits, as it was asked for; of a text that is not understood any more there is
-    less to say."""
+def query_view(waiting: WaitingCommand) -> QueryView:
+    """The view of a waiting query. If this program cannot parse its text, kind and form are
+    empty."""
     command = waiting.command
     assert isinstance(command, RegisterQuery)
     try:
@@ -261,24 +266,26 @@ def query_view(waiting: Waiting) -> QueryView:
     dialect = Dialect.C_SPARQL if query is None else query.dialect
     semantics = command.semantics or usual_semantics(dialect)
     options = Options(semantics, command.bounds, command.origin, command.report)
-    asked = AskedQuery(
+    submission = Submission(
         command.text.strip(), options, command.strategy, parse_beginning(command.since)
     )
     registration = (
-        Registration(0, asked, "", "", "") if query is None else Registration.of(0, asked, query)
+        Registration(0, submission, "", "", "")
+        if query is None
+        else Registration.of(0, submission, query)
     )
     return registration.view(waiting.key.name, "waiting", waiting.reason, waiting.users)
 
 
 def _spellings(key: Key) -> Iterable[str]:
-    """How people may write the name."""
+    """The spellings of the name that users may write."""
     if key.kind == "template":
         return key.name, shorten(key.name), local_name(key.name)
     return (key.name,)
 
 
-def _defines(command: Command) -> tuple[Key, ...]:
-    """What people say there is to be, by the names under which they take it back."""
+def _defined_keys(command: Command) -> tuple[Key, ...]:
+    """The keys of the objects that ``command`` defines; empty for a text with errors."""
     match command:
         case DeclareStream(declaration=declaration):
             return (Key("stream", declaration.name),)
@@ -290,13 +297,13 @@ def _defines(command: Command) -> tuple[Key, ...]:
             return tuple(Key("annotation", each.stream) for each in described)
         case _:
             try:
-                return _read(command)
+                return _keys_in_text(command)
             except LanguageError:
                 return ()
 
 
-def _read(command: Command) -> tuple[Key, ...]:
-    """The same of a text; raises `LanguageError` for one that this program does not understand."""
+def _keys_in_text(command: Command) -> tuple[Key, ...]:
+    """The keys of the objects that a text defines. Raises `LanguageError`."""
     match command:
         case RegisterTemplate(text=text):
             return (Key("template", parse_template(text).name),)
@@ -309,9 +316,10 @@ def _read(command: Command) -> tuple[Key, ...]:
             return ()
 
 
-def _parts(command: Command) -> Iterator[tuple[Key, Command]]:
-    """The commands that make one thing each, of which ``command`` is made."""
-    keys = _defines(command)
+def _split(command: Command) -> Iterator[tuple[Key, Command]]:
+    """Split ``command`` into commands that each define one object, so that users can remove each
+    by its name."""
+    keys = _defined_keys(command)
     match command:
         case RegisterTransformations(described=described):
             for key, unit in zip(keys, described, strict=True):
@@ -322,6 +330,6 @@ def _parts(command: Command) -> Iterator[tuple[Key, Command]]:
         case _ if len(keys) == 1:
             yield keys[0], command
         case _:
-            # Nothing takes it back; said twice it is the same.
-            digest = hashlib.blake2b(written(command), digest_size=8).hexdigest()
+            # No command removes it. The digest makes equal commands one.
+            digest = hashlib.blake2b(encode_command(command), digest_size=8).hexdigest()
             yield Key("command", digest), command

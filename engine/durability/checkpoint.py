@@ -1,9 +1,8 @@
-"""The whole state of an engine as bytes, and an engine out of them
-(docs/explanation/design/0007-the-journal.md).
+"""Pickle the state of an engine, and unpickle it (docs/explanation/design/0007-the-journal.md).
 
-An engine is a graph of objects; this is its pickle, with what pickle cannot do by itself: functions
-within functions, compiled loops, stores, locks. It is for the very program that wrote it: who keeps
-a checkpoint keeps `program` beside it, and reads none of another.
+An engine is a graph of objects. This module adds the objects that pickle cannot handle: nested
+functions, compiled loops, stores. Only the program that wrote a pickle may read it: a checkpoint
+contains `program`, and recovery compares it first.
 """
 
 from __future__ import annotations
@@ -37,24 +36,24 @@ from ..processes.registry import Processes
 from ..processes.supervision import Instance, Runner
 from ..units.backlog import Turns
 from ..units.work_time import Stopwatch
-from .process_state import REMEMBERING, Unkept, kept_of
+from .process_state import STATEFUL, Unkept, picklable_attributes
 
 T = TypeVar("T")
 
 _ROOT = Path(__file__).parents[2]
-_DEEP = 100_000
-"""Frames: units that read each other's streams are a chain of objects as long as their chain."""
+_MAX_FRAMES = 100_000
+"""Frames of recursion: pickle recurses along chains of units that read each other's streams."""
 _STACK = 512 << 20
 _PICKLED = ("msgspec", "numba", "numpy", "pyoxigraph")
-"""Packages whose objects are in a state, or whose versions decide what comes of it."""
+"""Packages whose objects are in a state, or whose versions affect results."""
 _DATACLASS_STATE: Final = getattr(dataclasses, "_dataclass_getstate", None)
 _COMPILED = type(importlib.import_module("numba").njit(lambda: None))
 
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """What an engine works with that is no part of its state: the program's own, made anew with
-    each process."""
+    """The objects that an engine uses and that are not part of its state: each operating-system
+    process creates them anew."""
 
     processes: Processes
     runner: Runner
@@ -62,65 +61,64 @@ class Outside:
     budget: Budget = UNLIMITED
     turns: Turns | None = None
 
-    def given(self) -> dict[str, Any]:
-        """By the names of `Engine`'s arguments."""
+    def arguments(self) -> dict[str, Any]:
+        """They as keyword arguments of `Engine`."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
-    def named(self) -> dict[str, object]:
-        """All of it by the names under which a state speaks of it, user-written code included:
-        where that is defined is no matter of the state."""
-        found = {name: value for name, value in self.given().items() if value is not None}
+    def by_name(self) -> dict[str, object]:
+        """They and user-written code, by the names that a pickle has for them. A pickle refers to
+        user-written code by the name of its process, not by its module."""
+        names = {name: value for name, value in self.arguments().items() if value is not None}
         for each in self.processes.all():
-            found[f"process {each.name}"] = each
-            found[f"code of {each.name}"] = each.code
-        return found
+            names[f"process {each.name}"] = each
+            names[f"code of {each.name}"] = each.code
+        return names
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The bytes of a state, and what could not be written of it."""
+    """The pickle of a state, and the process states that it lacks."""
 
     data: bytes
     unkept: tuple[Unkept, ...]
 
 
 class CheckpointError(Exception):
-    """The state cannot be written, or not be read by this program."""
+    """The state cannot be pickled, or this program cannot unpickle it."""
 
 
 def program(processes: Processes | None = None) -> str:
-    """What a checkpoint is for: this version of the program and of Python, by its very text, with
-    these user-written processes, by the texts of their modules, and of what is loaded of the
-    packages that these are in.
+    """Identify the program that can read a checkpoint: version, Python, and digests of its source
+    and of the modules of user-written processes, with the loaded modules of their packages.
 
-    Contract: called when the modules have been loaded, and soon: it reads their files.
+    Contract: call it soon after the modules were loaded, since it reads their files.
     """
-    known = () if processes is None else processes.all()
-    if not known:
+    loaded = () if processes is None else processes.all()
+    if not loaded:
         return _program()
-    digest = hashlib.sha256(repr(sorted(each.name for each in known)).encode())
-    for name, text in sorted(_modules(each.code for each in known).items()):
+    digest = hashlib.sha256(repr(sorted(each.name for each in loaded)).encode())
+    for name, text in sorted(_modules(each.code for each in loaded).items()):
         digest.update(f"\0{name}\0".encode() + text)
     return f"{_program()}, processes {digest.hexdigest()[:16]}"
 
 
 def _modules(codes: Iterable[Any]) -> dict[str, bytes]:
-    """The text of each module of user-written code, by its name; of code that has none, what it is
-    compiled to."""
-    found = {}
+    """The source of each module of user-written code, by name; the byte code where there is no
+    source file."""
+    sources = {}
     for code in codes:
         package = code.__module__.partition(".")[0]
         for name, module in tuple(sys.modules.items()):
             if name.partition(".")[0] == package:
                 path = getattr(module, "__file__", None)
                 if path is not None and Path(path).is_file():
-                    found[name] = Path(path).read_bytes()
-        if code.__module__ not in found:
+                    sources[name] = Path(path).read_bytes()
+        if code.__module__ not in sources:
             compiled = getattr(code, "__code__", None)
-            found[f"{code.__module__}.{code.__qualname__}"] = (
+            sources[f"{code.__module__}.{code.__qualname__}"] = (
                 b"" if compiled is None else marshal.dumps(compiled)
             )
-    return found
+    return sources
 
 
 @cache
@@ -140,49 +138,47 @@ def _program() -> str:
 
 
 def state_of(engine: Engine, more: object, outside: Outside) -> State:
-    """The state of ``engine``, and ``more`` that belongs to it. What is ``outside``, with which the
-    engine was made, stays there. What user-written processes remember and cannot be written is left
-    out, and told.
+    """Pickle ``engine`` together with ``more``. Objects in ``outside`` are pickled as their names.
+    States of user-written processes that cannot be pickled are left out and reported in `State`.
 
-    Raises `CheckpointError` where something else cannot be written.
+    Raises `CheckpointError` where another object cannot be pickled.
     """
-    names = {id(value): name for name, value in outside.named().items()}
+    names = {id(value): name for name, value in outside.by_name().items()}
     try:
         try:
-            return _written((engine, more), names, None)
+            return _pickled((engine, more), names, None)
         except Exception:  # noqa: BLE001  user code may be in it, and raise anything
-            # Whose fault it is is looked for only where there is one: that costs as much again.
-            return _written((engine, more), names, [])
+            # Testing each process state costs as much again, so it happens only after an error.
+            return _pickled((engine, more), names, [])
     except Exception as error:
-        told = f"{type(error).__name__}: {error}"
-        raise CheckpointError(f"the state cannot be written: {told}") from error
+        reason = f"{type(error).__name__}: {error}"
+        raise CheckpointError(f"the state cannot be written: {reason}") from error
 
 
-def _written(graph: object, names: dict[int, str], unkept: list[Unkept] | None) -> State:
+def _pickled(graph: object, names: dict[int, str], unkept: list[Unkept] | None) -> State:
     target = io.BytesIO()
     writer = _Writer(target, names, unkept)
     with gc_paused():
-        _deep(lambda: writer.dump(graph))
+        _run_deep(lambda: writer.dump(graph))
     return State(target.getvalue(), tuple(unkept or ()))
 
 
 def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
-    """The engine that had ``state``, and what came with it. Contract: this very program has written
-    it; a pickle may do anything.
+    """Unpickle an engine and the object that `state_of` got with it. Contract: this program wrote
+    ``state``; unpickling executes code.
 
-    Raises `CheckpointError` for what cannot be read.
+    Raises `CheckpointError`.
     """
     try:
         with gc_paused():
-            engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
-    except Exception as error:  # a pickle that is not whole may raise whatever it names
+            engine, more = _run_deep(lambda: _Reader(io.BytesIO(state), outside).load())
+    except Exception as error:  # a truncated pickle may raise any error
         raise CheckpointError(f"the state cannot be read: {error}") from error
     return engine, more
 
 
 class _Writer(pickle.Pickler):
-    """``unkept``: what of user-written processes cannot be written is left out, and told there;
-    None: that raises."""
+    """``unkept`` gets the process states that cannot be pickled; if it is None, they raise."""
 
     def __init__(
         self, target: io.BytesIO, outside: dict[int, str], unkept: list[Unkept] | None
@@ -190,21 +186,22 @@ class _Writer(pickle.Pickler):
         super().__init__(target, protocol=5)
         self._outside = outside
         self._unkept = unkept
-        self._forgotten: set[int] = set()
-        """Instances that are left out, by their ids: they are there as long as this is."""
+        self._left_out: set[int] = set()
+        """``id`` of the instances that are left out. They live longer than the pickler, so no id
+        is used again."""
 
     def reducer_override(self, value: Any) -> Any:
-        # Not as a `persistent_id`, for which every number and text would be asked.
+        # Not `persistent_id`: pickle calls it for every number and text, too.
         name = self._outside.get(id(value))
         if name is not None:
             return _outside, (name,)
-        if self._unkept is not None and isinstance(value, REMEMBERING):
-            kept, unkept = kept_of(value, self._why_not)
+        if self._unkept is not None and isinstance(value, STATEFUL):
+            kept, unkept = picklable_attributes(value, self._pickling_error)
             if unkept:
                 self._unkept += unkept
-                self._forgotten.add(id(kept.get("_instance")))
+                self._left_out.add(id(kept.get("_instance")))
             return copyreg.__newobj__, (type(value),), kept  # type: ignore[attr-defined]
-        if type(value) is Instance and id(value) in self._forgotten:
+        if type(value) is Instance and id(value) in self._left_out:
             return Instance, (value.make,)
         reduce = _REDUCERS.get(type(value))
         if reduce is not None:
@@ -212,14 +209,14 @@ class _Writer(pickle.Pickler):
         names = _slots(type(value))
         if names is None:
             return NotImplemented
-        # As dataclasses do it, which look up the names of the fields for each value.
+        # Same as the dataclass's own __getstate__, which looks up its fields for each value.
         return copyreg.__newobj__, (type(value),), [getattr(value, name) for name in names]  # type: ignore[attr-defined]
 
-    def _why_not(self, value: object) -> Exception | None:
-        """Why ``value`` cannot be written; None: it can."""
+    def _pickling_error(self, value: object) -> Exception | None:
+        """The error of pickling ``value``; None: there is none."""
         try:
             _Writer(io.BytesIO(), self._outside, None).dump(value)
-        except Exception as error:  # noqa: BLE001  user code, and there is something to tell
+        except Exception as error:  # noqa: BLE001  user code; the error is reported
             return error
         return None
 
@@ -227,7 +224,7 @@ class _Writer(pickle.Pickler):
 class _Reader(pickle.Unpickler):
     def __init__(self, source: io.BytesIO, outside: Outside) -> None:
         super().__init__(source)
-        self._outside: dict[str, object] = {**outside.given(), **outside.named()}
+        self._outside: dict[str, object] = {**outside.arguments(), **outside.by_name()}
 
     def find_class(self, module: str, name: str) -> Any:
         if module == __name__ and name == _outside.__name__:
@@ -242,12 +239,13 @@ class _Reader(pickle.Unpickler):
 
 
 def _outside(name: str) -> object:
-    """What is outside of a state and has this ``name``: `_Reader` knows it, and calls another."""
+    """Stand for the object of `Outside` with this name; `_Reader.find_class` replaces this
+    function."""
     raise CheckpointError(f"{name} is outside")
 
 
 def _slots(kind: type) -> tuple[str, ...] | None:
-    """The fields of a frozen dataclass with slots, whose state they are; None of others."""
+    """The fields of a frozen dataclass with slots; None for other classes."""
     if getattr(kind, "__getstate__", None) is not _DATACLASS_STATE:
         return None
     usual = ("__reduce__", "__reduce_ex__")
@@ -262,15 +260,16 @@ _SLOTS: Final[WeakKeyDictionary[type, tuple[str, ...]]] = WeakKeyDictionary()
 
 
 def _reduce_function(value: FunctionType) -> Any:
-    """A function within a function, or without a name: its place in the source, and its cells."""
+    """Reduce a nested function or lambda to its place in the source and its cells. Pickle handles
+    the others by name."""
     if "<" not in value.__qualname__:
         return NotImplemented
     code = value.__code__
     places = _codes(value.__module__)[code.co_qualname]
     cells = value.__closure__ or ()
     state = (value.__defaults__, value.__kwdefaults__, value.__dict__)
-    made = (value.__module__, code.co_qualname, places.index(code), cells)
-    return _function, made, state, None, None, _set_function
+    arguments = (value.__module__, code.co_qualname, places.index(code), cells)
+    return _function, arguments, state, None, None, _set_function
 
 
 def _function(module: str, name: str, place: int, cells: tuple[CellType, ...]) -> FunctionType:
@@ -286,13 +285,13 @@ def _set_function(value: FunctionType, state: tuple[Any, Any, dict[str, Any]]) -
 
 @cache
 def _codes(module: str) -> dict[str, list[CodeType]]:
-    """The code of every function in a module, by its qualified name, in order of the source."""
+    """The code objects of a module's functions by qualified name, in order of the source."""
     spec = importlib.util.find_spec(module)
     code = None if spec is None else spec.loader.get_code(module)  # type: ignore[union-attr]
-    found: dict[str, list[CodeType]] = {}
+    codes: dict[str, list[CodeType]] = {}
     for each in () if code is None else _within(code):
-        found.setdefault(each.co_qualname, []).append(each)
-    return found
+        codes.setdefault(each.co_qualname, []).append(each)
+    return codes
 
 
 def _within(code: CodeType) -> Iterator[CodeType]:
@@ -303,8 +302,8 @@ def _within(code: CodeType) -> Iterator[CodeType]:
 
 
 def _reduce_cell(value: CellType) -> Any:
-    # Filled when it is there already: a function may be within its own cell. In a tuple, since
-    # None would mean that there is nothing to fill it with.
+    # The contents are set as state, after creation: a function may be in its own cell. They are in
+    # a tuple, since pickle skips a state of None.
     try:
         return _cell, (), (value.cell_contents,), None, None, _set_cell
     except ValueError:
@@ -328,13 +327,13 @@ def _reduce_store(value: Store) -> Any:
 
 
 def _reduce_array(value: np.ndarray[Any, Any]) -> Any:
-    """A part of another array stays a part of it: who writes into the one writes into the other."""
+    """Reduce a view of an array to its base and offset, so that both still share their memory."""
     whole = value.base
     if type(whole) is not np.ndarray or not whole.flags.c_contiguous:
         return NotImplemented
     if not value.size or value.dtype.hasobject:
         return NotImplemented
-    # Of a dimension of one the stride says nothing, and may be any.
+    # numpy leaves the stride of a dimension of length 1 undefined.
     strides = tuple(
         stride if count > 1 else value.itemsize
         for stride, count in zip(value.strides, value.shape, strict=True)
@@ -372,19 +371,19 @@ _REDUCERS: dict[type, Callable[[Any], Any]] = {
 }
 
 
-def _deep(work: Callable[[], T]) -> T:
-    """``work`` with room for deep recursion, on a thread that ends with it."""
-    found: list[T] = []
-    failed: list[Exception] = []
+def _run_deep(work: Callable[[], T]) -> T:
+    """Run ``work`` on a thread with a large stack and a high recursion limit."""
+    results: list[T] = []
+    errors: list[Exception] = []
 
     def run() -> None:
         try:
-            found.append(work())
-        except Exception as error:  # noqa: BLE001  raised again where it is waited for
-            failed.append(error)
+            results.append(work())
+        except Exception as error:  # noqa: BLE001  raised again in the calling thread
+            errors.append(error)
 
     limit, stack = sys.getrecursionlimit(), threading.stack_size(_STACK)
-    sys.setrecursionlimit(max(limit, _DEEP))
+    sys.setrecursionlimit(max(limit, _MAX_FRAMES))
     try:
         thread = threading.Thread(target=run, name="dyknow-checkpoint")
         thread.start()
@@ -392,6 +391,6 @@ def _deep(work: Callable[[], T]) -> T:
     finally:
         sys.setrecursionlimit(limit)
         threading.stack_size(stack)
-    if failed:
-        raise failed[0]
-    return found[0]
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -1,12 +1,12 @@
-"""What can be done to an engine, as values: each can be written down, and done again.
+"""The changes of an engine, as values that the journal stores and replays.
 
-An engine is a function of its commands: the same ones in the same order make the same streams with
-the same samples under the same numbers, in another process, too. That is what the journal rests on
-(docs/explanation/design/0007-the-journal.md). So a command holds all that it depends on, time
-included, in the forms in which people say it: texts, and batches as they came.
+An engine is a function of its commands: the same commands in the same order make the same streams
+with the same samples and numbers, in another process too. The journal relies on this
+(docs/explanation/design/0007-the-journal.md). A command therefore contains everything that its
+effect depends on, time included, as clients sent it: texts, and batches as bytes.
 
-The written form (MessagePack, a map with the member ``do``) is a promise: members are added with
-defaults, and never change their meaning. tests/cases/journal has one of each.
+The written form (MessagePack, a map with the member ``do``) is a promise: new members have
+defaults, and no member changes its meaning. tests/cases/journal has one of each.
 """
 
 from __future__ import annotations
@@ -67,20 +67,22 @@ REFUSALS = (
     Forgotten,
     ValueError,
 )
-"""What commands raise that are refused: nothing was done then that was asked for."""
+"""Errors of a refused command: it has changed nothing that the client asked for."""
 
 
 class Command(
     msgspec.Struct, frozen=True, tag_field="do", omit_defaults=True, forbid_unknown_fields=True
 ):
-    """Something to do. `apply` raises what the engine does; then nothing was done."""
+    """A change of the engine. `apply` raises the errors of the engine's method, and changes nothing
+    then."""
 
     def apply(self, engine: Engine) -> Any:
         raise NotImplementedError
 
 
 class Tick(Command, frozen=True, tag="tick"):
-    """The time is ``now`` (ns). ``readings``: what sources said, once it is done."""
+    """Advance the time to ``now`` (ns). ``readings``: the results of sources, recorded for
+    replay."""
 
     now: int
     readings: tuple[Reading, ...] = ()
@@ -90,7 +92,7 @@ class Tick(Command, frozen=True, tag="tick"):
 
 
 class Publish(Command, frozen=True, tag="publish"):
-    """A batch for a stream, as it came at ``now`` (ns)."""
+    """Publish a batch that arrived at ``now`` (ns)."""
 
     stream: str
     kind: BatchKind
@@ -103,14 +105,14 @@ class Publish(Command, frozen=True, tag="publish"):
         return self.apply_decoded(engine, self.decode(engine))
 
     def is_large(self, most: int) -> bool:
-        """Whether it is more than so many bytes, once it is decompressed."""
+        """Whether the body has more than ``most`` bytes, decompressed."""
         if len(self.body) > most:
             return True
         return self.kind == "arrow" and declares_more(self.body, most)
 
     def decode(self, engine: Engine, limits: BatchLimits | None = None) -> Incoming:
-        """The batch, by the fields that the stream has now. Raises `WireError`, also for more than
-        ``limits``: what is done again has none, for it was taken."""
+        """Decode the batch by the present fields of the stream. Raises `WireError`, also for a
+        batch beyond ``limits``. A replay passes no limits, since the batch was accepted."""
         generator = engine.accepting(self.stream)
         return self._decode(generator.schema, generator.stream.pools, limits)
 
@@ -137,8 +139,7 @@ class Publish(Command, frozen=True, tag="publish"):
         """Raise `AheadOfClock` where a sample is stamped further ahead of the clock, ``now``, than
         its stream allows (SPEC §5, "Time of windows").
 
-        Contract: called once for what comes from outside, before it is done, and never for what is
-        done again.
+        Contract: call it once for a batch from a client, before execution, and never in a replay.
         """
         generator = engine.accepting(self.stream)
         if incoming.stamped or engine.intake.is_used(self.stream, self.key):
@@ -161,18 +162,18 @@ class Publish(Command, frozen=True, tag="publish"):
         )
 
     def apply_decoded(self, engine: Engine, incoming: Incoming) -> int:
-        """`apply`, for who has decoded it already."""
-        # Only what comes under a key is ever compared.
+        """`apply` with the decoded batch."""
+        # Only batches with a key are compared with earlier ones, so the others need no digest.
         digest = b"" if self.key is None else hashlib.blake2b(self.body, digest_size=16).digest()
         return engine.publish(self.stream, incoming, self.now, self.key, digest)
 
 
 class Begin(Command, frozen=True, tag="begin"):
-    """The life of an engine begins at ``now`` (ns), by a ``program``. The first of all commands.
+    """Begin a new ``epoch`` at ``now`` (ns), written by ``program``. The first command of a log.
 
-    Of its ``epoch`` the ids of events are. ``processes``: the modules of the user-written ones
-    that the program has, by their names. ``rules`` (`Rules.version`) are those of the commands that
-    follow; programs that wrote none had the first ones.
+    Ids of events contain ``epoch``. ``processes``: the modules of user-written processes, by name
+    of the process. ``rules`` (`Rules.version`) hold for the commands that follow; early programs
+    wrote none and had the first rules.
     """
 
     epoch: str
@@ -187,20 +188,20 @@ class Begin(Command, frozen=True, tag="begin"):
 
 
 class Refused(Command, frozen=True, tag="refused"):
-    """A command that was refused when it was given: it may have left a number used, or stopped a
-    query that did not hold any more."""
+    """A command that was refused. The journal keeps it because it may have used up a number, or
+    stopped a query that was no longer valid."""
 
     command: bytes
 
     def apply(self, engine: Engine) -> None:
         try:
-            read(self.command).apply(engine)
+            decode_command(self.command).apply(engine)
         except REFUSALS:
             return
 
 
 class WorkBacklog(Command, frozen=True, tag="go on"):
-    """Close the windows of the backlog that were ``done``."""
+    """Close the windows and take the parts that ``done`` records (`Backlog.work`)."""
 
     done: tuple[TurnRecord, ...] = ()
 
@@ -208,25 +209,25 @@ class WorkBacklog(Command, frozen=True, tag="go on"):
         engine.replay_turns(self.done)
 
 
-class HearOfSinks(Command, frozen=True, tag="sinks"):
-    """What went wrong in sinks that were called by the commands before it, when these were done
-    first: sinks are not called again."""
+class ReportSinkFailures(Command, frozen=True, tag="sinks"):
+    """Report failures of sinks that earlier commands called. A replay does not call sinks, so the
+    journal stores their failures."""
 
     outcomes: tuple[Outcome, ...]
 
     def apply(self, engine: Engine) -> None:
-        engine.hear_of_sinks(self.outcomes)
+        engine.report_sink_failures(self.outcomes)
 
 
-class TellUnkept(Command, frozen=True, tag="unkept"):
-    """What ``process`` remembers is in no checkpoint, for this ``reason``: those who look on are
-    told."""
+class ReportUnkept(Command, frozen=True, tag="unkept"):
+    """Report on the status stream that checkpoints lack the state of ``process``, with the
+    ``reason``."""
 
     process: str
     reason: str
 
     def apply(self, engine: Engine) -> None:
-        engine.tell_unkept(self.process, self.reason)
+        engine.report_unkept(self.process, self.reason)
 
 
 class EndStream(Command, frozen=True, tag="end stream"):
@@ -251,7 +252,7 @@ class RemoveStream(Command, frozen=True, tag="remove stream"):
 
 
 class OpenStream(Command, frozen=True, tag="open stream"):
-    """Somebody asked for a stream that is there from then on: late samples, violations."""
+    """Create a stream that exists from the first request for it: late samples, violations."""
 
     stream: str
 
@@ -298,7 +299,7 @@ class RemoveTemplate(Command, frozen=True, tag="remove template"):
 
 
 class RequestEvent(Command, frozen=True, tag="request event"):
-    """By its ``text``; or by its name and arguments, each as text."""
+    """Request an event by its ``text``, or by its name and the texts of its arguments."""
 
     text: str | None = None
     event: str = ""
@@ -327,8 +328,8 @@ class Subscribe(Command, frozen=True, tag="subscribe"):
     unit: str = "ms"
     since: str = Since.NOW
     keyed: bool | None = None
-    """Whether the policy holds for each object by itself; None in journals of earlier versions,
-    where it does not."""
+    """Whether the policy applies to each object separately; None, in journals of earlier versions,
+    means no."""
 
     def apply(self, engine: Engine) -> SubscriptionView:
         keyed = self.keyed is True
@@ -336,7 +337,7 @@ class Subscribe(Command, frozen=True, tag="subscribe"):
 
 
 class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
-    """Durations in ns."""
+    """Subscribe to a feature; durations in ns."""
 
     feature: str
     sort: str | None = None
@@ -382,8 +383,8 @@ class RegisterQuery(Command, frozen=True, tag="register query"):
     strategy: str = "fast"
     since: str = Since.NOW
     name: str = ""
-    """What a query is called whose text says no name, unless it is shared: written down, so that
-    it has it also where another program does it again."""
+    """The name of a query whose text has none. The journal stores it, so that another program that
+    replays the command gives the query the same name."""
 
     def apply(self, engine: Engine) -> QueryView:
         return engine.queries.register(
@@ -428,7 +429,7 @@ class ApplySpecification(Command, frozen=True, tag="apply specification"):
         return engine.apply_specification(self.text)
 
     def apply_prepared(self, engine: Engine, specification: Specification) -> SpecificationView:
-        """`apply`, for who has read the text already."""
+        """`apply` with the parsed text."""
         return engine.take_specification(specification)
 
 
@@ -441,7 +442,7 @@ class LoadOntology(Command, frozen=True, tag="load ontology"):
         engine.load_ontology(self.text, name=self.name, format=self.format)
 
     def apply_prepared(self, engine: Engine, prepared: PreparedOntology) -> None:
-        """`apply`, for who has read the text already."""
+        """`apply` with the parsed text."""
         engine.take_ontology(prepared)
 
 
@@ -495,11 +496,11 @@ class RemoveTransformation(Command, frozen=True, tag="remove transformation"):
 AnyCommand: TypeAlias = (
     Begin
     | Refused
-    | TellUnkept
+    | ReportUnkept
     | Tick
     | Publish
     | WorkBacklog
-    | HearOfSinks
+    | ReportSinkFailures
     | EndStream
     | DeclareStream
     | RemoveStream
@@ -539,38 +540,39 @@ DEFINING = (
     RegisterTransformations,
     RegisterAnnotatedTransformation,
 )
-"""Commands by which people say what there is to be, for as long as they do not take it back."""
+"""Commands that define objects which exist until a user removes them."""
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
 
 
-ReadAlready: TypeAlias = Incoming | PreparedOntology | Specification
-"""What the batch or text of a command says, for who has read it already."""
+ParsedBody: TypeAlias = Incoming | PreparedOntology | Specification
+"""The decoded batch or parsed text of a command. The service parses outside of the engine's thread,
+and the engine does not parse again."""
 
 
 ANYTIME: Final = (Publish, Tick, EndStream)
-"""What can be done while a window is half done: units put by what they hear. For all else no window
-is half done."""
+"""Commands that are safe while a window is half done, since units defer their input then. Before
+any other command the window has to be closed."""
 
 
-def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
-    """Do ``command``, of which ``known`` is read already. Gives what it gives."""
-    match command, known:
+def execute(engine: Engine, command: Command, parsed: ParsedBody | None = None) -> Any:
+    """Execute ``command``, with its ``parsed`` body if there is one; return its result."""
+    match command, parsed:
         case Publish(), Incoming():
-            return command.apply_decoded(engine, known)
+            return command.apply_decoded(engine, parsed)
         case LoadOntology(), PreparedOntology():
-            return command.apply_prepared(engine, known)
+            return command.apply_prepared(engine, parsed)
         case ApplySpecification(), Specification():
-            return command.apply_prepared(engine, known)
+            return command.apply_prepared(engine, parsed)
         case _:
             return command.apply(engine)
 
 
-def written(command: Command) -> bytes:
-    """The command as bytes; the inverse of `read`."""
+def encode_command(command: Command) -> bytes:
+    """Encode a command as bytes; the inverse of `decode_command`."""
     return _ENCODER.encode(command)
 
 
-def read(data: bytes) -> Command:
-    """The command that was written. Raises ``msgspec.DecodeError``."""
+def decode_command(data: bytes) -> Command:
+    """Decode a command. Raises ``msgspec.DecodeError``."""
     return _DECODER.decode(data)

@@ -1,15 +1,15 @@
-"""An engine whose commands are written down before they are done, and done again at the next start
+"""An engine that logs its commands before it executes them, and replays them at the next start
 (docs/explanation/design/0007-the-journal.md).
 
-A data directory holds the log of commands, and checkpoints of the engine between them. At a start
-the engine of the newest checkpoint does again what the log has after it. What comes of it are the
-same streams: the same samples under the same numbers, byte by byte.
+A data directory contains the log of commands and checkpoints of the engine. At a start the engine
+of the newest checkpoint replays the commands after it. The resulting streams are the same: the same
+samples under the same numbers, byte by byte.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -29,34 +29,34 @@ from ..processes.registry import PROCESSES, Processes
 from ..processes.supervision import DIRECT, Runner
 from ..units.backlog import Turns
 from ..units.work_time import Stopwatch
-from .accepted_commands import Waiting
+from .accepted_commands import WaitingCommand
 from .checkpoint import CheckpointError, Outside, program, state_of
 from .commands import (
     REFUSALS,
     Command,
-    HearOfSinks,
     OpenStream,
+    ParsedBody,
     Publish,
-    ReadAlready,
     Refused,
     RegisterQuery,
+    ReportSinkFailures,
     Tick,
     WorkBacklog,
-    written,
+    encode_command,
 )
-from .missing_processes import origins
+from .missing_processes import process_modules
 from .portable_state import portable_of
 from .process_state import Unkept
-from .recovery import Recovering, still_missing
+from .recovery import RecoveryRun, still_missing
 
 T = TypeVar("T")
 
 _WINDOWS = 1 << 16
-"""Bytes that are kept free for which windows have closed, which is not known before."""
+"""Bytes reserved for the record of closed windows, whose size is not known before they close."""
 
 
 class RecordedRunner:
-    """Calls as another runner does, and has a tape."""
+    """Runs user-written code by another runner, and has the tape of its results."""
 
     def __init__(self, runner: Runner) -> None:
         self.tape = Tape()
@@ -68,8 +68,8 @@ class RecordedRunner:
 
 @dataclass(frozen=True, slots=True)
 class DiskUse:
-    """What a data directory takes: bytes and files of the log, the newest checkpoint, if there is
-    one, and the bytes that there is room for."""
+    """The size of a data directory: bytes and files of the log, free bytes of the disk, and the
+    newest checkpoint, if there is one."""
 
     log_bytes: int
     log_files: int
@@ -78,13 +78,13 @@ class DiskUse:
 
 
 class RecordedEngine:
-    """The engine of a data directory. Called from one thread; `log` may be committed in another.
+    """The engine of a data directory. One thread calls it; another may commit `log`.
 
-    Law (tests/laws): opened again after any command, with any part of what was not committed, the
-    engine goes on as one that did the same commands and was never closed.
+    Law (tests/laws): reopened after any command, with any part of the uncommitted records, the
+    engine behaves like one that executed the same commands and was never closed.
 
-    What is done by `do` is kept when `Log.commit` has returned, not before: who tells others of it,
-    or shows them what came of it, waits for that.
+    A command is durable when `Log.commit` has returned. The caller has to wait for that before it
+    acknowledges the command or shows its results.
     """
 
     def __init__(
@@ -102,23 +102,23 @@ class RecordedEngine:
         disk: Disk = DISK,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Raises `JournalError`: the directory is in use, of another format or damaged.
-
-        ``progress`` is told now and then how many commands are done again, and of how many.
-        """
+        """Raises `JournalError`: the directory is in use, has another format or is damaged. Calls
+        ``progress`` during a replay with the number of replayed commands and of all."""
         self._runner = RecordedRunner(runner)
         self._outside = Outside(processes, self._runner, stopwatch, budget, turns)
         self._program = program(processes)
-        self._within = False
-        self._asked_for: list[OpenStream] = []
-        """Those that the command asked for that is done at present."""
-        self._unwritten: list[Command] = []
-        """What was done while the log took nothing: streams opened, commands refused."""
+        self._is_executing = False
+        self._opened_on_demand: list[OpenStream] = []
+        """Streams that the present command has created on demand."""
+        self._pending_records: list[Command] = []
+        """Records to append before the next command: opened streams and refused commands, which
+        the log could not take yet."""
         self.refused_outside: tuple[type[Exception], ...] = ()
-        """What those raise who are asked within a command (`Engine.before_demand`): before anything
-        is done, and not when it is done again."""
+        """Errors of `Engine.before_demand`, which the service sets. They are raised before a
+        command has changed anything; a replay does not call it, so they are not logged."""
         self.failure: str | None = None
-        """What failed within a command, so that nobody knows what of it was done."""
+        """An unexpected error within a command. The state is undefined since, so no checkpoint is
+        made of it."""
         self._disk = disk
         self._directory = DataDirectory(path, disk)
         try:
@@ -130,7 +130,7 @@ class RecordedEngine:
                 disk=disk,
                 on_doubt=self._directory.note_loss,
             )
-            recovering = Recovering(
+            recovery = RecoveryRun(
                 self._directory,
                 self.log,
                 self._checkpoints,
@@ -138,136 +138,125 @@ class RecordedEngine:
                 self._runner.tape,
                 self._program,
             )
-            self.recovery = recovering.found
-            self.engine = recovering.run(now, progress)
-            self._standing, self._needed = recovering.standing, recovering.needed
-            self.engine.on_opened(self._opened)
+            self.recovery = recovery.report
+            self.engine = recovery.run(now, progress)
+            self._accepted, self._needed = recovery.accepted, recovery.needed
+            self.engine.on_opened(self._on_opened)
             self.log.commit()
             self._directory.forget_loss()
             if self._directory.old_store is not None:
                 self.checkpoint().write()
                 self._directory.forget_old_store()
             elif not self.recovery.is_continued:
-                self._settle_down()
+                self._write_first_checkpoint()
         except BaseException:
             self._directory.close()
             raise
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- commands ----------------------------------------------------------------------------
 
-    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
-        """Write ``command`` down, and do it; gives what it gives. ``known`` is what of it is
-        read already.
+    def do(self, command: Command, parsed: ParsedBody | None = None) -> Any:
+        """Log ``command``, execute it and return its result. ``parsed``: its parsed body.
 
-        Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
-        down then, and nothing done.
+        Raises `JournalFull`, `JournalBroken` and the errors of the command. Then the command was
+        not executed, and the log has at most a record that it was `Refused`.
         """
         refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
-        self._write_opened()
-        self._hear_of_sinks()
+        self._append_pending()
+        self._report_sink_failures()
         if isinstance(command, RegisterQuery):
-            # Its name is written down where the text says none: by it people know it.
+            # Users refer to an unnamed query by the name that the engine gave it. Logging the name
+            # makes every replay give the same one.
             name = self.engine.queries.name_for(command.text)
             if is_reserved(name):
                 command = msgspec.structs.replace(command, name=name)
-        # What cannot be written is not begun.
-        text = written(command)
-        self._within = True
-        try:
-            with self.log.entry(text) as entry:
-                # What sources say is not known before: the tape asks for room as they say it.
-                begun = len(entry.payload) + READINGS
-                self._runner.tape.record(lambda size: entry.has_room(begun + size))
-                found = self._standing.do(self.engine, command, known)
-                readings = self._runner.tape.readings()
-                if readings and isinstance(command, Tick):
-                    entry.payload = written(Tick(command.now, readings))
-        except JournalError:
-            raise
-        except refusals as error:
-            # It is not done, but may have left something on the way. A batch leaves but streams.
-            self._unwritten += self._asked_for
-            if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
-                self._unwritten.append(Refused(written(command)))
-            self._write_what_can_be()
-            raise
-        except Exception as error:
-            self.failure = f"{type(error).__name__} in a command: {error}"
-            raise
-        finally:
-            self._within = False
-            self._asked_for.clear()
-        self._standing.note(command, found)
-        self._hear_if_there_is_room()
-        return found
+        # Encode first: a command that cannot be encoded must not be executed.
+        text = encode_command(command)
+        with self._executing("a command", refusals):
+            try:
+                with self.log.entry(text) as entry:
+                    # The size of the sources' results is not known before, so the tape checks for
+                    # room as it records them.
+                    begun = len(entry.payload) + READINGS
+                    self._runner.tape.record(lambda size: entry.has_room(begun + size))
+                    result = self._accepted.do(self.engine, command, parsed)
+                    readings = self._runner.tape.readings()
+                    if readings and isinstance(command, Tick):
+                        entry.payload = encode_command(Tick(command.now, readings))
+            except JournalError:
+                raise
+            except refusals as error:
+                # A refused command may still have had effects, which a replay must repeat: streams
+                # opened on demand, numbers used. A batch can only have opened streams.
+                self._pending_records += self._opened_on_demand
+                if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
+                    self._pending_records.append(Refused(encode_command(command)))
+                self._try_append_pending()
+                raise
+        self._accepted.record(command, result)
+        self._try_report_sink_failures()
+        return result
 
     def work_backlog(self, *, new: bool = False, begins: bool = True) -> None:
-        """Close windows that are due (`Backlog.work`), and log which.
+        """Close due windows (`Backlog.work`), and log which.
 
-        Raises `JournalFull` and `JournalBroken`: nothing is done then.
+        Raises `JournalFull` and `JournalBroken`, and closes no window then.
         """
-        self._write_opened()
-        self._hear_of_sinks()
-        self._within = True
-        try:
+        self._append_pending()
+        self._report_sink_failures()
+        with self._executing("closing windows"):
             self.log.check_room(_WINDOWS)
-            with self.log.entry(written(WorkBacklog())) as entry:
+            with self.log.entry(encode_command(WorkBacklog())) as entry:
                 done = self.engine.work_backlog(new=new, begins=begins)
-                entry.payload = written(WorkBacklog(done)) if done else b""
-        except JournalError:
-            raise
-        except Exception as error:
-            self.failure = f"{type(error).__name__} in closing windows: {error}"
-            raise
-        finally:
-            self._within = False
-            self._asked_for.clear()
-        self._hear_if_there_is_room()
+                entry.payload = encode_command(WorkBacklog(done)) if done else b""
+        self._try_report_sink_failures()
 
     @property
     def unread(self) -> str | None:
-        """Which sources are not asked at present, and why; None: all are."""
+        """The sources that are not read at present, and why; None: all are read."""
         return self._runner.tape.unread
 
-    def waiting(self) -> tuple[Waiting, ...]:
-        """What an earlier run has accepted and cannot be done at present, oldest first."""
-        return self._standing.waiting_views()
+    def waiting(self) -> tuple[WaitingCommand, ...]:
+        """Commands that an earlier run accepted and this one cannot execute, oldest first."""
+        return self._accepted.waiting_views()
 
-    def checkpoint(self, aside: Aside | None = None) -> Unwritten:
-        """The state as it is now, to be written by `Unwritten.write`, in any thread.
+    def checkpoint(self, aside: SnapshotRunner | None = None) -> PendingCheckpoint:
+        """Take a snapshot of the state; `PendingCheckpoint.write` writes it, in any thread.
 
         Contract: no window is half done (`Backlog.is_mid_window`). Raises `CheckpointError` where
-        something cannot be written down; with ``aside``, which finds the state later, `write` does.
-        Cost: O(state), or what ``aside`` takes.
+        something cannot be pickled; with ``aside``, which pickles later, `write` raises it.
+        Cost: O(state), or that of ``aside``.
         """
         if self.failure is not None:
-            raise CheckpointError(f"the state is not to be trusted: {self.failure}")
-        self._hear_if_there_is_room()
+            raise CheckpointError(f"the state is undefined since an error: {self.failure}")
+        self._try_report_sink_failures()
         if self._runner.tape.outcomes:
-            raise CheckpointError("what went wrong in sinks could not be written down yet")
+            raise CheckpointError("failures of sinks could not be logged yet")
         position = self.log.position
         if aside is not None:
-            found_aside = aside(lambda: self._put(*self._found()), self.engine.ontology.lock)
-            return Unwritten(position, found_aside, self.log, self._checkpoints)
-        found, unkept = self._found()
-        return Unwritten(position, lambda: self._put(found, unkept), self.log, self._checkpoints)
+            wait_for_pickle = aside(lambda: self._put(*self._capture()), self.engine.ontology.lock)
+            return PendingCheckpoint(position, wait_for_pickle, self.log, self._checkpoints)
+        captured, unkept = self._capture()
+        return PendingCheckpoint(
+            position, lambda: self._put(captured, unkept), self.log, self._checkpoints
+        )
 
-    def _found(self) -> tuple[Checkpoint, tuple[Unkept, ...]]:
-        """The state, and what could not be written of it."""
-        state = state_of(self.engine, self._standing, self._outside)
-        known = self._outside.processes
-        gone = still_missing(self.engine, self._standing, self._needed, known)
-        processes = gone | origins(known)
-        portable = portable_of(self.engine, self._standing, processes, state.unkept)
+    def _capture(self) -> tuple[Checkpoint, tuple[Unkept, ...]]:
+        """Pickle the state; return it with the process states that it lacks."""
+        state = state_of(self.engine, self._accepted, self._outside)
+        loaded = self._outside.processes
+        gone = still_missing(self.engine, self._accepted, self._needed, loaded)
+        processes = gone | process_modules(loaded)
+        portable = portable_of(self.engine, self._accepted, processes, state.unkept)
         encoded = msgspec.msgpack.encode(portable)
         return Checkpoint(self.log.position, self._program, encoded, state.data), state.unkept
 
-    def _put(self, found: Checkpoint, unkept: tuple[Unkept, ...]) -> tuple[Unkept, ...]:
-        self._checkpoints.put(found)
+    def _put(self, checkpoint: Checkpoint, unkept: tuple[Unkept, ...]) -> tuple[Unkept, ...]:
+        self._checkpoints.put(checkpoint)
         return unkept
 
     def disk_use(self) -> DiskUse:
-        """What it takes of the disk at present. May be asked in any thread. Raises ``OSError``."""
+        """Measure the data directory, in any thread. Raises ``OSError``."""
         return DiskUse(
             self.log.size,
             self.log.segments,
@@ -276,7 +265,8 @@ class RecordedEngine:
         )
 
     def close(self, *, checkpoint: bool = True) -> None:
-        """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""
+        """Commit the log and close the directory. With ``checkpoint`` the next start replays
+        nothing."""
         try:
             if checkpoint:
                 self.checkpoint().write()
@@ -286,80 +276,89 @@ class RecordedEngine:
             finally:
                 self._directory.close()
 
-    # -- within ------------------------------------------------------------------------------
+    # -- internals ---------------------------------------------------------------------------
 
-    def _opened(self, stream: str) -> None:
-        """Somebody has asked for a stream that is there only now. Within a command, doing that
-        again opens it again."""
-        if self._within:
-            self._asked_for.append(OpenStream(stream))
+    @contextmanager
+    def _executing(self, work: str, refusals: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+        """Mark the present time as within a command, and record an unexpected error of it."""
+        expected: tuple[type[Exception], ...] = (JournalError, *refusals)
+        self._is_executing = True
+        try:
+            yield
+        except expected:
+            raise
+        except Exception as error:
+            self.failure = f"{type(error).__name__} in {work}: {error}"
+            raise
+        finally:
+            self._is_executing = False
+            self._opened_on_demand.clear()
+
+    def _on_opened(self, stream: str) -> None:
+        """Log that a stream was created on demand. A replay of the present command, if there is
+        one, creates it again, so only a refused command needs the record."""
+        if self._is_executing:
+            self._opened_on_demand.append(OpenStream(stream))
         else:
-            self._unwritten.append(OpenStream(stream))
-            self._write_what_can_be()
+            self._pending_records.append(OpenStream(stream))
+            self._try_append_pending()
 
-    def _write_what_can_be(self) -> None:
+    def _try_append_pending(self) -> None:
         try:
-            self._write_opened()
+            self._append_pending()
         except JournalError:
-            # Who reads need not hear of it: it is written down before the next command is done.
+            # A reader's request must not fail for this: the next command appends the records first.
             return
 
-    def _write_opened(self) -> None:
-        while self._unwritten:
-            self.log.append(written(self._unwritten[0]))
-            del self._unwritten[0]
+    def _append_pending(self) -> None:
+        while self._pending_records:
+            self.log.append(encode_command(self._pending_records[0]))
+            del self._pending_records[0]
 
-    def _hear_if_there_is_room(self) -> None:
+    def _try_report_sink_failures(self) -> None:
         try:
-            self._hear_of_sinks()
+            self._report_sink_failures()
         except JournalError:
-            # Nobody is told of it before: it is written down before the next command is done.
+            # The failures stay on the tape, unreported, until the next command logs them.
             return
 
-    def _hear_of_sinks(self) -> None:
-        """Write down what went wrong in sinks, and have it told: a command by itself, as sinks are
-        called by any. What is told may be read by sinks, and go wrong there."""
+    def _report_sink_failures(self) -> None:
+        """Log failures of sinks and report them, as a command of its own: any command may call
+        sinks. A loop, since a sink may read the status stream and fail on the report."""
         tape = self._runner.tape
         while tape.outcomes:
-            command = HearOfSinks(tuple(tape.outcomes))
-            self._within = True
-            try:
-                with self.log.entry(written(command)):
-                    del tape.outcomes[: len(command.outcomes)]
-                    command.apply(self.engine)
-            except JournalError:
-                raise
-            except Exception as error:
-                self.failure = f"{type(error).__name__} in telling of sinks: {error}"
-                raise
-            finally:
-                self._within = False
-                self._asked_for.clear()
+            command = ReportSinkFailures(tuple(tape.outcomes))
+            with (
+                self._executing("reporting failures of sinks"),
+                self.log.entry(encode_command(command)),
+            ):
+                del tape.outcomes[: len(command.outcomes)]
+                command.apply(self.engine)
 
-    def _settle_down(self) -> None:
-        """Write a checkpoint of a life that has just begun: else each start before the first one
-        would begin another, whose ids nobody can resume."""
+    def _write_first_checkpoint(self) -> None:
+        """Write a checkpoint of a new epoch. Without one, each start before the first checkpoint
+        would begin another epoch, and clients could not resume."""
         try:
             self.checkpoint().write()
         except (CheckpointError, JournalError, OSError) as error:
             self.recovery.notes.append(f"no checkpoint yet: {error}")
 
 
-class Aside(Protocol):
-    """Does what takes long on the state as it is now, while that goes on to change."""
+class SnapshotRunner(Protocol):
+    """Runs long work on a snapshot of the state, for example in a fork, while the state itself
+    changes further."""
 
     def __call__(
         self, work: Callable[[], T], lock: AbstractContextManager[object]
     ) -> Callable[[], T]:
-        """Gives what waits for what ``work`` gives, in any thread. Both raise `CheckpointError`.
-
-        ``lock``: under which other threads change some of the state.
+        """Start ``work`` and return a function that waits for its result, in any thread. Both
+        raise `CheckpointError`. Other threads change parts of the state under ``lock`` only.
         """
 
 
 @dataclass(frozen=True, slots=True)
-class Unwritten:
-    """A checkpoint after command ``position`` that is not kept yet."""
+class PendingCheckpoint:
+    """A checkpoint after command ``position`` that is not in use yet."""
 
     position: int
     _put: Callable[[], tuple[Unkept, ...]]
@@ -367,27 +366,26 @@ class Unwritten:
     _checkpoints: Checkpoints
 
     def put(self) -> tuple[Unkept, ...]:
-        """Put it on the disk, where nobody looks for it yet. Gives the user-written processes whose
-        state cannot be written down: what they are, and why. Raises `JournalError`, and
-        `CheckpointError` where the state is found only now."""
+        """Write it to a file that a start does not read yet; return the process states that it
+        lacks. Raises `JournalError`, and `CheckpointError` where the state is pickled only now."""
         return self._put()
 
     def keep(self) -> None:
-        """Let the next start begin with it, and forget of the log what no checkpoint needs. Raises
+        """Let the next start use it, and drop the part of the log that no checkpoint needs. Raises
         `JournalError`."""
-        # Never ahead of the log: its numbers would be given twice.
+        # A checkpoint ahead of the durable log would have record numbers that are used again.
         if self._log.synced < self.position:
             self._log.sync()
         self._checkpoints.keep(self.position)
         self._log.drop(min(self._checkpoints.positions()))
 
     def drop(self) -> None:
-        """It is not to be kept: leave nothing of it. Who has made it may have been killed. Raises
+        """Delete it and its partial files; the process that wrote it may have been killed. Raises
         ``OSError``."""
         self._checkpoints.drop(self.position)
 
     def write(self) -> tuple[Unkept, ...]:
-        """`put` and `keep`; gives what `put` gives."""
+        """`put` and `keep`; return the result of `put`."""
         unkept = self.put()
         self.keep()
         return unkept

@@ -1,7 +1,7 @@
-"""User-written processes that an earlier run had, and this one has not.
+"""User-written processes that an earlier run had and this one lacks.
 
-A start without a module that the state needs goes on without the processes of it: what was declared
-with them is told and kept, and comes back at a start with the module.
+A start without such a module runs without its processes. It reports the declarations that use them
+and keeps them, so that a later start with the module restores them.
 """
 
 from __future__ import annotations
@@ -12,28 +12,28 @@ from collections.abc import Iterable, Mapping
 from ..processes.registry import Processes
 
 
-def origins(processes: Processes) -> dict[str, str]:
-    """The module of each process, by the process's name."""
+def process_modules(processes: Processes) -> dict[str, str]:
+    """Return the module of each process by the process's name."""
     return {each.name: each.code.__module__ for each in processes.all()}
 
 
-def missing(
-    known: Mapping[str, str], processes: Processes, spoken_of: Iterable[bytes]
+def missing_processes(
+    known: Mapping[str, str], processes: Processes, texts: Iterable[bytes]
 ) -> dict[str, str]:
-    """Of the ``known`` processes (name → module) those that are not there and are named in one of
-    the texts ``spoken_of``. Cost: linear in the texts, for each that is not there."""
-    gone = {name: module for name, module in known.items() if name not in processes}
-    texts = tuple(spoken_of) if gone else ()
+    """Return the ``known`` processes (name → module) that are not loaded and that one of ``texts``
+    names. Cost: linear in the texts, for each process that is not loaded."""
+    absent = {name: module for name, module in known.items() if name not in processes}
+    searched = tuple(texts) if absent else ()
     return {
         name: module
-        for name, module in gone.items()
-        if any(re.search(rb"\b" + name.encode() + rb"\b", text) for text in texts)
+        for name, module in absent.items()
+        if any(re.search(rb"\b" + name.encode() + rb"\b", text) for text in searched)
     }
 
 
-def told(name: str, module: str) -> str:
-    """What people are told of one that is missing."""
+def missing_message(name: str, module: str) -> str:
+    """Return the message to users about a missing process."""
     return (
-        f"the user-written process {name!r} of module {module!r} is missing: what was declared "
-        f"with it waits; start with --processes {module} (or its .py file), and it goes on"
+        f"the user-written process {name!r} of module {module!r} is missing: declarations that use "
+        f"it wait; start with --processes {module} (or its .py file) to restore them"
     )

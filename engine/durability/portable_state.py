@@ -1,10 +1,10 @@
-"""What of an engine's state any version of the program can go on from.
+"""The part of an engine's state that every version of the program can restore.
 
-Definitions (ontologies, templates, annotations, declarations, KPL, specifications, queries) are in
-the triples of the ontology; what was asked for without a name is in `Standing`; and streams that
-people publish to, and those of registered queries, keep their samples, counters and numbers. What
-is not in it is computed anew: windows that were open, and the streams that other units make, whose
-numbers begin again. So it is not the same life of the engine, and the ids of its events say so.
+The triples of the ontology contain the definitions (ontologies, templates, annotations,
+declarations, KPL, specifications, queries), and `AcceptedCommands` the accepted commands without a
+name. Streams that clients publish to, and those of registered queries, keep their samples, counters
+and numbers. The rest is computed anew: open windows, and the streams of other units, whose numbers
+start again. The ids of events therefore get a new epoch.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from ...streams.string_pool import StringPool
 from ..configuration.configuration import after_reserved
 from ..configuration.ingest import UsedKey
 from ..engine import Engine
-from .accepted_commands import Standing
+from .accepted_commands import AcceptedCommands
 from .checkpoint import Outside
 from .commands import AnyCommand, Command, RegisterQuery
 from .process_state import Unkept
 
 
 class KeptColumn(msgspec.Struct):
-    """Values of one field, little-endian as numpy has them; of text codes of the ``texts``."""
+    """Values of one field, little-endian as in numpy; for text, indexes of ``texts``."""
 
     type: FieldType
     values: bytes
@@ -45,8 +45,8 @@ class KeptColumn(msgspec.Struct):
 
 
 class KeptStream(msgspec.Struct):
-    """A stream that people publish to, or of a query's results. ``first`` is the number of its
-    oldest sample kept; the last ``pending`` rows are held back within the lateness. Times in ns,
+    """A stream that clients publish to, or of a query's results. ``first`` is the number of its
+    oldest sample; the last ``pending`` rows are held back within the lateness. Times in ns,
     little-endian int64. ``complete_since`` is `FluentStream.complete_since`; None: an earlier
     version wrote it."""
 
@@ -65,13 +65,16 @@ class KeptStream(msgspec.Struct):
 
 
 class Portable(msgspec.Struct):
-    """``quads``: N-Quads. ``standing``: what was asked for and has no name, oldest first.
-    ``keys``: those under which batches came. ``processes``: the modules of the user-written ones
-    that are needed, by their names; ``unkept``: those that remember what is not in the state.
-    ``waiting``: what was accepted and could not be done again. ``ids``: those of ``standing``, then
-    those that would be given next. ``waiting_ids``: those of ``waiting``, and ``waiting_after``:
-    behind how many of ``standing`` each was accepted. ``rules``: those that held. ``results``: the
-    streams of registered queries; earlier versions kept none."""
+    """The written form; its member names are in checkpoints and do not change.
+
+    ``quads``: N-Quads. ``standing``: accepted commands without a name, oldest first. ``keys``:
+    Idempotency-Keys of batches. ``processes``: modules of the user-written processes in use, by
+    name of the process; ``unkept``: process states that the checkpoint lacks. ``waiting``: accepted
+    commands that could not be replayed. ``ids``: those of ``standing``, then the next free ones.
+    ``waiting_ids``: those of ``waiting``, and ``waiting_after``: how many of ``standing`` were
+    accepted before each. ``rules``: the rules in force. ``results``: the streams of registered
+    queries; earlier versions stored none.
+    """
 
     format: int
     now: int
@@ -90,7 +93,7 @@ class Portable(msgspec.Struct):
 
 
 class PortableHead(msgspec.Struct):
-    """What of a `Portable` is of interest before a state is read."""
+    """The members of `Portable` that are read before the state is unpickled."""
 
     processes: dict[str, str] = {}
     unkept: list[Unkept] = []
@@ -98,35 +101,35 @@ class PortableHead(msgspec.Struct):
 
 def portable_of(
     engine: Engine,
-    standing: Standing,
-    processes: Mapping[str, str] | None = None,
-    unkept: Iterable[Unkept] = (),
+    accepted: AcceptedCommands,
+    processes: Mapping[str, str],
+    unkept: Iterable[Unkept],
 ) -> Portable:
-    """What of ``engine`` any version understands. Cost: O(samples kept)."""
+    """Return the portable state of ``engine``. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
     named = dict(engine.ontology.registered.queries)
     unnamed: dict[str, Command] = {}
     waiting: list[tuple[str, int, Command]] = []
-    for key, asked in standing.all():
-        if asked.is_waiting:
-            waiting += [(key.name, len(unnamed), asked.command)] * asked.times
+    for key, one in accepted.all():
+        if one.is_waiting:
+            waiting += [(key.name, len(unnamed), one.command)] * one.users
         elif key.name not in named:
-            unnamed[key.name] = asked.command
+            unnamed[key.name] = one.command
     return Portable(
         1,
         engine.now,
         engine.ontology.quads(),
-        [_kept(each) for each in kept],
+        [_stream_state(each) for each in kept],
         list(unnamed.values()),  # type: ignore[arg-type]
         list(engine.intake.keys),
-        dict(processes or {}),
+        dict(processes),
         list(unkept),
         [command for _, _, command in waiting],  # type: ignore[misc]
         [*unnamed, *engine.next_ids],
         [id for id, _, _ in waiting],
         [after for _, after, _ in waiting],
         engine.rules.version,
-        [_kept(engine.generator(name)) for name in _query_streams(engine)],
+        [_stream_state(engine.generator(name)) for name in _query_streams(engine)],
     )
 
 
@@ -135,15 +138,16 @@ def engine_from(
     now: int,
     outside: Outside,
     first_reserved: int = 1,
-) -> tuple[Engine, Standing, list[str]]:
-    """An engine that goes on from there in a life of its own, what stands in it, and what could not
-    be had again. ``first_reserved`` as of `Engine`, beyond the names of queries that come again."""
+) -> tuple[Engine, AcceptedCommands, list[str]]:
+    """Restore an engine in a new epoch; return it, its accepted commands, and messages about
+    losses. ``first_reserved``: as for `Engine`, beyond the names of queries that a replay will
+    register."""
     engine = Engine(
         now=max(now, portable.now),
         first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
         ontology=Ontology.from_quads(portable.quads),
         rules=portable.rules,
-        **outside.given(),
+        **outside.arguments(),
     )
     lost = []
     there = {each.name: each for each in engine.published()}
@@ -151,42 +155,42 @@ def engine_from(
         generator = there.get(kept.name)
         if generator is None:
             lost.append(
-                f"stream {kept.name}: nobody declares it any more; its {_count(kept)} samples are "
-                "not taken over"
+                f"stream {kept.name} is no longer declared; its {_count(kept)} samples were not "
+                "restored"
             )
         else:
-            lost += _restore(generator, kept)
+            lost += _restore_stream(generator, kept)
     engine.intake.restore_keys(each for each in portable.keys if each.stream in there)
-    again = set(_query_streams(engine))
+    restarted = set(_query_streams(engine))
     for kept in portable.results:
-        # A query whose results are there already reads what happens as the engine begins.
-        if kept.name in again and not engine.generator(kept.name).stream.last_number:
-            lost += _restore(engine.generator(kept.name), kept)
+        # A stream that has samples already is one whose query gave results as it started.
+        if kept.name in restarted and not engine.generator(kept.name).stream.last_number:
+            lost += _restore_stream(engine.generator(kept.name), kept)
     for text in lost:
-        engine.tell_not_restored(text)
-    standing = Standing()
-    for id, command in _asked(portable):
+        engine.report_not_restored(text)
+    accepted = AcceptedCommands()
+    for id, command in _commands_of(portable):
         engine.keep_id(id)
         if isinstance(command, RegisterQuery):
             command = msgspec.structs.replace(command, name=id)
-        reason = standing.again(command, engine)
+        reason = accepted.replay(command, engine)
         if reason is not None:
             lost.append(f"not restored, and kept: {reason}")
     for next_id in portable.ids[len(portable.standing) :]:
         engine.keep_id(next_id)
-    return engine, standing, lost
+    return engine, accepted, lost
 
 
 def _query_streams(engine: Engine) -> list[str]:
-    """The streams of queries that the text names, which are called like these."""
+    """Return the result streams of the registered queries, which have the names of the queries."""
     named = dict(engine.ontology.registered.queries)
     streams = (view.stream for view in engine.queries.views() if view.name in named)
     return [name for name in streams if name is not None]
 
 
-def _asked(portable: Portable) -> Iterator[tuple[str, AnyCommand]]:
-    """What stood and what waited, with its ids, in the order in which it was accepted: by their ids
-    people give them up. Earlier versions kept no ids, or none of what waited."""
+def _commands_of(portable: Portable) -> Iterator[tuple[str, AnyCommand]]:
+    """Yield executed and waiting commands with their ids, in the order of acceptance. Earlier
+    versions stored no ids, or none of waiting commands."""
     count = len(portable.standing)
     ids = portable.ids[:count] or [""] * count
     behind: dict[int, list[tuple[str, AnyCommand]]] = {}
@@ -199,13 +203,13 @@ def _asked(portable: Portable) -> Iterator[tuple[str, AnyCommand]]:
     )
     for id, after, command in waiting:
         behind.setdefault(after, []).append((id, command))
-    for i, asked in enumerate(zip(ids, portable.standing, strict=True)):
+    for i, own in enumerate(zip(ids, portable.standing, strict=True)):
         yield from behind.get(i, ())
-        yield asked
+        yield own
     yield from behind.get(count, ())
 
 
-def _kept(generator: StreamGenerator) -> KeptStream:
+def _stream_state(generator: StreamGenerator) -> KeptStream:
     stream, pending = generator.stream, generator.pending
     batch = concatenate([stream.all(), pending]) if len(pending) else stream.all()
     return KeptStream(
@@ -237,9 +241,9 @@ def _count(kept: KeptStream) -> int:
     return len(kept.available) // np.dtype(np.int64).itemsize
 
 
-def _restore(generator: StreamGenerator, kept: KeptStream) -> list[str]:
-    """Let ``generator``, that nobody has used yet, go on from what was kept; gives what of that it
-    has no place for. Its numbers go on in any case."""
+def _restore_stream(generator: StreamGenerator, kept: KeptStream) -> list[str]:
+    """Restore the samples and numbers of ``generator``, which is unused yet; return messages about
+    fields that it does not have. Its numbers continue in any case."""
     schema = Schema(tuple(kept.fields))
     if generator.is_open:
         pools = {f.name: StringPool() for f in schema.fields if f.type is FieldType.STRING}
@@ -249,8 +253,8 @@ def _restore(generator: StreamGenerator, kept: KeptStream) -> list[str]:
         left = [f"{f.name} ({f.type})" for f in schema.fields if f not in generator.schema.fields]
         new = [f"{f.name} ({f.type})" for f in generator.schema.fields if f not in schema.fields]
         lost.append(
-            f"stream {kept.name} has other fields than it had: of its {count} samples "
-            f"{', '.join(left) or 'nothing'} is not taken over"
+            f"stream {kept.name} has other fields than before: of its {count} samples "
+            f"{', '.join(left) or 'nothing'} was not restored"
             + (f", and they have no value of {', '.join(new)}" if new else "")
         )
     columns = {}

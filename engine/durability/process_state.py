@@ -1,9 +1,9 @@
-"""What user-written processes remember, and which of it cannot be written down
+"""The state of user-written processes, and the parts of it that cannot be pickled
 (docs/how-to/write-a-process.md).
 
-A process remembers by its instance, and by the state that it gives back for its next call. What of
-that cannot be pickled is left out of a checkpoint: the process begins without it at the next start.
-Who wrote the process is told which part of it that is.
+The state of a process is its instance, and the state that a call returns for the next call. If a
+part cannot be pickled, a checkpoint leaves the state out and the process begins anew at the next
+start. The reason names the part, so that the author of the process can repair it.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from ..units.sampled_source import SampledSource
 from ..units.sink import Sink
 from ..units.user_transformation import TransformationUnit
 
-Why: TypeAlias = Callable[[object], Exception | None]
-"""Why a value cannot be written; None: it can."""
+PickleCheck: TypeAlias = Callable[[object], Exception | None]
+"""Pickles a value and returns the error; None: there is none."""
 
-REMEMBERING = (FunctionProcess, TransformationUnit, SampledSource, Sink)
-"""What runs user-written code."""
+STATEFUL = (FunctionProcess, TransformationUnit, SampledSource, Sink)
+"""The classes that call user-written code and have its state."""
 _COMPUTING = (FunctionProcess, TransformationUnit)
-_FORGOTTEN: dict[str, Callable[[Any], Any]] = {
+_INITIAL: dict[str, Callable[[Any], Any]] = {
     "_state": lambda _: None,
     "_states": lambda _: {},
     "_instances": lambda _: {},
 }
-"""Attributes, and what they are when all is forgotten."""
-_DEPTH = 8
-_LONGEST = 300
+"""Makes the initial value of each attribute with state."""
+_MAX_DEPTH = 8
+_MAX_ERROR = 300
 
 
 class Unkept(msgspec.Struct, frozen=True):
-    """What ``process`` (its name) remembers cannot be written: ``reason`` says what of it, and why.
-    ``is_computing``: what it makes is computed again at a start, and depends on it."""
+    """The state of ``process`` (its name) cannot be pickled; ``reason`` names the part and the
+    error. ``is_computing``: the process computes a stream, so its output after a restart differs.
+    """
 
     process: str
     reason: str
@@ -46,27 +47,31 @@ class Unkept(msgspec.Struct, frozen=True):
         return f"{self.process}: {self.reason}"
 
 
-def kept_of(owner: Any, why: Why) -> tuple[dict[str, Any], list[Unkept]]:
-    """The attributes of one of `REMEMBERING`, as far as they can be written; what is left out.
+def picklable_attributes(owner: Any, check: PickleCheck) -> tuple[dict[str, Any], list[Unkept]]:
+    """Return the attributes of an instance of `STATEFUL` that can be pickled, and the reasons
+    for leaving others out.
 
-    One that cannot keep all that it remembers keeps nothing of it: of its ``_instance``, which
-    others know, too, the caller leaves out what is made. Cost: all of that is written once more.
+    If a part of the state cannot be pickled, all of it is left out: half a state is not one that
+    the process has ever had. The caller leaves out the contents of ``_instance``, to which others
+    refer too. Cost: pickles the state once more.
     """
-    found: dict[str, Any] = dict(vars(owner))
-    # Of each object the same is to be said: once is enough.
+    attributes: dict[str, Any] = dict(vars(owner))
+    # Objects of one process usually fail for the same reason: report it once.
     reasons = dict.fromkeys(
         reason
-        for name, value in _remembered(found)
-        if (reason := _reason(name, value, why)) is not None
+        for name, value in _user_state(attributes)
+        if (reason := _reason(name, value, check)) is not None
     )
     if reasons:
-        found |= {name: _FORGOTTEN[name](found[name]) for name in _FORGOTTEN if name in found}
+        attributes |= {
+            name: _INITIAL[name](attributes[name]) for name in _INITIAL if name in attributes
+        }
     computing = isinstance(owner, _COMPUTING)
-    return found, [Unkept(owner.implementation.name, each, computing) for each in reasons]
+    return attributes, [Unkept(owner.implementation.name, each, computing) for each in reasons]
 
 
-def _remembered(attributes: Mapping[str, Any]) -> Iterator[tuple[str, object]]:
-    """What user-written code remembers, as it calls it."""
+def _user_state(attributes: Mapping[str, Any]) -> Iterator[tuple[str, object]]:
+    """Yield the parts of the state with the names that user-written code has for them."""
     if "_state" in attributes:
         yield "the state", attributes["_state"]
     for state in attributes.get("_states", {}).values():
@@ -77,25 +82,28 @@ def _remembered(attributes: Mapping[str, Any]) -> Iterator[tuple[str, object]]:
             yield "self", instance.get()
 
 
-def _reason(name: str, value: object, why: Why) -> str | None:
-    error = why(value)
+def _reason(name: str, value: object, check: PickleCheck) -> str | None:
+    error = check(value)
     if error is None:
         return None
-    path, part, error = _culprit(name, value, error, why)
-    text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST]
+    path, part, error = _culprit(name, value, error, check)
+    text = " ".join(f"{type(error).__name__}: {error}".split())[:_MAX_ERROR]
     return (
-        f"{path} is a {type(part).__name__} and cannot be pickled ({text}): leave it out by "
-        "__getstate__, and make it anew in __setstate__"
+        f"{path} is a {type(part).__name__} and cannot be pickled ({text}): leave it out in "
+        "__getstate__, and create it again in __setstate__"
     )
 
 
-def _culprit(path: str, value: object, error: Exception, why: Why) -> tuple[str, object, Exception]:
-    """The smallest part of ``value`` that cannot be written, as far as it has known parts."""
-    for _ in range(_DEPTH):
+def _culprit(
+    path: str, value: object, error: Exception, check: PickleCheck
+) -> tuple[str, object, Exception]:
+    """Find the smallest part of ``value`` that cannot be pickled, at most `_MAX_DEPTH` levels
+    down."""
+    for _ in range(_MAX_DEPTH):
         for name, part in _parts(value):
-            found = why(part)
-            if found is not None:
-                path, value, error = path + name, part, found
+            part_error = check(part)
+            if part_error is not None:
+                path, value, error = path + name, part, part_error
                 break
         else:
             break

@@ -1,7 +1,8 @@
-"""What a start does: an engine out of the newest sound checkpoint and the log after it
+"""Recovery: make an engine of the newest sound checkpoint and the log after it
 (docs/explanation/design/0007-the-journal.md).
 
-What cannot be had again is told, and kept for another start; then numbers and ids begin anew.
+Recovery reports commands that it cannot replay, and keeps them for another start. A new epoch
+begins then, because the streams are not the same any more.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ..configuration.configuration import after_reserved
 from ..engine import Engine
 from ..processes.external_io import Tape
 from ..processes.registry import Processes
-from .accepted_commands import Key, Standing
+from .accepted_commands import AcceptedCommands, Key
 from .checkpoint import CheckpointError, Outside, engine_of
 from .commands import (
     DEFINING,
@@ -38,31 +39,29 @@ from .commands import (
     RemoveKpl,
     Tick,
     WorkBacklog,
-    read,
-    written,
+    decode_command,
+    encode_command,
 )
-from .missing_processes import missing, origins, told
+from .missing_processes import missing_message, missing_processes, process_modules
 from .portable_state import Portable, PortableHead, engine_from
 
 
 @dataclass(slots=True)
 class Recovery:
-    """What a start has found. ``notes``: what people should know, worst first."""
+    """The result of a recovery. ``notes``: messages to the operator."""
 
     position: int = 0
-    """The checkpoint's position; 0: there was none."""
+    """The position of the checkpoint; 0: there was none."""
     replayed: int = 0
-    """So many commands were done again."""
+    """The number of commands that were replayed."""
     is_continued: bool = True
-    """Whether numbers and ids go on from where they were."""
+    """Whether numbers and ids continue; otherwise a new epoch has begun."""
     notes: list[str] = field(default_factory=list)
 
 
-class Recovering:
-    """Of a ``directory`` whose ``log`` and ``checkpoints`` are open. ``program`` is this one, see
-    `checkpoint.program`.
-
-    Law: see `RecordedEngine`.
+class RecoveryRun:
+    """The recovery of a ``directory`` whose ``log`` and ``checkpoints`` are open. ``program``
+    identifies this program (`checkpoint.program`). Law: see `RecordedEngine`.
     """
 
     def __init__(
@@ -74,11 +73,11 @@ class Recovering:
         tape: Tape,
         program: str,
     ) -> None:
-        self.found = Recovery()
-        self.standing = Standing()
-        """What stands in the engine."""
+        self.report = Recovery()
+        self.accepted = AcceptedCommands()
+        """The accepted commands of the engine."""
         self.needed: dict[str, str] = {}
-        """User-written processes that an earlier run had, with their modules."""
+        """The modules of user-written processes that an earlier run had, by name of the process."""
         self._directory = directory
         self._log = log
         self._checkpoints = checkpoints
@@ -86,56 +85,57 @@ class Recovering:
         self._tape = tape
         self._program = program
         self._writer = program
-        """The program that has written what is read now."""
-        self._unplaced: Counter[str] = Counter()
-        """Batches that this program could not take again, by stream and why."""
+        """The program that wrote the checkpoint or record that is read at present."""
+        self._refused_batches: Counter[str] = Counter()
+        """The number of batches that this program refuses, by stream and reason."""
 
     def run(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
-        """The engine, which has done all that the log has. Raises `JournalError`."""
+        """Return the engine after the last command of the log. Raises `JournalError`."""
         if self._log.torn is not None:
-            self.found.notes.append(f"cut off, an unfinished write: {self._log.torn}")
+            self.report.notes.append(f"cut off, an unfinished write: {self._log.torn}")
         if self._log.mark_fault is not None and self._log.doubt is None:
-            self.found.notes.append(self._log.mark_fault)
+            self.report.notes.append(self._log.mark_fault)
         if self._directory.repaired is not None:
-            self._begin_anew(self._directory.repaired)
-        self.found.notes += self._checkpoints.gone()
+            self._begin_epoch(self._directory.repaired)
+        self.report.notes += self._checkpoints.gone()
         found = self._from_checkpoint(now)
         if found is None:
-            found = self._from_nothing(now)
+            found = self._from_log(now)
         engine, done = found
         count = self._log.position - done
+        # The tape returns the readings of sources; it calls neither sources nor sinks again.
         self._tape.is_replaying = True
         for position, data in self._log.read(done):
-            self._again(engine, position, data)
-            self.found.replayed += 1
-            if progress is not None and self.found.replayed % 1000 == 0:
-                progress(self.found.replayed, count)
+            self._replay(engine, position, data)
+            self.report.replayed += 1
+            if progress is not None and self.report.replayed % 1000 == 0:
+                progress(self.report.replayed, count)
         self._tape.is_replaying = False
         self._check_writer()
-        for reason, times in self._unplaced.items():
-            note = f"{times} batches could not be taken again: {reason}"
-            self.found.notes.append(note)
-            engine.tell_not_restored(note)
-        gone = still_missing(engine, self.standing, self.needed, self._outside.processes)
+        for reason, times in self._refused_batches.items():
+            note = f"{times} batches could not be replayed: {reason}"
+            self.report.notes.append(note)
+            engine.report_not_restored(note)
+        gone = still_missing(engine, self.accepted, self.needed, self._outside.processes)
         for name, module in gone.items():
-            self.found.notes.append(told(name, module))
-            if not self.found.is_continued:
-                engine.tell_not_restored(told(name, module))
-        if not self.found.is_continued:
-            known = gone | origins(self._outside.processes)
-            begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
-            self._log.append(written(begin))
+            self.report.notes.append(missing_message(name, module))
+            if not self.report.is_continued:
+                engine.report_not_restored(missing_message(name, module))
+        if not self.report.is_continued:
+            modules = gone | process_modules(self._outside.processes)
+            begin = Begin(secrets.token_hex(4), now, self._program, modules, INSTANTS)
+            self._log.append(encode_command(begin))
             begin.apply(engine)
         return engine
 
     def _from_checkpoint(self, now: int) -> tuple[Engine, int] | None:
-        """The engine of the newest checkpoint that is sound, and its position."""
+        """Return the engine of the newest sound checkpoint, and its position."""
         for position in self._checkpoints.positions():
             try:
                 kept = self._checkpoints.read(position)
-                found = self._from(kept, now)
+                found = self._from_state(kept, now)
             except (JournalDamaged, CheckpointError) as error:
-                self.found.notes.append(f"a checkpoint is passed over: {error}")
+                self.report.notes.append(f"a checkpoint was skipped: {error}")
                 continue
             if position > self._log.position or position + 1 < self._log.first:
                 raise JournalDamaged(
@@ -143,13 +143,14 @@ class Recovering:
                     f"{self._log.first} to {self._log.position}",
                     "restore the folder from a backup (dyknow restore)",
                 )
-            self.found.position = position
+            self.report.position = position
             return found, position
         return None
 
-    def _from(self, kept: Checkpoint, now: int) -> Engine:
-        """The engine of a checkpoint; raises `CheckpointError`."""
-        reason = _of_another(kept.program, self._program)
+    def _from_state(self, kept: Checkpoint, now: int) -> Engine:
+        """Return the engine of a checkpoint: by its pickle if this program wrote it, else by its
+        portable state. Raises `CheckpointError`."""
+        reason = _writer_differs(kept.program, self._program)
         try:
             head = msgspec.msgpack.decode(kept.portable, type=PortableHead)
         except msgspec.DecodeError as error:
@@ -158,46 +159,47 @@ class Recovering:
         self.needed |= head.processes
         if kept.program == self._program:
             try:
-                engine, self.standing = engine_of(kept.state, self._outside)
+                engine, self.accepted = engine_of(kept.state, self._outside)
                 for each in head.unkept:
                     if each.is_computing:
-                        # What it makes from here on is not what those who looked on have seen.
-                        self._begin_anew(f"the state of a process was not kept: {each}")
+                        # Its output from here on differs from what clients would have seen.
+                        self._begin_epoch(
+                            f"the state of a process is not in the checkpoint: {each}"
+                        )
                 return engine
             except CheckpointError as error:
-                # Of user-written processes it may name what is not there any more.
+                # It may refer to user-written processes that are not loaded any more.
                 reason = str(error)
         try:
             portable = msgspec.msgpack.decode(kept.portable, type=Portable)
         except msgspec.DecodeError as error:
             raise CheckpointError(f"{reason}; {error}") from error
         first_reserved = self._after_queries(kept.position)
-        engine, self.standing, lost = engine_from(portable, now, self._outside, first_reserved)
-        self._begin_anew(reason)
-        self.found.notes += lost
+        engine, self.accepted, lost = engine_from(portable, now, self._outside, first_reserved)
+        self._begin_epoch(reason)
+        self.report.notes += lost
         return engine
 
-    def _from_nothing(self, now: int) -> tuple[Engine, int]:
-        """The engine where there is no checkpoint, and the position after which commands are to be
-        done."""
+    def _from_log(self, now: int) -> tuple[Engine, int]:
+        """Return a new engine, and the position after which the log is to be replayed."""
         store = self._directory.old_store
         ontology = None if store is None else Ontology.open_copy(store)
         if not self._log.position:
-            known = origins(self._outside.processes)
-            begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
-            self._log.append(written(begin))
+            modules = process_modules(self._outside.processes)
+            begin = Begin(secrets.token_hex(4), now, self._program, modules, INSTANTS)
+            self._log.append(encode_command(begin))
             self._log.commit()
             if store is not None:
-                self.found.notes.append(
-                    f"{self._directory.path} was written by an earlier version: definitions are "
-                    "taken over, samples were not kept"
+                self.report.notes.append(
+                    f"{self._directory.path} was written by an earlier version: definitions were "
+                    "restored, and there are no samples"
                 )
         elif self._log.first > 1:
             raise JournalDamaged(
                 f"there is no sound checkpoint, and the log begins with record {self._log.first}",
                 "restore the folder from a backup (dyknow restore)",
             )
-        first = next(read(data) for _, data in self._log.read(0))
+        first = next(decode_command(data) for _, data in self._log.read(0))
         if not isinstance(first, Begin):
             raise JournalDamaged(f"the log begins with {type(first).__name__}")
         self._writer = first.program
@@ -208,33 +210,33 @@ class Recovering:
             first_reserved=1 if first.program == self._program else self._after_queries(0),
             ontology=ontology,
             rules=first.rules,
-            **self._outside.given(),
+            **self._outside.arguments(),
         )
         first.apply(engine)
         return engine, 1
 
     def _after_queries(self, position: int) -> int:
-        """The first N of ``dyknow_reserved<N>`` that no query of the log after ``position`` is
-        called: what another program makes besides takes none of these names."""
+        """Return the first N above those of the queries ``dyknow_reserved<N>`` in the log after
+        ``position``. Another program may create other streams, which must not take these names."""
         names = []
         for _, data in self._log.read(position):
-            with suppress(msgspec.DecodeError):  # told when it is its turn
-                command = read(data)
+            with suppress(msgspec.DecodeError):  # the replay reports it
+                command = decode_command(data)
                 if isinstance(command, RegisterQuery):
                     names.append(command.name)
         return after_reserved(names)
 
-    def _begin_anew(self, reason: str) -> None:
-        self.found.is_continued = False
-        self.found.notes.append(f"{reason}: numbers of samples and ids of events begin anew")
+    def _begin_epoch(self, reason: str) -> None:
+        self.report.is_continued = False
+        self.report.notes.append(f"{reason}: numbers of samples and ids of events begin anew")
 
-    def _again(self, engine: Engine, position: int, data: bytes) -> None:
-        """Do a command again. One that was done once is done now: where it is not, this is another
-        program or an error in it."""
+    def _replay(self, engine: Engine, position: int, data: bytes) -> None:
+        """Replay a command. It succeeded once, so a failure means another program or an error in
+        this one."""
         try:
-            command = read(data)
+            command = decode_command(data)
         except msgspec.DecodeError as error:
-            self._begin_anew(f"record {position} cannot be read: {error}")
+            self._begin_epoch(f"record {position} cannot be read: {error}")
             return
         if isinstance(command, Begin):
             self._writer = command.program
@@ -243,24 +245,24 @@ class Recovering:
             self._check_writer()
         if isinstance(command, Tick):
             self._tape.replay(command.readings)
-        if isinstance(command, Refused) and not self.found.is_continued:
-            # It need not be refused here, and nobody was promised what would come of it.
+        if isinstance(command, Refused) and not self.report.is_continued:
+            # This program might accept it, although the client was told that it failed.
             return
         expected = None
         try:
-            expected = self.standing.expected(command, engine)
-            self.standing.note(command, self.standing.do(engine, command))
+            expected = self.accepted.expected_key(command, engine)
+            self.accepted.record(command, self.accepted.do(engine, command))
         except REFUSALS as error:
-            self._refused_again(engine, position, command, expected, error)
-        except Exception as error:  # noqa: BLE001  the service starts without it, and says so
-            self._begin_anew(f"record {position} could not be done again: {error}")
+            self._handle_refusal(engine, position, command, expected, error)
+        except Exception as error:  # noqa: BLE001  the service starts without it and reports it
+            self._begin_epoch(f"record {position} could not be replayed: {error}")
 
     def _check_writer(self) -> None:
-        """What another program has done need not be what comes of it here."""
-        if self._writer != self._program and self.found.is_continued:
-            self._begin_anew(_of_another(self._writer, self._program))
+        """Begin a new epoch if another program wrote the record: its results may differ."""
+        if self._writer != self._program and self.report.is_continued:
+            self._begin_epoch(_writer_differs(self._writer, self._program))
 
-    def _refused_again(
+    def _handle_refusal(
         self,
         engine: Engine,
         position: int,
@@ -268,33 +270,33 @@ class Recovering:
         expected: Key | None,
         error: Exception,
     ) -> None:
-        """What was accepted is refused: say so, and keep what can be done at another start."""
+        """Report an accepted command that is refused now, and keep it for another start."""
         match command:
             case Publish(stream=stream):
-                self._unplaced[f"{stream}: {error}"] += 1
-                self.found.is_continued = False
+                self._refused_batches[f"{stream}: {error}"] += 1
+                self.report.is_continued = False
                 return
-            case WorkBacklog() if not self.found.is_continued:
-                # Of another program other windows are due; they close when it is their turn.
+            case WorkBacklog() if not self.report.is_continued:
+                # In another program other windows may be due; the backlog closes them.
                 return
             case AddKpl(text=text, unit=unit):
                 engine.restore_kpl(text, unit)
             case RemoveKpl(name=name) if engine.forget_kpl(name):
                 return
             case _ if isinstance(command, DEFINING):
-                self.standing.wait(command, expected, engine, error)
-        self._begin_anew(f"record {position} could not be done again: {error}")
+                self.accepted.add_waiting(command, expected, engine, error)
+        self._begin_epoch(f"record {position} could not be replayed: {error}")
 
 
 def still_missing(
-    engine: Engine, standing: Standing, needed: Mapping[str, str], processes: Processes
+    engine: Engine, accepted: AcceptedCommands, needed: Mapping[str, str], processes: Processes
 ) -> dict[str, str]:
-    """User-written processes that are ``needed`` and not there, with their modules."""
+    """Return the ``needed`` user-written processes that are not loaded, with their modules."""
     if all(name in processes for name in needed):
         return {}
-    waiting = [written(command) for _, command in standing.waiting()]
-    return missing(needed, processes, [engine.ontology.quads(), *waiting])
+    waiting = [encode_command(command) for _, command in accepted.waiting()]
+    return missing_processes(needed, processes, [engine.ontology.quads(), *waiting])
 
 
-def _of_another(writer: str, program: str) -> str:
+def _writer_differs(writer: str, program: str) -> str:
     return f"the directory was written by {writer}, this is {program}"

@@ -1,9 +1,9 @@
 """A knowledge processing application: the network of processes that KPL declares
 ([DyKnow10 §5.2-5.3]).
 
-Each source, each label and each declared stream is a generator of the configuration; equal terms
-share one adapted stream. Declarations may be added and removed while samples flow. What is added
-begins with the kept history of the streams it reads, as Def. 5.33-5.35 speak of whole streams.
+Each source, label and declared stream is a generator of the configuration; equal terms share one
+adapted stream. Declarations can be added and removed while samples arrive. A new process begins
+with the kept history of its inputs, since Def. 5.33-5.35 are about whole streams.
 """
 
 from __future__ import annotations
@@ -41,24 +41,23 @@ from ..units.mediation import MediationUnit
 from ..units.sampled_source import SampledSource
 from ..units.sink import Sink
 from ..units.violations import SUFFIX
-from .check import Admission
+from .admission import Admission
 from .network import Network, is_needed
 
 Process = ComputationalUnit | SampledSource | Sink | ConfigurationProcess
-"""What may run for a declaration."""
+"""The objects that run for a declaration."""
 
 
 class Application:
-    """The processes of checked declarations, connected.
+    """The connected processes of checked declarations.
 
-    ``processes`` implements computational units (Def. 5.28), sampled sources and sinks, ``runner``
-    calls them. ``retention`` and ``lateness`` (ns) are those of the streams that it makes. A
-    ``rehearsal`` has no world around it: every source is published to, as a recording is, and no
-    sink is called. ``check_name`` raises `Refused` for names that are the system's own; ``forget``
-    hears of streams that are no more.
+    ``processes`` has the code of computational units (Def. 5.28), sampled sources and sinks;
+    ``runner`` calls it. ``retention`` and ``lateness`` (ns) apply to the streams that it makes. In
+    a ``rehearsal`` a recording is published to every source, and no sink is called. ``check_name``
+    raises `Refused` for reserved names; ``forget`` is called for removed streams.
 
-    `add` takes all of its declarations or none; `remove` likewise. Whoever feeds the streams calls
-    `settle` afterwards: only then configuration and mediation processes act.
+    `add` starts all of its declarations or none, and `remove` stops all or none. The caller
+    publishes samples and then calls `settle`: only then configuration and mediation processes act.
     """
 
     def __init__(
@@ -93,16 +92,16 @@ class Application:
         self._admission = Admission(
             configuration, processes, self._network, check_name, rehearsal=rehearsal
         )
-        self._own: set[str] = set()
+        self._own_streams: set[str] = set()
         self._units: dict[str, ComputationalUnit] = {}
         self._readers: dict[str, Sink | ConfigurationProcess] = {}
         self._news: dict[MediationUnit | ConfigurationProcess, None] = {}
-        self._is_new = False
+        self._has_stream_changes = False
 
-    # -- what there is -----------------------------------------------------------------------
+    # -- look-ups ----------------------------------------------------------------------------
 
     def stream_of(self, key: str) -> StreamGenerator | None:
-        """The stream that a declaration makes or names; None for sorts and units."""
+        """The stream that a declaration makes or names; None for sorts and computational units."""
         declaration = self.signature.find(key)
         match declaration:
             case GeneratorDeclaration() | SourceDeclaration() | StreamDeclaration():
@@ -111,15 +110,16 @@ class Application:
                 return None
 
     def samples_of(self, name: str) -> SampleBatch:
-        """All kept samples of a declared stream, a label or a source; raises `UnknownStream`."""
+        """All kept samples of a declared stream, label or source. Raises `UnknownStream`."""
         return self._configuration.stream(name).stream.all()
 
     def process_of(self, key: str) -> Process | None:
-        """What runs for a declaration."""
+        """The process of a declaration; None if it has none."""
         return self._units.get(key) or self.sampled.get(key) or self._readers.get(key)
 
     def producer_of(self, stream: str) -> str | None:
-        """The name of the process that makes a stream, whoever asked for it; None if none does."""
+        """The name of the process that makes a stream, also of one outside KPL; None if there is
+        none."""
         maker: ComputationalUnit | SampledSource | None = self._configuration.units.get(stream)
         maker = maker or self.sampled.get(stream)
         if maker is None and stream in self._configuration.system:
@@ -132,17 +132,17 @@ class Application:
         return self.signature.source(name) is not None
 
     def release(self, name: str) -> None:
-        """Keep the stream of a source, which people declared, when the source is removed."""
-        self._own.discard(name)
+        """Keep the stream of a source, which a client declared, when the source is removed."""
+        self._own_streams.discard(name)
 
     def declaration(self, name: str) -> CheckedDeclaration:
-        """By name, label or key; raises `UnknownDeclaration`."""
+        """A declaration by name, label or key. Raises `UnknownDeclaration`."""
         found = self.signature.find(name)
         if found is None:
             near = difflib.get_close_matches(name, self.signature.by_key, n=3)
             raise UnknownDeclaration(
-                f"nothing called {name!r} was declared in KPL",
-                f"did you mean {' or '.join(near)}?" if near else "GET /kpl shows what was",
+                f"there is no KPL declaration called {name!r}",
+                f"did you mean {' or '.join(near)}?" if near else "GET /kpl lists all",
             )
         return found
 
@@ -153,12 +153,10 @@ class Application:
         declarations: Iterable[CheckedDeclaration],
         started: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Start what the declarations ask for, in order; they were checked against `signature`.
-        ``started`` hears the key of each.
+        """Start the processes of declarations, in order; they were checked against `signature`.
+        Calls ``started`` with the key of each.
 
-        Raises, with nothing changed, `UnknownFeature` for a computational unit without an
-        implementation, `Conflict` where an implementation or a stream is otherwise than declared,
-        `AlreadyExists` for a name that another stream has, `Refused` for one of the system.
+        Raises the errors of `Admission.check`, and changes nothing then.
         """
         new = tuple(declarations)
         for declaration in new:
@@ -167,15 +165,15 @@ class Application:
         for declaration in new:
             self._start(declaration)
             started(declaration.key)
-        self._is_new = True
+        self._has_stream_changes = True
         self.settle()
 
     def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
-        """Stop and forget a declaration, with ``cascade`` also what cannot be without it.
+        """Stop and remove a declaration, with ``cascade`` also its dependents.
 
-        Gives the keys of what was removed, users first. Raises `UnknownDeclaration`; `Conflict`
-        where other declarations need it and ``cascade`` is not said, and where something outside
-        of KPL reads one of the streams.
+        Returns the keys of the removed declarations, dependents first. Raises `UnknownDeclaration`;
+        `Conflict` for one with dependents without ``cascade``, and where a process outside KPL
+        reads one of the streams.
         """
         found = self.declaration(name)
         dependents = self.signature.dependents(found.key)
@@ -185,43 +183,43 @@ class Application:
                 "remove these first, or all together with cascade",
             )
         keys = (*dependents, found.key)
-        made = {key for key in keys if key in self._units or key in self._own}
-        outside = self._configuration.find_outside_reader(made, self._is_ours)
+        streams = {key for key in keys if key in self._units or key in self._own_streams}
+        outside = self._configuration.find_outside_reader(streams, self._is_ours)
         if outside:
             stream, reader = outside
             raise Conflict(
-                f"stream {stream!r} is read by {reader}", "cancel the requests that need it first"
+                f"stream {stream!r} is read by {reader}", "cancel the requests that read it first"
             )
         for key in keys:
             self.stop(self.signature.by_key[key])
         self.signature = self.signature.without(keys)
-        self._is_new = True
+        self._has_stream_changes = True
         self.settle()
         return keys
 
     def _is_ours(self, unit: ComputationalUnit) -> bool:
-        """Whether a unit is KPL's own and does without a stream: another object's is left."""
+        """Whether KPL started a unit, so that it does not keep a stream from being removed."""
         return unit.output.name in self._units
 
     def settle(self) -> None:
-        """Let configuration and mediation processes act on what has come.
+        """Let configuration and mediation processes act on the samples that arrived.
 
-        In rounds, as long as one has something to do: what is over goes, every ``foreach`` acts on
-        one set, and mediations take the streams that came. Once no set is left they pass on what
-        is decided. They read each other in no circle, and none reads the status stream that hears
-        of what they do, so this ends.
+        It works in rounds until no process has work. In each round finished generators are removed,
+        every ``foreach`` processes one set, and mediations connect new streams. When no set is
+        left, mediations emit the decided samples. This terminates, because the processes have no
+        cyclic inputs and none reads the status stream, to which their actions are reported.
         """
         while True:
-            acted = self._reap()
+            has_acted = self._remove_finished()
             configuring = [p for p in self._news if isinstance(p, ConfigurationProcess)]
-            if configuring or acted:  # those who wait for what they may make know more now
+            if configuring or has_acted:  # mediations may wait for streams that these make
                 self._news.update(dict.fromkeys(self._mediations))
             for process in configuring:
                 if process.step():
-                    acted = self._is_new = True
+                    has_acted = self._has_stream_changes = True
                 else:
                     self._news.pop(process, None)
-            self._review()
+            self._reconnect()
             mediations = [
                 p
                 for p in self._news
@@ -229,18 +227,18 @@ class Application:
             ]
             for unit in mediations:
                 unit.connect_inputs()
-            if acted:
+            if has_acted:
                 continue
             if not mediations:
                 self._news.clear()
-                self._forget_past()
+                self._drop_past_lives()
                 return
             for unit in mediations:
                 self._news.pop(unit, None)
                 unit.pass_on()
 
-    def _forget_past(self) -> None:
-        """Let go of lives that every mediation at work has left behind."""
+    def _drop_past_lives(self) -> None:
+        """Drop past lives of streams that every running mediation has processed."""
         past = self._network.past
         for feature in list(past):
             behind = [
@@ -258,28 +256,28 @@ class Application:
             if not kept:
                 del past[feature]
 
-    def _reap(self) -> bool:
-        """Take away generators of objects that have left, once they have seen the last of them."""
-        acted = False
+    def _remove_finished(self) -> bool:
+        """Remove generators of objects that have left, once they have read their last samples."""
+        has_acted = False
         for process in self._configuring:
             if process.leaving and process.reap():
-                acted = self._is_new = True
-        return acted
+                has_acted = self._has_stream_changes = True
+        return has_acted
 
-    def _review(self) -> None:
-        """Streams came or went: whoever waits for one looks again, until that changes nothing."""
-        while self._is_new:
-            self._is_new = False
+    def _reconnect(self) -> None:
+        """Let processes look for streams that were added or removed, until nothing changes."""
+        while self._has_stream_changes:
+            self._has_stream_changes = False
             for process in self._configuring:
                 if process.review():
-                    self._is_new = True
+                    self._has_stream_changes = True
             for unit in self._mediations:
                 if unit.may_find:
                     unit.look_again()
 
     def _promised(self, feature: str) -> int:
-        """What configuration processes are still to make of a feature, or to make anew, says
-        nothing available by then: as their sets say, and those of what they read."""
+        """The available time (ns) up to which generators that configuration processes will still
+        make of a feature have no samples. It follows from their sets and those of their inputs."""
         promised, todo, seen = TIME_MAX, [feature], {feature}
         while todo:
             wanted = todo.pop()
@@ -303,7 +301,7 @@ class Application:
         self._news[process] = None
 
     def tick(self, now: int) -> None:
-        """The time is ``now`` (ns): read the sources that are due."""
+        """Read the sources that are due at ``now`` (ns)."""
         for source in list(self.sampled.values()):
             source.tick(now)
 
@@ -331,7 +329,7 @@ class Application:
     def _start_source(self, name: str, sort: ValueSort) -> None:
         implementation = self._processes.sources.get(name)
         if name not in self._configuration.streams:
-            self._own.add(name)
+            self._own_streams.add(name)
             output = self._network.stream(name, sort.schema)
             if implementation is not None and not self._rehearsal:
                 self._read(implementation, output)
@@ -341,14 +339,16 @@ class Application:
             implementation,
             output,
             None,
-            on_event=lambda source, event, text: self._tell_source(ChangeKind(event), source, text),
+            on_event=lambda source, event, text: self._report_source(
+                ChangeKind(event), source, text
+            ),
             runner=self._runner,
             name=self._configuration.unit_name(),
             on_report=self._configuration.add_report,
         )
         self.sampled[output.name] = source
         self._configuration.system.add(output.name)
-        self._tell_source(ChangeKind.UNIT_STARTED, source, f"source {output.name}")
+        self._report_source(ChangeKind.UNIT_STARTED, source, f"source {output.name}")
 
     def _start_foreach(self, declaration: ForeachDeclaration) -> None:
         process = ConfigurationProcess(
@@ -356,7 +356,7 @@ class Application:
             declaration,
             self._network.term(declaration.members),
             self,
-            on_event=lambda process, event, text: self._tell_reader(
+            on_event=lambda process, event, text: self._report_reader(
                 ChangeKind(event), process, text
             ),
             on_news=self._has_news,
@@ -364,10 +364,10 @@ class Application:
         self._attach(declaration.key, process, format_kpl(declaration))
         process.begin()
 
-    # For configuration processes: see `Generators`.
+    # The protocol `Generators`, which configuration processes call.
 
     def start(self, declaration: GeneratorDeclaration, after: int, until: int | None) -> str | None:
-        """Start a generator of one object; why not, if that cannot be."""
+        """Start the generator of one object; return why it cannot start, or None."""
         key = declaration.key
         missing = self._network.missing(declaration)
         if missing is not None:
@@ -377,33 +377,33 @@ class Application:
         unit = self._network.start_generator(declaration, after, until)
         assert unit is not None, "a foreach has no generators of sources"
         self._units[key] = unit
-        self._is_new = True
+        self._has_stream_changes = True
         return None
 
     def end(self, declaration: GeneratorDeclaration, until: int) -> None:
-        """Let a generator see nothing that is available later than ``until``."""
+        """Let a generator read no samples available later than ``until``."""
         self._units[declaration.key].end_after(until)
 
     def last_processed(self, declaration: GeneratorDeclaration) -> int:
-        """Up to when a generator has seen samples."""
+        """The available time up to which a generator has read samples."""
         return self._units[declaration.key].last_processed
 
     def void(self, declaration: GeneratorDeclaration) -> None:
-        """Take a generator away that another one takes the place of, from its beginning."""
+        """Remove a generator that another one replaces from its beginning on."""
         self._units[declaration.key].output.is_void = True
         self.stop(declaration)
 
     def is_over(self, declaration: GeneratorDeclaration) -> bool:
-        """Whether a generator has seen all that it is to see."""
+        """Whether a generator has read all of its samples, or failed."""
         unit = self._units[declaration.key]
         return unit.output.is_ended or unit.failure is not None
 
     def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
-        """Whether the streams that a generator reads are there still."""
+        """Whether the streams that a generator reads still exist."""
         return self._configuration.has_current_inputs(self._units[declaration.key])
 
     def stop(self, declaration: CheckedDeclaration) -> None:
-        """Stop what runs for a declaration."""
+        """Stop the process of a declaration, and remove its stream."""
         key = declaration.key
         unit = self._units.pop(key, None)
         if unit is not None:
@@ -411,7 +411,7 @@ class Application:
             read = [self._configuration.unadapted(source) for source in unit.inputs]
             if any(life.is_void for life in read):
                 output.is_void = True
-            if output.ends_at is None:  # with the life of what it read, if that is over
+            if output.ends_at is None:  # it ends with the first of its inputs that has ended
                 ends = [life.ends_at for life in read if life.ends_at is not None]
                 output.ends_at = min(ends, default=None)
             is_over = output.ends_at is not None and not output.is_void
@@ -426,15 +426,15 @@ class Application:
         if sampled is not None:
             sampled.stop()
             self._configuration.system.discard(key)
-            self._tell_source(ChangeKind.UNIT_STOPPED, sampled)
+            self._report_source(ChangeKind.UNIT_STOPPED, sampled)
         reader = self._readers.pop(key, None)
         if reader is not None:
             self._configuration.detach(reader)
-            self._tell_reader(ChangeKind.UNIT_STOPPED, reader)
+            self._report_reader(ChangeKind.UNIT_STOPPED, reader)
             if isinstance(reader, ConfigurationProcess):
                 self._news.pop(reader, None)
-        if key in self._own:
-            self._own.discard(key)
+        if key in self._own_streams:
+            self._own_streams.discard(key)
             self._configuration.remove_stream(key)
         if not self._configuration.has(key):
             self._forget(key)
@@ -446,15 +446,15 @@ class Application:
         sink = Sink(
             implementation,
             [self._network.term(term) for term in declaration.terms],
-            on_event=lambda sink, event, text: self._tell_reader(ChangeKind(event), sink, text),
+            on_event=lambda sink, event, text: self._report_reader(ChangeKind(event), sink, text),
             runner=self._runner,
             name=self._configuration.unit_name(),
         )
         self._attach(declaration.key, sink, format_kpl(declaration))
         sink.start()
 
-    def hear(self, outcome: Outcome) -> None:
-        """What came of calls of a sink, which may be gone by now."""
+    def record_outcome(self, outcome: Outcome) -> None:
+        """Pass the outcome of a call to its sink, unless the sink was removed meanwhile."""
         for reader in tuple(self._readers.values()):
             if isinstance(reader, Sink) and reader.name == outcome.sink:
                 reader.apply_outcome(outcome)
@@ -462,17 +462,17 @@ class Application:
     def _attach(self, key: str, reader: Sink | ConfigurationProcess, specification: str) -> None:
         self._readers[key] = reader
         self._configuration.attach(reader)
-        self._tell_reader(ChangeKind.UNIT_STARTED, reader, specification)
+        self._report_reader(ChangeKind.UNIT_STARTED, reader, specification)
 
-    # -- what is told ------------------------------------------------------------------------
+    # -- reports -----------------------------------------------------------------------------
 
-    def _tell_source(self, kind: ChangeKind, source: SampledSource, text: str = "") -> None:
+    def _report_source(self, kind: ChangeKind, source: SampledSource, text: str = "") -> None:
         name = source.implementation.name
         self._configuration.report_change(
             Change(kind, source.output.name, source.name, name, (), text, Role.SOURCE)
         )
 
-    def _tell_reader(
+    def _report_reader(
         self, kind: ChangeKind, reader: Sink | ConfigurationProcess, text: str = ""
     ) -> None:
         name = reader.implementation.name if isinstance(reader, Sink) else "foreach"

@@ -1,4 +1,4 @@
-"""KPL in the running system: text in, processes at work, text kept over a restart
+"""KPL declarations of the running system: parsed, started, and stored over a restart
 ([DyKnow10 §5.2], SPEC §1)."""
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ..units.sampled_source import SampledSource
 from .application import Application, Process
 
 _SEPARATOR = "\n\n"
-"""Between declarations where they are kept: some have several lines, none has an empty one."""
+"""Separates stored declarations: some have several lines, none contains an empty line."""
 _KINDS = {
     SourceDeclaration: "source",
     CompunitDeclaration: "compunit",
@@ -46,11 +46,11 @@ _KINDS = {
 
 
 class KplDeclarations:
-    """What was declared in KPL, and the application that it makes.
+    """The KPL declarations and their application.
 
-    The declarations are kept in the store in their one spelling. What does not hold any more after
-    a restart (the code of a unit is gone, a stream has other fields) is told on the status
-    stream, left out, and kept.
+    The ontology stores the declarations in canonical spelling. After a restart one of them may no
+    longer be valid: the code of a unit is missing, or a stream has other fields. The status stream
+    reports it, and it stays stored.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class KplDeclarations:
     ) -> None:
         self._ontology = ontology
         self._application = application
-        self._changed = changed
+        self._report = changed
         self._texts: dict[str, str] = {}
         self._not_restored: dict[str, str] = {}
 
@@ -68,23 +68,23 @@ class KplDeclarations:
         return self._application.signature
 
     def add(self, text: str, unit: str = "ms") -> tuple[str, ...]:
-        """Declare, and start what is declared; all of the text or nothing. Gives the keys of what
-        is new: what was declared in the same words before changes nothing.
+        """Add all declarations of a text, or none, and start them. Returns the keys of the new
+        ones: repeating an equal declaration changes nothing.
 
-        Raises `LanguageError`, and what `Application.add` raises.
+        Raises `LanguageError`, and the errors of `Application.add`.
         """
         new = self._declare(text, unit)
         if new:
-            self._keep()
+            self._store()
         return tuple(declaration.key for declaration in new)
 
     def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
-        """See `Application.remove`. What was not restored is forgotten by its first line, or by its
-        name where nothing else has it."""
+        """Remove a declaration (`Application.remove`), or one that was not restored: by its first
+        line, or by its name if no other declaration has it."""
         for text in self._not_restored:
             if text.partition("\n")[0] == name:
                 del self._not_restored[text]
-                self._keep()
+                self._store()
                 return (name,)
         try:
             removed = self._application.remove(name, cascade=cascade)
@@ -94,71 +94,73 @@ class KplDeclarations:
             return (name,)
         for key in removed:
             del self._texts[key]
-        self._keep()
+        self._store()
         return removed
 
     def text(self) -> str:
-        """All declarations in their one spelling; declared in this order they give the same."""
+        """All declarations in canonical spelling, in an order in which they can be declared."""
         return "".join(f"{text}\n" for text in self._in_order())
 
     def __len__(self) -> int:
-        """How many declarations there are, those that do not hold any more included."""
+        """The number of declarations, with those that were not restored."""
         return len(self._texts) + len(self._not_restored)
 
     def views(self) -> tuple[DeclarationView, ...]:
-        """All declarations, in order; then those of an earlier run that do not hold any more."""
+        """The views of all declarations in order, then of those that were not restored."""
         views = [self._view(declaration) for declaration in self.signature.declarations]
-        return (*views, *(_lost(text, why) for text, why in self._not_restored.items()))
+        return (*views, *(_lost_view(text, why) for text, why in self._not_restored.items()))
 
     def view(self, name: str) -> DeclarationView:
-        """One, by name, label or key; raises `UnknownDeclaration`."""
+        """The view of a declaration by name, label or key. Raises `UnknownDeclaration`."""
         return self._view(self._application.declaration(name))
 
     def used_by(self, name: str) -> tuple[str, ...]:
-        """The keys of all that cannot be without it, users first; raises `UnknownDeclaration`."""
+        """The keys of the dependents of a declaration, users first. Raises `UnknownDeclaration`."""
         return self.signature.dependents(self._application.declaration(name).key)
 
     def restore(self, started: Callable[[str], None]) -> None:
-        """Declare what an earlier run was told; what does not hold any more is told and left. See
-        `Application.add`."""
+        """Declare the stored declarations again; report those that are not valid any more. For
+        ``started`` see `Application.add`."""
         kept = self._ontology.registered.kpl()
         if not kept:
             return
         try:
             self._declare(kept, started=started)
         except (LanguageError, DyknowError):
-            # Something does not hold any more: what can be without it is restored.
+            # One of them is not valid: declare each alone, so that the others are restored.
             for text in kept.split(_SEPARATOR):
-                self._declare_again(text, started)
+                self._restore_one(text, started)
 
-    def add_what_holds(self, text: str, unit: str = "ms") -> None:
-        """Declare what an earlier run was told and had not kept yet, as `restore` does."""
+    def add_valid(self, text: str, unit: str = "ms") -> None:
+        """Declare the valid declarations of a text that an earlier run accepted and had not stored
+        in a checkpoint."""
         try:
             self._declare(text, unit)
         except (LanguageError, DyknowError):
             for each in self._parts(text, unit):
-                self._declare_again(each)
-        self._keep()
+                self._restore_one(each)
+        self._store()
 
     def forget(self, name: str) -> bool:
-        """Forget what was not restored, by its name, label or key; whether it was there."""
+        """Remove a declaration that was not restored, by name, label or key; return whether there
+        was one."""
         for text in tuple(self._not_restored):
-            if _is_called(name, text):
+            if _has_name(name, text):
                 del self._not_restored[text]
-                self._keep()
+                self._store()
                 return True
         return False
 
-    def _declare_again(self, text: str, started: Callable[[str], None] = lambda _: None) -> None:
+    def _restore_one(self, text: str, started: Callable[[str], None] = lambda _: None) -> None:
         try:
             self._declare(text, started=started)
         except (LanguageError, DyknowError) as error:
             self._not_restored[text] = str(error)
             reason = f"{error}\n{text}"
-            self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+            self._report(Change(ChangeKind.NOT_RESTORED, specification=reason))
 
     def _parts(self, text: str, unit: str) -> tuple[str, ...]:
-        """The declarations of a text as they are kept; in one where it makes no sense now."""
+        """Split a text into declarations in canonical spelling; a text with errors stays whole."""
         has_unit = False
         try:
             specification = parse_kpl(text)
@@ -180,11 +182,11 @@ class KplDeclarations:
             self._not_restored.pop(self._texts[declaration.key], None)
         return new
 
-    def _keep(self) -> None:
+    def _store(self) -> None:
         self._ontology.registered.set_kpl(_SEPARATOR.join((*self._in_order(), *self._not_restored)))
 
     def _in_order(self) -> list[str]:
-        """Each behind what it uses: a removal may have changed the order of declaration."""
+        """The texts in order of dependency. The order of `_texts` may differ after a removal."""
         return [self._texts[declaration.key] for declaration in self.signature.declarations]
 
     def _view(self, declaration: CheckedDeclaration) -> DeclarationView:
@@ -208,8 +210,8 @@ class KplDeclarations:
         )
 
 
-def _is_called(name: str, text: str) -> bool:
-    """Whether a declaration, as it is kept, is of this name, label or key."""
+def _has_name(name: str, text: str) -> bool:
+    """Whether a stored declaration has this name, label or key."""
     try:
         declarations = parse_kpl(text).declarations
     except LanguageError:
@@ -227,8 +229,8 @@ def _is_called(name: str, text: str) -> bool:
     return False
 
 
-def _lost(text: str, reason: str) -> DeclarationView:
-    """A declaration of an earlier run that does not hold any more."""
+def _lost_view(text: str, reason: str) -> DeclarationView:
+    """Return the view of a declaration that was not restored."""
     return DeclarationView(
         name=text.partition("\n")[0],
         kind="not restored",
@@ -246,7 +248,7 @@ def _lost(text: str, reason: str) -> DeclarationView:
 
 
 def _counters(process: Process | None) -> dict[str, object]:
-    """What a process counts, beside its errors."""
+    """Return the counters of a process without those of errors."""
     match process:
         case PolicyUnit():
             return counts_of(process)

@@ -1,4 +1,4 @@
-"""Making the processes of KPL declarations and connecting them ([DyKnow10 Def. 5.33-5.35])."""
+"""Creates and connects the processes of KPL declarations ([DyKnow10 Def. 5.33-5.35])."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ from ..units.violations import Violations
 
 
 class Network:
-    """Starts the units of generators and streams over a configuration's streams.
+    """Starts the units of generators and declared streams over a configuration's streams.
 
-    What is made is used once, by its declaration; equal terms share one adapted stream, which is
-    there as long as somebody reads it. ``on_news`` hears of mediations that have something to do;
-    what is still to be made of a feature says nothing that is available by ``promised(feature)``.
+    Each unit belongs to one declaration. Equal terms share one adapted stream, which exists while
+    it has readers. ``on_news`` is called for mediations that have work. ``promised(feature)``
+    returns the available time up to which future generators of a feature have no samples.
     """
 
     def __init__(
@@ -69,30 +69,30 @@ class Network:
         self._on_news = on_news
         self._promised = promised
         self.past: dict[str, dict[str, list[StreamGenerator]]] = {}
-        """By feature the streams that labels had in lives that are over, for mediations of the
-        feature that are behind."""
+        """The streams of labels in past lives, by feature and label, for mediations that have not
+        processed them yet."""
 
     def stream(self, name: str, schema: Schema | None) -> StreamGenerator:
-        """A new stream; an open one without ``schema``."""
+        """Create a stream; without ``schema`` an open one."""
         return self._configuration.add_stream(
             name, schema or Schema(()), lateness=self._lateness, retention=self._retention
         )
 
     def missing(self, declaration: GeneratorDeclaration) -> str | None:
-        """The first label that a generator reads and that is not there."""
-        labels = (str(term.label) for term in _read(declaration))
+        """The first label that a generator reads and that does not exist; None if all do."""
+        labels = (str(term.label) for term in _required_terms(declaration))
         return next((label for label in labels if not self._configuration.has(label)), None)
 
     def implementation(self, name: str, key: str) -> UnitImplementation:
-        """The code of a computational unit; raises `UnknownFeature`."""
-        found = self._processes.units.get(name)
-        if found is None:
-            known = ", ".join(self._processes.units) or "none"
+        """The code of a computational unit. Raises `UnknownFeature`."""
+        code = self._processes.units.get(name)
+        if code is None:
+            names = ", ".join(self._processes.units) or "none"
             raise UnknownFeature(
                 f"computational unit {name!r} of {key} has no implementation",
-                f"write it with @dyknow.computational_unit and load its module; there are: {known}",
+                f"write it with @dyknow.computational_unit and load its module; there are: {names}",
             )
-        return found
+        return code
 
     def start_generator(
         self,
@@ -100,10 +100,9 @@ class Network:
         after: int | None = None,
         until: int | None = None,
     ) -> ComputationalUnit | None:
-        """Start what a label stands for; None for a source's, which is its stream.
+        """Start the unit of a label; None for the label of a source, which is an alias.
 
-        With ``after`` (ns) it sees nothing that was available by then, with ``until`` nothing that
-        is available later.
+        It reads samples available later than ``after`` (ns), and not later than ``until`` (ns).
         """
         unit: ComputationalUnit
         key, process = declaration.key, declaration.process
@@ -115,7 +114,7 @@ class Network:
                 unit = FunctionProcess(
                     *self._identity(name, terms, declaration, declaration.sort.schema, after),
                     implementation=self.implementation(name, key),
-                    on_event=self._told,
+                    on_event=self._report_event,
                     on_report=self._configuration.add_report,
                     runner=self._runner,
                 )
@@ -144,15 +143,15 @@ class Network:
         return unit
 
     def start_stream(self, declaration: StreamDeclaration) -> AdaptationUnit:
-        """Start the subscription that a declared stream is."""
+        """Start the adaptation unit of a declared stream."""
         violations = self._configuration.violations(declaration.name, self._retention)
         unit = self._adaptation(declaration.term, declaration.name, violations)
         self._start(unit, format_kpl(declaration))
         return unit
 
     def term(self, term: Term, after: int | None = None) -> StreamGenerator:
-        """The stream of a term; the same term is the same stream, unless another annotation has
-        come in between that names the objects otherwise."""
+        """Return the stream of a term. Equal terms share a stream, unless the keys of their policy
+        differ because the annotation changed in between."""
         if term.policy.is_default:
             return self._configuration.stream(str(term.label))
 
@@ -174,7 +173,7 @@ class Network:
         self._configuration.start(unit, Since.START, specification, after, until)
 
     def _keys(self, term: Term) -> tuple[str, ...]:
-        """The fields for each of whose objects the policy of a term holds by itself."""
+        """The key fields by which the policy of a term applies to each object separately."""
         return policy_keys(self._configuration, self._configuration.stream(str(term.label)))
 
     def _adaptation(self, term: Term, name: str, violations: Violations | None) -> AdaptationUnit:
@@ -197,7 +196,7 @@ class Network:
         def late(samples: Late) -> None:
             violations.add_late(samples, labels[samples.input])
 
-        # An order of each object by itself is none of the stream.
+        # If the order holds for each object separately, the whole stream may be out of order.
         monotone = [
             term.policy.effective_order is not Order.ANY and not self._keys(term)
             for term in process.terms
@@ -248,10 +247,10 @@ class Network:
             unadapted=self._configuration.unadapted,
             on_inputs=changed,
             on_news=self._on_news,
-            on_event=self._told,
+            on_event=self._report_event,
         )
 
-    def _told(self, unit: ComputationalUnit, event: ProcessEvent, text: str) -> None:
+    def _report_event(self, unit: ComputationalUnit, event: ProcessEvent, text: str) -> None:
         self._configuration.report_unit(ChangeKind(event), unit, text)
 
     def _identity(
@@ -269,24 +268,25 @@ class Network:
 
 
 def is_needed(life: StreamGenerator, after: int) -> bool:
-    """Whether a life that is over may say something that is available after ``after`` (ns)."""
+    """Whether a past life may have samples available later than ``after`` (ns)."""
     return life.ends_at is not None and life.ends_at > after
 
 
 def _past(life: StreamGenerator, policy: Policy) -> Past:
-    """What a mediation would have read of a stream, had it been there. A label has no annotation
-    when its life begins: the policy is of the whole stream."""
+    """Return the samples that a mediation would have read of a past stream. The policy applies to
+    the whole stream, since a label has no annotation when its life begins."""
     assert life.ends_at is not None
     segments = life.stream.since(0)
     if policy.is_default:
         return Past(life, [segment.batch for segment in segments], life.ends_at)
     adaptation = adapt(policy, rules=life.rules)
-    batches = [made for segment in segments for made in adaptation.push(segment.batch)]
+    batches = [batch for segment in segments for batch in adaptation.push(segment.batch)]
     return Past(life, [*batches, *adaptation.end()], life.ends_at)
 
 
-def _read(declaration: GeneratorDeclaration) -> Sequence[Term]:
-    """The terms whose streams a generator needs to begin."""
+def _required_terms(declaration: GeneratorDeclaration) -> Sequence[Term]:
+    """Return the terms whose streams a generator needs to start. A mediation connects the others
+    later."""
     match declaration.process:
         case Aggregate(_, _, members) | Select(_, _, members):
             return (members,)
@@ -295,10 +295,10 @@ def _read(declaration: GeneratorDeclaration) -> Sequence[Term]:
 
 
 def sort_name(name: str) -> str:
-    """A sort's one spelling: terms of the domain go without their prefix."""
+    """Return the canonical spelling of a sort, without the prefix of the domain."""
     return name.removeprefix("dyknow:")
 
 
 def schema_text(sort: ValueSort | Schema) -> str:
-    """Fields as KPL writes them."""
+    """Write fields as in KPL."""
     return ", ".join(f"{field.name} {field.type}" for field in sort.fields or ())

@@ -1,10 +1,10 @@
-"""Proving a KPL specification on a recording ([DyKnow10 Def. 5.29, 5.35-5.38]).
+"""Verifies a KPL specification on a recording ([DyKnow10 Def. 5.29, 5.35-5.38]).
 
-The recording is replayed through the application that the specification declares. Then every
-stream with a policy, declared or the inner term of a process, is held against the definition: it
-must be in eval_fsterm of its term over the whole stream of its label. Every `join` and `sync` is
-held against its definition over its inputs. The definitions (`streams.policies.satisfaction`,
-`streams.synchronization.tuple_definition`) share nothing with what made the streams.
+The recording is replayed through the application of the specification. Then every stream with a
+policy, declared or the inner term of a process, is compared with the definition: it has to be in
+eval_fsterm of its term over the whole stream of its label. Every `join` and `sync` is compared with
+its definition over its inputs. The definitions (`streams.policies.satisfaction`,
+`streams.synchronization.tuple_definition`) share no code with the units that made the streams.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ _FAILURES = (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was found for one declared stream, inner term, `join` or `sync`.
+    """The result for one declared stream, inner term, `join` or `sync`.
 
-    ``stream`` names it: an inner term is its own name. ``refutation`` None: the stream is a maximal
-    satisfying substream, as Def. 5.35 asks, or its tuples are those of Def. 5.11 or of SPEC §1.
-    ``as_recorded`` is the first place where the label's own stream would have broken the policy,
-    None where it holds of the recording as it is. ``failure``: a unit behind the stream failed, or
-    the grid of the policy is too long; then nothing was proved.
+    ``stream`` is its name; an inner term is its own name. ``refutation`` None: the stream is a
+    maximal satisfying substream (Def. 5.35), or its tuples are those of Def. 5.11 or SPEC §1.
+    ``as_recorded``: the first place where the recording itself violates the policy; None if it
+    satisfies it. ``failure``: a unit behind the stream failed, or the grid of the policy is too
+    long, so nothing was proved.
     """
 
     stream: str
@@ -93,10 +93,10 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """An application with a whole recording behind it.
+    """An application after the replay of a whole recording.
 
-    ``failures`` are ``(stream, reason)``; ``broken`` says of each stream that has a failed unit
-    behind it why the first of these failed. ``units`` are there at the end, by their output.
+    ``failures`` are ``(stream, reason)``; ``broken`` has the first of these reasons for each stream
+    that depends on a failed unit. ``units`` are those at the end, by output.
     """
 
     application: Application
@@ -114,26 +114,26 @@ def rehearse(
 ) -> Rehearsal:
     """Replay ``samples`` (source and batch, in any order) through a specification.
 
-    Every sample takes its place by its available time. Samples of streams that are no source are
-    passed over, and no sink is called. ``runner`` calls the processes. Policies on streams with
-    ``annotations`` hold for each object by itself. Raises `UnknownFeature` for a unit without an
-    implementation, `Conflict` where a source's fields are not those of its sort, or an annotation
-    names objects by a field that it does not have. Memory: the whole of every stream.
+    Samples are ordered by available time. Those of streams that are no source are ignored, and no
+    sink is called. ``runner`` calls the processes. Policies on streams with ``annotations`` apply
+    to each object separately. Raises `UnknownFeature` for a unit without code, `Conflict` where the
+    fields of a source differ from its sort, or lack an id field of its annotation. Memory: all
+    samples of every stream.
     """
     failures: list[tuple[str, str]] = []
 
-    def told(change: Change) -> None:
+    def on_change(change: Change) -> None:
         if change.kind in _FAILURES:
             failures.append((change.stream, f"{change.kind}: {change.specification}"))
 
-    configuration = Configuration(told)
+    configuration = Configuration(on_change)
     configuration.annotations = {each.stream: each for each in annotations}
     application = Application(
         configuration,
         processes,
         runner=runner,
         retention=Retention(samples=2**62),
-        # What a unit makes later than it may is kept for its place, as there is time.
+        # Units may emit late samples: a rehearsal can wait for all, so each gets its place.
         lateness=TIME_MAX,
         rehearsal=True,
     )
@@ -144,13 +144,13 @@ def rehearse(
         if isinstance(declaration, SourceDeclaration)
     }
     for source in sources.values():
-        source.lateness = 0  # they are given in order
-    recorded = _recorded(samples, sources)
+        source.lateness = 0  # their samples are in order
+    recorded = _collect_samples(samples, sources)
     for name, batch in recorded.items():
         _check_names(name, batch, id_fields(annotated_contents(configuration, name)))
-    # A foreach over what another makes has to hear of its sets in time.
+    # A foreach over streams of another foreach has to get its sets in order of time.
     configuring = [d for d in signature.declarations if isinstance(d, ForeachDeclaration)]
-    for name, batch in _runs(recorded) if len(configuring) > 1 else recorded.items():
+    for name, batch in _interleave(recorded) if len(configuring) > 1 else recorded.items():
         sources[name].offer(batch)
         application.settle()
     for source in sources.values():
@@ -166,7 +166,7 @@ def prove_specification(
     runner: Runner = DIRECT,
     annotations: Iterable[StreamAnnotation] = (),
 ) -> tuple[Proof, ...]:
-    """Replay a recording and prove each declared stream; arguments and errors as of `rehearse`."""
+    """Replay a recording and prove each declared stream. Arguments and errors: see `rehearse`."""
     rehearsal = rehearse(signature, processes, samples, runner, annotations)
     application = rehearsal.application
     proofs: list[Proof] = []
@@ -186,7 +186,7 @@ def prove_specification(
 
 
 def _broken(configuration: Configuration, failures: Sequence[tuple[str, str]]) -> Mapping[str, str]:
-    """Of each stream that has a failed unit behind it, why the first of these failed."""
+    """Return the first failure that each stream depends on."""
     if not failures:
         return {}
     broken: dict[str, str] = {}
@@ -200,25 +200,25 @@ def _broken(configuration: Configuration, failures: Sequence[tuple[str, str]]) -
     return broken
 
 
-def _recorded(
+def _collect_samples(
     samples: Iterable[tuple[str, Incoming]], sources: Mapping[str, StreamGenerator]
 ) -> dict[str, SampleBatch]:
-    """All samples of each source in one batch, by available time."""
+    """Collect the samples of each source in one batch, ordered by available time."""
     found: dict[str, list[SampleBatch]] = defaultdict(list)
     for name, incoming in samples:
         source = sources.get(name)
         if source is None or not len(incoming.batch):
             continue
         found[name].append(incoming.batch if source.is_open else _of_sort(source, incoming.batch))
-    whole = {}
+    collected = {}
     for name, batches in found.items():
         batch = concatenate(batches)
-        whole[name] = batch.take(np.argsort(batch.available, kind="stable"))
-    return whole
+        collected[name] = batch.take(np.argsort(batch.available, kind="stable"))
+    return collected
 
 
 def _of_sort(source: StreamGenerator, batch: SampleBatch) -> SampleBatch:
-    """Recorded samples as values of the source's sort (Def. 5.31): whole numbers are floats too."""
+    """Convert recorded samples to the source's sort (Def. 5.31): integers to floats if needed."""
     names = [name for name in source.schema.names if name in batch.columns]
     columns = {name: batch.columns[name] for name in dict.fromkeys([*names, *batch.columns])}
     for field in source.schema.fields:
@@ -234,13 +234,13 @@ def _of_sort(source: StreamGenerator, batch: SampleBatch) -> SampleBatch:
         raise Conflict(
             f"source {source.name!r} has the fields {schema_text(source.schema)}; "
             f"recorded are {schema_text(recorded)}",
-            "give the source a sort with these fields, or one that nobody has declared",
+            "declare the source with a sort of these fields, or with an undeclared sort",
         )
     return SampleBatch(batch.available, batch.valid, columns)
 
 
 def _check_names(source: str, batch: SampleBatch, keys: Sequence[str]) -> None:
-    """Raises `Conflict` for id fields of an annotation that a recording does not have."""
+    """Raise `Conflict` for id fields of an annotation that the recording lacks."""
     for key in keys:
         column = batch.columns.get(key)
         if column is None or column.type not in (FieldType.STRING, FieldType.INTEGER):
@@ -251,29 +251,30 @@ def _check_names(source: str, batch: SampleBatch, keys: Sequence[str]) -> None:
             )
 
 
-def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatch]]:
-    """The samples of all sources in order of available time, as long as one source goes on."""
+def _interleave(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatch]]:
+    """Yield the samples of all sources in order of available time, consecutive samples of one
+    source as one batch."""
     names, times = list(recorded), [batch.available for batch in recorded.values()]
     if not names:
         return
     owner = np.repeat(np.arange(len(names)), [len(own) for own in times])
     owner = owner[np.argsort(np.concatenate(times), kind="stable")]
     bounds = np.flatnonzero(np.diff(owner)) + 1
-    done = [0] * len(names)
+    taken = [0] * len(names)
     for start, end in pairwise([0, *bounds.tolist(), len(owner)]):
         i = int(owner[start])
-        yield names[i], recorded[names[i]].take(slice(done[i], done[i] + end - start))
-        done[i] += end - start
+        yield names[i], recorded[names[i]].take(slice(taken[i], taken[i] + end - start))
+        taken[i] += end - start
 
 
 def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> Proof:
-    """Of a stream with a policy."""
+    """Prove a stream with a policy."""
     policy, keys, (source,) = unit.policy, unit.keys, unit.inputs
-    whole, made = unit.past_of(source), unit.output.stream.all()
+    whole, output = unit.past_of(source), unit.output.stream.all()
     failure, refutation = rehearsal.broken.get(unit.output.name), None
     if failure is None:
         try:
-            refutation = prove_each(made, whole, policy, keys)
+            refutation = prove_each(output, whole, policy, keys)
         except PolicyError as error:
             failure = f"PolicyError: {error}"
     approximates = policy.approximation is Approximation.MOST_RECENT
@@ -291,20 +292,20 @@ def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> 
 
 
 def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
-    """Of a `join` or `sync`."""
-    made, kernel = unit.output.stream.all(), unit.kernel
+    """Prove the stream of a `join` or `sync`."""
+    output, kernel = unit.output.stream.all(), unit.kernel
     pasts = [unit.past_of(source) for source in unit.inputs]
     failure = rehearsal.broken.get(unit.output.name)
     refutation: Counterexample | None = None
     if isinstance(kernel, Join):
-        timed = unit.inner_times
+        inner_times = unit.inner_times
         inputs = [
-            TupleInput(past, names, inner_times=timed)
+            TupleInput(past, names, inner_times=inner_times)
             for past, names in zip(pasts, unit.field_names, strict=True)
         ]
-        counters = PolicyCounters(sent=len(made))
+        counters = PolicyCounters(sent=len(output))
         if failure is None:
-            refutation = prove_join(made, inputs)
+            refutation = prove_join(output, inputs)
     else:
         last = max((end for end in kernel.ends if end is not None), default=None)
         ends = [None if end == last else end for end in kernel.ends]
@@ -314,7 +315,7 @@ def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
         counters.drop(Constraint.AVAILABLE, counted.late)
         counters.drop(Constraint.ORDER, counted.dropped)
         if failure is None:
-            refutation = prove_states(made, inputs, kernel.policy)
+            refutation = prove_states(output, inputs, kernel.policy)
     counters.received = sum(map(len, pasts))
     return Proof(
         stream=unit.output.name,

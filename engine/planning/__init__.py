@@ -1,1 +1,1 @@
-"""From a plan of matching, or a query, to units that run and are shared."""
+"""Starts the units of plans and queries, and shares equal ones."""

@@ -1,8 +1,7 @@
-"""From a specification to the shapes of its units ([Introspection15 §3.2]).
+"""Elaborates a specification to the shapes of its units ([Introspection15 §3.2]).
 
-Every `cu` is checked here, with its place: its transformation, its parameters, what it reads, and
-which field of that feeds which input. Nothing is started; `apply` carries out what is
-elaborated.
+It checks each `cu`: transformation, parameters, inputs, and the field that feeds each input. Errors
+have a place in the text. It starts nothing; `specifications` starts the elaborated units.
 """
 
 from __future__ import annotations
@@ -26,22 +25,21 @@ from ...matching.space import TransformationDescription
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import shorten
 from ...streams.generator import StreamGenerator
-from ...streams.policies.policy import Policy
 from ..catalog.name_resolution import iri_of
 from ..catalog.transformation_library import Transformation, Transformations
 from ..configuration.configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration
 from ..configuration.policy_keys import annotated_contents
 from ..model.errors import DyknowError, UnknownFeature, UnknownStream
 from ..units.base import ComputationalUnit
-from .unit_shapes import LONGEST_ROW, Running, Shape
+from .unit_shapes import MAX_CHAIN, RunningShapes, Shape
 from .wiring import (
     Fields,
-    Piece,
-    Unfit,
+    InputStream,
+    WiringError,
+    compute_node,
     fields_of,
-    selected,
-    together,
-    transformed,
+    select_node,
+    synchronize_node,
 )
 
 SYSTEM = {SELECT_OBJECT: ("field", "object"), SYNCHRONIZE: (), POLICY: ("policy",)}
@@ -49,11 +47,11 @@ SYSTEM = {SELECT_OBJECT: ("field", "object"), SYNCHRONIZE: (), POLICY: ("policy"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Elaborated:
-    """An element and what it comes to."""
+class ElaboratedUnit:
+    """An element and its elaboration."""
 
     element: UnitSpecification
-    piece: Piece
+    piece: InputStream
 
     @property
     def shape(self) -> Shape:
@@ -65,8 +63,8 @@ class Elaborated:
 class Elaboration:
     """Elaborates the insertions of one text, ``source``.
 
-    ``removed`` are units that the same text removes. ``restoring``: the text is of an earlier run,
-    whose invented names are no more.
+    ``removed`` are units that the same text removes. ``restoring``: the text is from an earlier
+    run, so reserved names in it mean nothing now.
     """
 
     def __init__(
@@ -75,10 +73,10 @@ class Elaboration:
         vocabulary: Vocabulary,
         transformations: Transformations,
         configuration: Configuration,
-        running: Running,
-        removed: Collection[ComputationalUnit] = (),
+        running: RunningShapes,
+        removed: Collection[ComputationalUnit],
         *,
-        restoring: bool = False,
+        restoring: bool,
     ) -> None:
         self._source = source
         self._vocabulary = vocabulary
@@ -88,33 +86,34 @@ class Elaboration:
         self._removed = removed
         self._restoring = restoring
         self._named: dict[str, UnitSpecification] = {}
-        self._pieces: dict[int, Piece] = {}
+        self._pieces: dict[int, InputStream] = {}
 
-    def elaborate(self, insertions: Sequence[UnitSpecification]) -> tuple[Elaborated, ...]:
-        """All elements of the text, each behind those that it reads; raises `LanguageError`."""
+    def elaborate(self, insertions: Sequence[UnitSpecification]) -> tuple[ElaboratedUnit, ...]:
+        """Elaborate all elements of the text, in order of dependency. Raises `LanguageError`."""
         self._named = {one.name: one for one in elements_of(insertions) if one.name is not None}
-        made = []
+        elaborated = []
         for element in self._in_order(insertions):
             piece = self._pieces[id(element)] = self._piece(element)
-            made.append(Elaborated(element, piece))
-        return tuple(made)
+            elaborated.append(ElaboratedUnit(element, piece))
+        return tuple(elaborated)
 
     # -- order -------------------------------------------------------------------------------
 
     def _in_order(self, insertions: Sequence[UnitSpecification]) -> Iterable[UnitSpecification]:
-        """Inputs first. A stack of what is under way: names may make a row of any length."""
+        """Yield the elements, inputs first. An explicit stack, since references by name can make
+        chains longer than Python's recursion limit."""
         done: dict[int, bool] = {}
         for top in insertions:
             stack = [] if id(top) in done else [(top, iter(top.inputs))]
             done.setdefault(id(top), False)
             while stack:
                 element, rest = stack[-1]
-                for given in rest:
-                    below = self._element(given)
+                for source in rest:
+                    below = self._element(source)
                     if below is None or done.get(id(below)):
                         continue
                     if id(below) in done:
-                        raise self._circle([one for one, _ in stack], below, given.span)
+                        raise self._cycle_error([one for one, _ in stack], below, source.span)
                     done[id(below)] = False
                     stack.append((below, iter(below.inputs)))
                     break
@@ -123,10 +122,10 @@ class Elaboration:
                     done[id(element)] = True
                     yield element
 
-    def _element(self, given: Input) -> UnitSpecification | None:
-        return self._named.get(given.name) if isinstance(given, StreamReference) else given
+    def _element(self, source: Input) -> UnitSpecification | None:
+        return self._named.get(source.name) if isinstance(source, StreamReference) else source
 
-    def _circle(
+    def _cycle_error(
         self, path: Sequence[UnitSpecification], back: UnitSpecification, span: Span
     ) -> LanguageError:
         start = next(i for i, element in enumerate(path) if element is back)
@@ -135,174 +134,176 @@ class Elaboration:
             f"units read each other in a circle: {' reads '.join(names)}",
             self._source,
             span,
-            "let one of them read a stream that there is without it",
+            "let one of them read a stream that exists without it",
         )
 
     # -- one element -------------------------------------------------------------------------
 
-    def _piece(self, element: UnitSpecification) -> Piece:
-        pieces = [self._input(given) for given in element.inputs]
+    def _piece(self, element: UnitSpecification) -> InputStream:
+        pieces = [self._input(source) for source in element.inputs]
         try:
             match element.type:
                 case "selectObject":
-                    made = self._selection(element, pieces)
+                    piece = self._selection(element, pieces)
                 case "synchronize":
                     self._check_parameters(element)
-                    made = self._unit(element, pieces, (), together(pieces))
+                    piece = self._unit(element, pieces, (), synchronize_node(pieces))
                 case "policy":
-                    made = self._adaptation(element, pieces)
+                    piece = self._adaptation(element, pieces)
                 case _:
-                    made = self._transformation(element, pieces)
-        except Unfit as error:
+                    piece = self._transformation(element, pieces)
+        except WiringError as error:
             span = element.span if error.input is None else element.inputs[error.input].span
             raise LanguageError(error.message, self._source, span, error.hint) from error
-        assert isinstance(made.what, Shape)
-        if made.what.row > LONGEST_ROW:
+        assert isinstance(piece.what, Shape)
+        if piece.what.chain > MAX_CHAIN:
             raise LanguageError(
-                f"more than {LONGEST_ROW} units read each other in a row here",
+                f"a chain of more than {MAX_CHAIN} units read each other here",
                 self._source,
                 element.span,
-                "let one unit do the work of several",
+                "combine several units of the chain into one",
             )
-        return made
+        return piece
 
     def _unit(
         self,
         element: UnitSpecification,
-        pieces: Sequence[Piece],
+        pieces: Sequence[InputStream],
         parameters: tuple[tuple[str, str], ...],
         recipe: Compute | SelectObject | Synchronize,
-    ) -> Piece:
+    ) -> InputStream:
         inputs = self._inputs(pieces, recipe)
         shape = self._running.shapes.of(element.type, parameters, inputs)
-        return Piece(shape, contents_of(recipe), fields_of(recipe, pieces), recipe)
+        return InputStream(shape, contents_of(recipe), fields_of(recipe, pieces), recipe)
 
     def _inputs(
-        self, pieces: Sequence[Piece], recipe: Compute | SelectObject | Synchronize
+        self, pieces: Sequence[InputStream], recipe: Compute | SelectObject | Synchronize
     ) -> tuple[Shape | str, ...]:
-        """One input for each of a transformation's, or a single one for all, as `Running` has
-        them: the same stream for each of several is one for all, and so is what is brought
-        together before."""
+        """The inputs of a shape as `RunningShapes` has them: one for each input of the
+        transformation, or a single stream that feeds all."""
         inputs = tuple(piece.what for piece in pieces)
         if not isinstance(recipe, Compute) or len(pieces) < 2 or len(recipe.inputs) == 0:
             return inputs
         return inputs if isinstance(recipe.inputs[0].node, Synchronize) else inputs[:1]
 
-    def _selection(self, element: UnitSpecification, pieces: Sequence[Piece]) -> Piece:
-        given = self._check_parameters(element)
-        self._check_alone(element, pieces)
-        object = given["object"]
+    def _selection(self, element: UnitSpecification, pieces: Sequence[InputStream]) -> InputStream:
+        by_name = self._check_parameters(element)
+        self._check_one_input(element, pieces)
+        object = by_name["object"]
         try:
             iri = iri_of(object.value)
         except (LanguageError, UnknownFeature) as error:
             text = error.message if isinstance(error, LanguageError) else error.detail
             raise self._error(object.span or element.span, f"`object`: {text}") from error
-        field = given["field"].value.strip()
+        field = by_name["field"].value.strip()
         parameters = (("field", field), ("object", shorten(iri)))
-        return self._unit(element, pieces, parameters, selected(pieces[0], field, iri))
+        return self._unit(element, pieces, parameters, select_node(pieces[0], field, iri))
 
-    def _adaptation(self, element: UnitSpecification, pieces: Sequence[Piece]) -> Piece:
-        given = self._check_parameters(element)["policy"]
-        self._check_alone(element, pieces)
+    def _adaptation(self, element: UnitSpecification, pieces: Sequence[InputStream]) -> InputStream:
+        parameter = self._check_parameters(element)["policy"]
+        self._check_one_input(element, pieces)
         try:
-            policy = parse_policy(given.value)
+            policy = parse_policy(parameter.value)
         except LanguageError as error:
             place = f"column {error.column} of the policy"
             raise self._error(
-                given.span or element.span, f"{place}: {error.message}", error.hint
+                parameter.span or element.span, f"{place}: {error.message}", error.hint
             ) from error
         if policy.is_default:
             raise self._error(
-                given.span or element.span,
-                "the policy asks for nothing",
+                parameter.span or element.span,
+                "the policy has no constraint",
                 "write constraints as after `with` in KPL: any change, max delay 5s",
             )
         (piece,) = pieces
         parameters = (("policy", format_policy(policy)),)
         shape = self._running.shapes.of(element.type, parameters, (piece.what,))
-        return Piece(shape, piece.contents, piece.fields, policy)
+        return InputStream(shape, piece.contents, piece.fields, policy)
 
-    def _transformation(self, element: UnitSpecification, pieces: Sequence[Piece]) -> Piece:
-        known = self._transformations.get(element.type)
-        if known is None:
-            raise self._unknown(element)
-        overriding = self._overriding(element, known)
-        described = TransformationDescription.of(known.annotation)
-        node = transformed(described, pieces, self._vocabulary)
+    def _transformation(
+        self, element: UnitSpecification, pieces: Sequence[InputStream]
+    ) -> InputStream:
+        transformation = self._transformations.get(element.type)
+        if transformation is None:
+            raise self._unknown_transformation(element)
+        overriding = self._overriding(element, transformation)
+        description = TransformationDescription.of(transformation.annotation)
+        node = compute_node(description, pieces, self._vocabulary)
         return self._unit(element, pieces, overriding, replace(node, parameters=overriding))
 
-    def _unknown(self, element: UnitSpecification) -> LanguageError:
-        known = (*self._transformations, *SYSTEM)
-        near = difflib.get_close_matches(element.type, known, n=3)
+    def _unknown_transformation(self, element: UnitSpecification) -> LanguageError:
+        names = (*self._transformations, *SYSTEM)
+        near = difflib.get_close_matches(element.type, names, n=3)
         return LanguageError(
             f"there is no transformation called `{element.type}`",
             self._source,
             element.span,
-            f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(known)}",
+            f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(names)}",
         )
 
     # -- parameters --------------------------------------------------------------------------
 
     def _check_parameters(self, element: UnitSpecification) -> dict[str, Parameter]:
-        """The parameters of a transformation of the system: these, and no other."""
-        wanted = SYSTEM[element.type]
-        names = ", ".join(wanted) or "none"
+        """Return the parameters of a system transformation, which has to have exactly its own."""
+        own_names = SYSTEM[element.type]
+        names = ", ".join(own_names) or "none"
         for parameter in element.parameters:
-            if parameter.name not in wanted:
+            if parameter.name not in own_names:
                 raise self._error(
                     parameter.span or element.span,
                     f"`{element.type}` has no parameter `{parameter.name}`",
                     f"its parameters are: {names}",
                 )
-        given = {parameter.name: parameter for parameter in element.parameters}
-        for name in wanted:
-            if name not in given:
+        by_name = {parameter.name: parameter for parameter in element.parameters}
+        for name in own_names:
+            if name not in by_name:
                 raise self._error(
                     element.span,
                     f"`{element.type}` has no `{name}`",
                     f'add <spec:parameter name="{name}" value="…" />',
                 )
-        return given
+        return by_name
 
-    def _check_alone(self, element: UnitSpecification, pieces: Sequence[Piece]) -> None:
+    def _check_one_input(self, element: UnitSpecification, pieces: Sequence[InputStream]) -> None:
         if len(pieces) != 1:
             raise self._error(
                 element.span,
-                f"`{element.type}` takes 1 input, and {len(pieces) or 'none'} "
-                f"{'are' if len(pieces) > 1 else 'is'} here",
-                "one `cu` or `stream`",
+                f"`{element.type}` takes 1 input, and has {len(pieces) or 'none'} here",
+                "write one `cu` or `stream`",
             )
 
     def _overriding(
-        self, element: UnitSpecification, known: Transformation
+        self, element: UnitSpecification, transformation: Transformation
     ) -> tuple[tuple[str, str], ...]:
-        """The parameters that are not what the transformation has without them."""
-        given = {parameter.name: parameter.value for parameter in element.parameters}
+        """Return the parameters that differ from the transformation's own."""
+        values = {parameter.name: parameter.value for parameter in element.parameters}
         try:
-            self._check(known, given)
+            self._check(transformation, values)
         except DyknowError as error:
-            culprit = self._culprit(element, known, given)
+            at_fault = self._parameter_at_fault(element, transformation, values)
             raise self._error(
-                culprit or element.span,
-                f"no unit can be made of `{known.name}`: {error.detail}",
+                at_fault or element.span,
+                f"no unit can be made of `{transformation.name}`: {error.detail}",
                 error.hint or "see GET /transformations",
             ) from error
-        own = self._transformations.parameters_of(known)
+        own = self._transformations.parameters_of(transformation)
         return tuple(
-            sorted((name, value) for name, value in given.items() if own.get(name) != value)
+            sorted((name, value) for name, value in values.items() if own.get(name) != value)
         )
 
-    def _check(self, known: Transformation, given: dict[str, str]) -> None:
-        self._transformations.check(replace(known, parameters={**known.parameters, **given}))
+    def _check(self, transformation: Transformation, values: dict[str, str]) -> None:
+        self._transformations.check(
+            replace(transformation, parameters={**transformation.parameters, **values})
+        )
 
-    def _culprit(
-        self, element: UnitSpecification, known: Transformation, given: dict[str, str]
+    def _parameter_at_fault(
+        self, element: UnitSpecification, transformation: Transformation, values: dict[str, str]
     ) -> Span | None:
-        """The parameter without which it would do."""
+        """Find the parameter whose absence removes the error."""
         for parameter in element.parameters:
-            others = {name: value for name, value in given.items() if name != parameter.name}
+            others = {name: value for name, value in values.items() if name != parameter.name}
             try:
-                self._check(known, others)
+                self._check(transformation, others)
             except DyknowError:
                 continue
             return parameter.span
@@ -310,46 +311,46 @@ class Elaboration:
 
     # -- streams -----------------------------------------------------------------------------
 
-    def _input(self, given: Input) -> Piece:
-        element = self._element(given)
+    def _input(self, source: Input) -> InputStream:
+        element = self._element(source)
         if element is not None:
             return self._pieces[id(element)]
-        assert isinstance(given, StreamReference)
-        return self._stream(given)
+        assert isinstance(source, StreamReference)
+        return self._stream(source)
 
-    def _stream(self, given: StreamReference) -> Piece:
-        """A stream that there is already."""
-        generator = self._found(given)
+    def _stream(self, reference: StreamReference) -> InputStream:
+        """A stream that exists already."""
+        generator = self._find_stream(reference)
         unit = self._configuration.units.get(generator.name)
         if unit is not None and unit in self._removed:
             raise self._error(
-                given.span,
-                f"stream `{given.name}` is removed by this text",
+                reference.span,
+                f"stream `{reference.name}` is removed by this text",
                 "read another one, or leave the removal out",
             )
         if unit is not None and self._running.is_broken(unit):
-            why = unit.failure or "a unit behind it has failed"
+            why = unit.failure or "a unit that it depends on has failed"
             raise self._error(
-                given.span,
-                f"nothing more comes of stream `{given.name}`: {why}",
-                "remove what makes it, and insert it anew",
+                reference.span,
+                f"stream `{reference.name}` gets no more samples: {why}",
+                "remove the unit that makes it, and insert it again",
             )
         fields: Fields = {field.name: field.type for field in generator.schema.fields}
-        made = self._running.producer(generator)
-        what = generator.name if made is None else self._running.shape_of[generator.name]
-        return Piece(what, self._contents_of(generator), fields)
+        producer = self._running.producer(generator)
+        what = generator.name if producer is None else self._running.shape_of[generator.name]
+        return InputStream(what, self._contents_of(generator), fields)
 
-    def _found(self, given: StreamReference) -> StreamGenerator:
+    def _find_stream(self, reference: StreamReference) -> StreamGenerator:
         try:
-            if self._restoring and is_reserved(given.name):
-                raise UnknownStream("DyKnow had made it")
-            return self._configuration.stream(given.name)
+            if self._restoring and is_reserved(reference.name):
+                raise UnknownStream("the system named it in an earlier run")
+            return self._configuration.stream(reference.name)
         except UnknownStream:
-            known = (*self._named, *self._configuration.streams, *self._configuration.aliases)
-            near = difflib.get_close_matches(given.name, known, n=3)
+            names = (*self._named, *self._configuration.streams, *self._configuration.aliases)
+            near = difflib.get_close_matches(reference.name, names, n=3)
             raise self._error(
-                given.span,
-                f"there is no stream called `{given.name}`, nor a `cu` of that name here",
+                reference.span,
+                f"there is no stream called `{reference.name}`, nor a `cu` of that name here",
                 f"did you mean {' or '.join(near)}?" if near else "GET /streams shows all",
             ) from None
 
@@ -366,8 +367,3 @@ class Elaboration:
         return LanguageError(
             message, self._source, span, hint or "see docs/reference/specifications.md"
         )
-
-
-def policy_of(piece: Piece) -> Policy | None:
-    """The policy of an adaptation; None of another unit."""
-    return piece.recipe if isinstance(piece.recipe, Policy) else None

@@ -1,8 +1,8 @@
-"""Carrying out plans: the units of plan nodes, and what their streams mean
+"""Execution of plans: starts a unit for each plan node and annotates its stream
 ([Introspection15 §4.3]: the result of matching is a specification that is executed).
 
-Equal nodes are one unit: whoever needs it next shares it, and it stops when the last user leaves.
-What a unit computes is annotated like any other stream, so that matching finds it.
+Equal nodes share one unit, which stops when its last user leaves. The stream of a unit is annotated
+like any other stream, so matching finds it.
 """
 
 from __future__ import annotations
@@ -75,10 +75,7 @@ from .unit_shapes import is_implied
 
 
 class Plans:
-    """Starts the units that plans ask for, in a configuration.
-
-    ``runner`` calls user-written code.
-    """
+    """Starts the units of plans in a configuration. ``runner`` calls user-written code."""
 
     def __init__(
         self,
@@ -96,57 +93,58 @@ class Plans:
         self._dictionary = dictionary
         self._transformations = transformations
         self._configuration = configuration
-        self._changed = changed
+        self._report = changed
         self._runner = runner
         self.queries = Queries(ontology, dictionary, configuration, self.obtain, budget)
         """Starts continuous queries over plans."""
-        self._begun: dict[str, int] = {}
-        """Streams of units that began with what came or at a moment, and the last available time
-        before."""
-        self._future: set[str] = set()
-        """Streams of units that began at a moment which may be still to come."""
-        self._complete: dict[str, int] = {}
-        """Streams of units that began with all that was kept, and the available time from which
-        nothing of that had been forgotten."""
+        self._begins_after: dict[str, int] = {}
+        """The last available time before the first sample, for streams of units that began with
+        new samples or at a moment."""
+        self._may_be_future: set[str] = set()
+        """Streams of units that began at a moment which may be in the future."""
+        self._complete_since: dict[str, int] = {}
+        """The available time from which on nothing was evicted, for streams of units that began
+        with the history of their inputs."""
         self._broken: set[str] = set()
-        self._tuples: set[str] = set()
-        """The streams of inputs that were synchronized."""
-        self._made: dict[str, tuple[Node, Beginning]] = {}
-        """The streams that units of plans make, and of which nodes they were made."""
+        """Streams of units that failed or depend on a failed unit."""
+        self._synchronized: set[str] = set()
+        """Streams of synchronization units, which matching does not use (`match`)."""
+        self._nodes: dict[str, tuple[Node, Beginning]] = {}
+        """The node and beginning of each stream that a unit of a plan makes."""
         self._sources: dict[str, SourceUnit] = {}
 
     def obtain(self, node: Node, since: Beginning = Since.NOW) -> StreamGenerator:
-        """The stream of a plan node: found if the same is made already, else built.
+        """Return the stream of a plan node, and start its unit unless an equal one runs.
 
-        What was built runs until `release` has been called for each unit started on it. A unit
-        that began with the past is another than one that began with what comes. Raises `Forgotten`
-        where the stream does not keep all from the moment ``since`` on.
+        The unit runs until each unit that reads it has been released. A unit that began with the
+        past is not shared with one that began with new samples. Raises `Forgotten` if the stream
+        has evicted samples since the moment ``since``.
         """
-        found = self._obtained(node, _begun(node, since))
-        check_retained(since, found.stream)
-        return found
-
-    def _obtained(self, node: Node, since: Beginning) -> StreamGenerator:
         if isinstance(node, UseStream):
-            return self._configuration.stream(node.stream)
-        return self._configuration.share((node, since), lambda: self._build(node, since)).output
+            stream = self._configuration.stream(node.stream)
+        else:
+            begin = _unit_beginning(node, since)
+            unit = self._configuration.share((node, begin), lambda: self._build(node, begin))
+            stream = unit.output
+        check_retained(since, stream.stream)
+        return stream
 
     def tick(self, now: int) -> None:
-        """The time is ``now`` (ns): read the sources that are due."""
+        """Read the sources that are due at ``now`` (ns)."""
         for source in list(self._sources.values()):
             source.tick(now)
 
     def makes(self, stream: str) -> bool:
         """Whether a unit of a plan makes the stream."""
-        return stream in self._made
+        return stream in self._nodes
 
     def is_running(self, node: Node) -> bool:
-        """Whether there is a unit for ``node`` already."""
+        """Whether a unit for ``node`` runs."""
         return any(self._configuration.is_shared((node, since)) for since in Since)
 
     def is_shared(self, node: Node, since: Beginning) -> bool:
         """Whether a plan that begins with ``since`` would find a unit for ``node``."""
-        return self._configuration.is_shared((node, _begun(node, since)))
+        return self._configuration.is_shared((node, _unit_beginning(node, since)))
 
     def match(
         self,
@@ -156,70 +154,75 @@ class Plans:
         *,
         explained: bool = False,
     ) -> tuple[Match, ...]:
-        """Semantic matching over what there is; see `match_all`. Not over the tuples of inputs
-        that were synchronized: they say again what one input said when another one speaks."""
+        """Match ``wants`` with the streams and transformations that exist (`match_all`).
+
+        Streams of synchronization units are left out: they repeat the value of one input when
+        another input gets a sample.
+        """
         return match_all(
             wants,
             self._space,
             self._ontology.vocabulary,
             strategy,
-            without=without | self._tuples,
+            without=without | self._synchronized,
             is_running=self.is_running,
             explained=explained,
         )
 
-    def unusable(self, since: Beginning) -> AbstractSet[str]:
-        """Streams of plans that answer no other request: no more comes of them, or they began later
-        than ``since``."""
+    def unusable_streams(self, since: Beginning) -> AbstractSet[str]:
+        """Streams of plans that another request cannot use: they failed, or began later than
+        ``since``."""
         if since is Since.NOW:
-            self._future = {name for name in self._future if self._is_to_begin(name)}
-            return self._broken | self._future
-        late = {name for name, begun in self._begun.items() if begun > last_before(since)}
+            self._may_be_future = {
+                name for name in self._may_be_future if self._is_still_to_begin(name)
+            }
+            return self._broken | self._may_be_future
+        late = {name for name, begun in self._begins_after.items() if begun > last_before(since)}
         if isinstance(since, Moment):
-            late |= {name for name, time in self._complete.items() if time > since.time}
+            late |= {name for name, time in self._complete_since.items() if time > since.time}
         return self._broken | late
 
     def resolve_duration(self, since: Beginning, supplies: Iterable[Supply]) -> Beginning:
-        """``since`` for a request with the plans ``supplies``, with a time for a duration."""
+        """Replace a duration in ``since`` by a time, for a request with the plans ``supplies``."""
         names = existing_streams(supplies) if isinstance(since, Moment) else ()
         return resolve_duration(since, [self._configuration.stream(name).stream for name in names])
 
     @property
-    def made(self) -> AbstractSet[str]:
+    def streams(self) -> AbstractSet[str]:
         """The streams that units of plans make."""
-        return self._made.keys()
+        return self._nodes.keys()
 
-    def shared(self, since: Beginning) -> Mapping[str, Node]:
-        """The streams of units that a plan may share which begins with ``since``, and what they
-        are made from: streams from outside and sources, by nothing else than transformations as
-        they were registered."""
+    def shareable_nodes(self, since: Beginning) -> Mapping[str, Node]:
+        """The streams that a plan with this beginning may share, with their nodes. Units with
+        parameters of their own are left out, since matching would not choose them."""
         return {
             name: node
-            for name, (node, begun) in self._made.items()
-            if begun == _begun(node, since)
+            for name, (node, begun) in self._nodes.items()
+            if begun == _unit_beginning(node, since)
             and name not in self._broken
-            and not any(map(self._is_particular, nodes_of(node)))
+            and not any(map(self._is_customized, nodes_of(node)))
         }
 
-    def made_from(self, matches: Sequence[Match]) -> tuple[Supply, ...]:
-        """What the matches found, with what makes a stream instead of the stream: whether it has
-        been made for somebody already is no difference between those who ask."""
-        made = self.shared(Since.NOW)
-        found = (match.supply for match in matches if match.supply is not None)
-        return tuple(expanded(supply, made) for supply in found)
+    def expand_supplies(self, matches: Sequence[Match]) -> tuple[Supply, ...]:
+        """The supplies of the matches, with each stream of a running unit replaced by its node.
+        Two requests thus compare equal whether or not an earlier request started the unit."""
+        nodes = self.shareable_nodes(Since.NOW)
+        supplies = (match.supply for match in matches if match.supply is not None)
+        return tuple(expanded(supply, nodes) for supply in supplies)
 
-    def _is_particular(self, node: Node) -> bool:
-        """Whether matching would not come to it by itself, with all that it is made from."""
+    def _is_customized(self, node: Node) -> bool:
+        """Whether matching would not construct this node by itself."""
         match node:
             case UseStream(stream):
-                return stream in self._made
+                return stream in self._nodes
             case Compute():
                 return bool(node.parameters)
             case _:
                 return False
 
-    def heard(self, change: Change) -> None:
-        """The stream space has changed: a unit that fails takes those with it that read it."""
+    def on_change(self, change: Change) -> None:
+        """Update the records after a change of the stream space. A failed unit makes all units that
+        read it unusable."""
         match change.kind:
             case ChangeKind.UNIT_FAILED | ChangeKind.UNIT_STOPPED_BY_RULE:
                 units = self._configuration.units
@@ -228,11 +231,11 @@ class Plans:
                 }
             case ChangeKind.STREAM_REMOVED:
                 self._broken.discard(change.stream)
-                self._begun.pop(change.stream, None)
-                self._future.discard(change.stream)
-                self._complete.pop(change.stream, None)
-                self._made.pop(change.stream, None)
-                self._tuples.discard(change.stream)
+                self._begins_after.pop(change.stream, None)
+                self._may_be_future.discard(change.stream)
+                self._complete_since.pop(change.stream, None)
+                self._nodes.pop(change.stream, None)
+                self._synchronized.discard(change.stream)
                 self._sources.pop(change.stream, None)
 
     def _build(
@@ -251,12 +254,12 @@ class Plans:
             case _:
                 assert_never(node)
         self._configuration.start(unit, since)
-        if not isinstance(node, SelectObject):  # its objects stand in the stream it is made of
-            self._tell_meaning(node, unit, since)
+        if not isinstance(node, SelectObject):  # matching finds its objects in the source stream
+            self._annotate(node, unit, since)
         return unit
 
     def _detect(self, node: Detect, since: Beginning) -> ComputationalUnit:
-        """The query of an event template, over what its plan says."""
+        """Start the query of an event template over the streams of its plan."""
         event = self._space.transformations[node.event]
         assert isinstance(event, EventTransformation)
         supplies = [
@@ -264,28 +267,30 @@ class Plans:
             for want, source in zip(node.wants, node.sources, strict=True)
         ]
         unit = self.queries.start(event.query(node.subject), supplies, since).unit
-        self._tell_meaning(node, unit, since)
+        self._annotate(node, unit, since)
         return unit
 
-    def _tell_meaning(self, node: Node, unit: ComputationalUnit, since: Beginning) -> None:
+    def _annotate(self, node: Node, unit: ComputationalUnit, since: Beginning) -> None:
         name = unit.output.name
         annotation = annotation_of(node, name)
-        self._made[name] = (node, since)
+        self._nodes[name] = (node, since)
         if isinstance(node, Synchronize):
-            self._tuples.add(name)
+            self._synchronized.add(name)
         if isinstance(unit, SourceUnit):
             self._sources[name] = unit
         match since:
             case Moment():
-                self._begun[name] = last_before(since)
-                self._future.add(name)
+                self._begins_after[name] = last_before(since)
+                self._may_be_future.add(name)
             case Since.NOW:
                 lasts = (source.stream.last_available for source in unit.inputs)
-                known = (last for last in lasts if last is not None)
-                self._begun[name] = max(known, default=TIME_MIN)
+                times = (last for last in lasts if last is not None)
+                self._begins_after[name] = max(times, default=TIME_MIN)
             case Since.START:
-                self._complete[name] = max(map(self._complete_from, unit.inputs), default=TIME_MIN)
-        self._changed(
+                self._complete_since[name] = max(
+                    map(self._history_start, unit.inputs), default=TIME_MIN
+                )
+        self._report(
             Change(
                 ChangeKind.STREAM_ANNOTATED,
                 name,
@@ -294,16 +299,16 @@ class Plans:
             )
         )
 
-    def _is_to_begin(self, name: str) -> bool:
-        """Whether all that its inputs have said is before the moment at which a unit begins."""
+    def _is_still_to_begin(self, name: str) -> bool:
+        """Whether all samples of its inputs are before the moment at which the unit begins."""
         unit = self._configuration.units.get(name)
         lasts = () if unit is None else (source.stream.last_available for source in unit.inputs)
-        return all(last is None or last <= self._begun[name] for last in lasts)
+        return all(last is None or last <= self._begins_after[name] for last in lasts)
 
-    def _complete_from(self, source: StreamGenerator) -> int:
-        """The available time (ns) from which a unit that begins with the past of ``source`` now
-        lacks nothing."""
-        return max(self._complete.get(source.name, TIME_MIN), source.stream.complete_since)
+    def _history_start(self, source: StreamGenerator) -> int:
+        """The available time (ns) from which on a unit that starts now with the history of
+        ``source`` lacks no samples."""
+        return max(self._complete_since.get(source.name, TIME_MIN), source.stream.complete_since)
 
     def _select(self, source: StreamGenerator, id_field: str, object: str) -> ComputationalUnit:
         namespace = self._configuration.namespaces[source.name]
@@ -327,7 +332,7 @@ class Plans:
             ]
             for edge in node.inputs
         ]
-        # What an input holds of a single object stands for every object of the others.
+        # An input about a single object has no key: its value goes with every object of the others.
         keys = [
             tuple(role.id_field or "" for role in edge.roles if role.object is None)
             for edge in node.inputs
@@ -354,8 +359,10 @@ class Plans:
     # -- computing ---------------------------------------------------------------------------
 
     def _compute(self, node: Compute, since: Beginning) -> ComputationalUnit:
-        known = self._transformations[node.transformation]
-        transformation = replace(known, parameters={**known.parameters, **dict(node.parameters)})
+        registered = self._transformations[node.transformation]
+        transformation = replace(
+            registered, parameters={**registered.parameters, **dict(node.parameters)}
+        )
         source = None
         for edge in node.inputs:
             source = self.obtain(edge.node, since)
@@ -366,8 +373,8 @@ class Plans:
         inputs = [] if source is None else [source]
         identity = self._configuration.identity(transformation.name, inputs, output, parameters)
         unit = self._unit(node, transformation, identity, parameters)
-        if source is not None and isinstance(known.annotation, TransformationAnnotation):
-            fields = [port.field for port in known.annotation.inputs]
+        if source is not None and isinstance(registered.annotation, TransformationAnnotation):
+            fields = [port.field for port in registered.annotation.inputs]
             if is_implied(node.inputs[0], fields):
                 unit.synchronization = self._configuration.units[source.name]
         return unit
@@ -381,7 +388,7 @@ class Plans:
     ) -> ComputationalUnit:
         implementation = self._transformations.implementation(transformation.implementation)
 
-        def told(event: ProcessEvent, text: str) -> None:
+        def report_event(event: ProcessEvent, text: str) -> None:
             self._configuration.report_unit(ChangeKind(event), unit, text)
 
         unit: ComputationalUnit
@@ -405,7 +412,7 @@ class Plans:
                     ports=self._ports(edge, transformation),
                     id_fields=edge.id_fields,
                     carried=node.carried,
-                    on_event=told,
+                    on_event=report_event,
                     on_report=self._configuration.add_report,
                     runner=self._runner,
                 )
@@ -414,7 +421,7 @@ class Plans:
                     *identity,
                     implementation=implementation,
                     parameters=dict(transformation.parameters),
-                    on_event=told,
+                    on_event=report_event,
                     on_report=self._configuration.add_report,
                     runner=self._runner,
                 )
@@ -423,7 +430,7 @@ class Plans:
         return unit
 
     def _ports(self, edge: Edge, transformation: Transformation) -> list[tuple[str, InputPort]]:
-        """What feeds each input, in the order of the annotation."""
+        """The port of each input, in the order of the annotation."""
         inputs = getattr(transformation.annotation, "inputs", ())
         ports = {port.target_field: port for port in edge.ports}
         return [
@@ -434,8 +441,8 @@ class Plans:
     def _fields_of(
         self, node: Compute, source: StreamGenerator | None
     ) -> tuple[Schema, dict[str, StringPool]]:
-        """The fields of a unit's output: the objects that pass through, those that it names
-        itself, and the value."""
+        """The fields of a unit's output: objects of the input, objects that the unit names itself,
+        and the value."""
         fields: list[Field] = []
         pools: dict[str, StringPool] = {}
         carried = {output: field for field, output in node.carried}
@@ -462,8 +469,8 @@ class Plans:
         return field_type(None if info is None else info.range)
 
 
-def _begun(node: Node, since: Beginning) -> Beginning:
-    """What a unit for ``node`` begins with, where its plan begins with ``since``."""
+def _unit_beginning(node: Node, since: Beginning) -> Beginning:
+    """The beginning of a unit for ``node`` in a plan that begins with ``since``."""
     if isinstance(node, Compute) and not node.inputs:
-        return Since.NOW  # it has no past to begin with, and a sensor is read once
+        return Since.NOW  # a source has no past, and one unit reads the sensor for all plans
     return since

@@ -1,10 +1,9 @@
-"""Which registered queries one query can serve (DESIGN §3 "Sharing"): those that read the same
-streams in the same windows and differ in constants only (`continuous.sharing.similar_queries`).
+"""Registered queries that share one computation (DESIGN §3 "Sharing"): they read the same streams
+in the same windows and differ in constants only (`continuous.sharing.similar_queries`).
 
-It is worth while from some of them on: from more than usual, where what is computed for all is
-likely to cost more. What is shared then is what those had in common that are evaluated alone: the
-constants on which they agreed stay in the plan, so that it does not grow for the sake of queries
-that nobody registers.
+Sharing begins when there are enough such queries; more are needed where the shared computation is
+estimated to cost more. Constants on which the queries agree stay constants of the shared plan: a
+plan with more parameters would cost more, for queries that may never be registered.
 """
 
 from __future__ import annotations
@@ -18,14 +17,13 @@ from ...rdf.dictionary import Term
 from ..units.base import ComputationalUnit
 from ..units.shared_query import TemplateUnit
 
-ALIKE = 4
-"""So many queries that differ in constants are evaluated as one."""
+MIN_SHARED = 4
+"""The number of queries that differ in constants from which on they are evaluated as one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Kin:
-    """A query as one of its kind: ``streams`` says what is read, and what of it, ``form`` what the
-    query is but for its ``constants``."""
+class FormInstance:
+    """A query as its inputs (``streams``), its ``form`` and the ``constants`` taken out of it."""
 
     streams: Hashable
     form: Form
@@ -33,72 +31,76 @@ class Kin:
 
     @property
     def key(self) -> Hashable:
-        """What the whole kind has in common."""
+        """Equal for queries that differ in constants only."""
         return self.streams, self.form
 
 
 @dataclass(slots=True)
-class _Kind:
-    """The queries of a kind: the constants of those that are evaluated ``alone``, by name, and what
-    others have ``shared``."""
+class _FormQueries:
+    """Queries with one key: the constants of those evaluated ``alone``, by name, and the patterns
+    of the ``shared`` computations."""
 
     alone: dict[str, tuple[Term, ...]] = field(default_factory=dict)
     shared: list[Pattern] = field(default_factory=list)
-    worth: dict[Pattern, int] = field(default_factory=dict)
-    """From how many queries on it is worth while to share a pattern."""
+    break_even: dict[Pattern, int] = field(default_factory=dict)
+    """The number of queries from which on sharing a pattern is cheaper."""
 
 
-class Alikes:
-    """Says of a registered query with whom it shares, and remembers those who do not yet.
-
-    ``running`` gives the unit for a key, if there is one.
+class QuerySharing:
+    """Decides which computation a registered query shares, and counts the queries that share none.
+    ``running`` returns the unit of a key, if there is one.
     """
 
     def __init__(self, running: Callable[[Hashable], ComputationalUnit | None]) -> None:
         self._running = running
-        self._kinds: dict[Hashable, _Kind] = {}
+        self._by_key: dict[Hashable, _FormQueries] = {}
 
-    def pattern(self, kin: Kin, break_even_count: Callable[[Pattern], int]) -> Pattern:
-        """What the query has in common with those that it shares with; raises `Unshared` where it
-        is evaluated alone. ``break_even_count`` returns how many queries cost what a shared plan
-        does. Cost: O(queries that are alone), and that of planning what is to be shared first."""
-        kind = self._kinds.get(kin.key, _Kind())
-        kind.shared = [one for one in kind.shared if self._runs(kin, one)]
-        for pattern in kind.shared:
-            if match_constants(pattern, kin.constants) is not None:
-                unit = self._running(shared_key(kin, pattern))
+    def pattern(self, instance: FormInstance, break_even: Callable[[Pattern], int]) -> Pattern:
+        """Return the pattern of the shared computation for a query; raise `Unshared`, with the
+        reason, if it has to be evaluated alone. ``break_even`` estimates the number of queries from
+        which on sharing a pattern is cheaper. Cost: O(queries evaluated alone), and once a plan."""
+        queries = self._by_key.get(instance.key, _FormQueries())
+        queries.shared = [one for one in queries.shared if self._runs(instance, one)]
+        for pattern in queries.shared:
+            if match_constants(pattern, instance.constants) is not None:
+                unit = self._running(shared_key(instance, pattern))
                 if isinstance(unit, TemplateUnit) and not unit.accepts_timely_samples:
-                    raise Unshared("others have closed windows for which its streams are in time")
+                    # A member that joined now would miss the windows that are closed already.
+                    raise Unshared("the shared windows have closed further than its streams are")
                 return pattern
-        if len(kind.alone) + 1 < ALIKE:
-            raise Unshared(f"it came before there were {ALIKE} that differ in constants")
-        pattern = generalize([*kind.alone.values(), kin.constants])
-        if pattern not in kind.worth:
-            kind.worth = {pattern: break_even_count(pattern)}
-        least = kind.worth[pattern]
-        if len(kind.alone) + 1 < least:
-            raise Unshared(f"together they are likely to cost what {least} cost by themselves")
-        kind.shared.append(pattern)
-        self._kinds[kin.key] = kind
+        if len(queries.alone) + 1 < MIN_SHARED:
+            raise Unshared(
+                f"fewer than {MIN_SHARED} queries of its form ran when it was registered"
+            )
+        pattern = generalize([*queries.alone.values(), instance.constants])
+        if pattern not in queries.break_even:
+            queries.break_even = {pattern: break_even(pattern)}
+        least = queries.break_even[pattern]
+        if len(queries.alone) + 1 < least:
+            raise Unshared(f"sharing is estimated to cost as much as {least} separate queries")
+        queries.shared.append(pattern)
+        self._by_key[instance.key] = queries
         return pattern
 
-    def began_alone(self, name: str, kin: Kin) -> None:
-        """A query has windows of its own."""
-        self._kinds.setdefault(kin.key, _Kind()).alone[name] = kin.constants
+    def add_alone(self, name: str, instance: FormInstance) -> None:
+        """Record a query that is evaluated alone."""
+        self._by_key.setdefault(instance.key, _FormQueries()).alone[name] = instance.constants
 
-    def ended(self, name: str, kin: Kin) -> None:
-        """A query has ended."""
-        kind = self._kinds.get(kin.key)
-        if kind is None:
+    def remove(self, name: str, instance: FormInstance) -> None:
+        """Forget a query that has ended."""
+        queries = self._by_key.get(instance.key)
+        if queries is None:
             return
-        kind.alone.pop(name, None)
-        if not kind.alone and not any(self._runs(kin, pattern) for pattern in kind.shared):
-            del self._kinds[kin.key]
+        queries.alone.pop(name, None)
+        if not queries.alone and not any(
+            self._runs(instance, pattern) for pattern in queries.shared
+        ):
+            del self._by_key[instance.key]
 
-    def _runs(self, kin: Kin, pattern: Pattern) -> bool:
-        return self._running(shared_key(kin, pattern)) is not None
+    def _runs(self, instance: FormInstance, pattern: Pattern) -> bool:
+        return self._running(shared_key(instance, pattern)) is not None
 
 
-def shared_key(kin: Kin, pattern: Pattern) -> Hashable:
-    """What the queries have in common that one unit serves."""
-    return kin.key, pattern
+def shared_key(instance: FormInstance, pattern: Pattern) -> Hashable:
+    """Return the key of the unit that evaluates the queries of a pattern."""
+    return instance.key, pattern

@@ -1,5 +1,5 @@
-"""Starting a registered query: its streams, its unit, the way back from its samples to triples
-([Events14 §V.B, Fig. 2]).
+"""Starts a registered query: finds its streams, starts its unit, and makes the converter of its
+samples to triples ([Events14 §V.B, Fig. 2]).
 """
 
 from __future__ import annotations
@@ -35,34 +35,35 @@ from ..model.views import Since
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
 from .plan_execution import Plans
-from .query_sharing import Alikes, Kin, shared_key
-from .query_units import Manner
-from .registrations import Asked
+from .query_sharing import FormInstance, QuerySharing, shared_key
+from .query_units import QuerySettings
+from .registrations import Submission
 from .stream_binding import check_graphs, find_streams, mean_the_same, supplies_of
-from .stream_reading import Reading, read_streams, stream_called
+from .stream_reading import ReadStream, find_stream, read_streams
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Started:
-    """A query at work. ``matches`` say how its streams were found, ``reads`` which it names: one of
-    the two is empty. ``converter`` makes the triples of its head of its samples; None of a table.
-    ``kin`` says with whom it could share, None: with nobody; ``alone``, why it does not, if so.
+class StartedQuery:
+    """A running query. ``matches`` found its streams, or ``reads`` are the streams that it names;
+    the other is empty. ``converter`` converts its samples to the triples of its head; None for a
+    table. ``instance`` identifies queries that could share with it; None: it cannot share.
+    ``unshared``: why it shares no computation; empty if it does.
     """
 
     unit: QueryUnit | InstanceUnit
     kept: KeptWindows
     matches: tuple[Match, ...]
-    reads: tuple[Reading, ...]
+    reads: tuple[ReadStream, ...]
     converter: SampleConverter | None
-    kin: Kin | None
-    alone: str
+    instance: FormInstance | None
+    unshared: str
 
 
-class Starter:
-    """Starts queries under a name, and says whether they hold still.
+class QueryStarter:
+    """Starts queries under a name, and checks whether running ones are still valid.
 
-    ``converter_of`` converts the samples of a stream to triples; None where nobody has said what
-    it contains.
+    ``converter_of`` returns the converter of a stream's samples to triples; None for a stream
+    without an annotation.
     """
 
     def __init__(
@@ -82,122 +83,130 @@ class Starter:
         self._plans = plans
         self._space = space
         self._converter_of = converter_of
-        self._alikes = Alikes(configuration.find_shared)
+        self._sharing = QuerySharing(configuration.find_shared)
 
-    def start(self, name: str, query: ContinuousQuery, asked: Asked) -> Started:
-        """Start ``query`` with the stream ``name``; raises as `RegisteredQueries.register`, and
-        then nothing has begun."""
+    def start(self, name: str, query: ContinuousQuery, submission: Submission) -> StartedQuery:
+        """Start ``query`` with the output stream ``name``. Raises the errors of
+        `RegisteredQueries.register`, and starts nothing then."""
         check_head(query, self._ontology.vocabulary)
         check_graphs(self._ontology, query)
         matches: tuple[Match, ...] = ()
-        reads: tuple[Reading, ...] = ()
+        reads: tuple[ReadStream, ...] = ()
         if query.streams:
             query, reads = read_streams(self._configuration, self._converter_of, query)
         else:
-            wanted, told = self.needs(query), f"query {name}"
-            matches = find_streams(self._plans, wanted, asked.strategy, asked.since, told)
+            wanted, description = self.needs(query), f"query {name}"
+            matches = find_streams(
+                self._plans, wanted, submission.strategy, submission.since, description
+            )
         since = (
-            resolve_duration(asked.since, (each.generator.stream for each in reads))
+            resolve_duration(submission.since, (each.generator.stream for each in reads))
             if reads
-            else self._plans.resolve_duration(asked.since, supplies_of(matches))
+            else self._plans.resolve_duration(submission.since, supplies_of(matches))
         )
-        converter = self._back(name, query, _contents(matches, reads))
+        converter = self._output_converter(name, query, _contents(matches, reads))
         kept = KeptWindows()
-        manner = Manner(name, asked.options, kept.keep)
-        kin, pattern, alone = self._kin(query, reads, matches, asked)
+        settings = QuerySettings(name, submission.options, kept.keep)
+        instance, pattern, unshared = self._find_sharing(query, reads, matches, submission)
         try:
-            with told_as_arguments():
+            with bad_arguments_for_unsupported():
                 unit: QueryUnit | InstanceUnit
-                if kin is not None and pattern is not None:
-                    unit = self._join(query, kin, pattern, reads, matches, manner)
+                if instance is not None and pattern is not None:
+                    unit = self._join(query, instance, pattern, reads, matches, settings)
                 elif reads:
-                    unit = self._plans.queries.start_over(query, _read(reads), since, manner)
+                    unit = self._plans.queries.start_over(
+                        query, _converters_of(reads), since, settings
+                    )
                 else:
                     supplies = supplies_of(matches)
-                    unit = self._plans.queries.start(query, supplies, since, manner).unit
+                    unit = self._plans.queries.start(query, supplies, since, settings).unit
         except Exception:
+            # Units of its plan may have started before the error.
             self._configuration.release_unused()
             raise
-        if kin is not None and pattern is None:
-            self._alikes.began_alone(name, kin)
-        return Started(unit, kept, matches, reads, converter, kin, alone)
+        if instance is not None and pattern is None:
+            self._sharing.add_alone(name, instance)
+        return StartedQuery(unit, kept, matches, reads, converter, instance, unshared)
 
-    def stop(self, name: str, started: Started) -> None:
-        """Stop a query, if it is the one of this name still."""
+    def stop(self, name: str, started: StartedQuery) -> None:
+        """Stop a query, unless another one has its name now."""
         if self._configuration.units.get(name) is started.unit:
             self._configuration.remove_unit(started.unit)
-        if started.kin is not None:
-            self._alikes.ended(name, started.kin)
+        if started.instance is not None:
+            self._sharing.remove(name, started.instance)
 
-    def _kin(
+    def _find_sharing(
         self,
         query: ContinuousQuery,
-        reads: Sequence[Reading],
+        reads: Sequence[ReadStream],
         matches: Sequence[Match],
-        asked: Asked,
-    ) -> tuple[Kin | None, Pattern | None, str]:
-        """With whom the query could share, what it does share, and why it shares nothing."""
+        submission: Submission,
+    ) -> tuple[FormInstance | None, Pattern | None, str]:
+        """Return the query as an instance of its form, the pattern of the computation that it
+        shares, and the reason if it shares none."""
         try:
-            if asked.since is not Since.NOW:
-                raise Unshared("it begins with the past of its streams")
+            if submission.since is not Since.NOW:
+                raise Unshared("it begins with the history of its streams")
             streams: Hashable = tuple((each.generator, each.annotation) for each in reads)
             inputs = list(dict.fromkeys(each.name for each in reads))
             if not reads:
-                # What streams are called makes no difference between queries.
-                streams, inputs = self._plans.made_from(matches), ["any"]
+                # Names of matched streams must not make two queries differ.
+                streams, inputs = self._plans.expand_supplies(matches), ["any"]
                 query = with_streams(query, inputs)
-            form, constants = form_of(query, inputs, asked.options)
-        except (Unshared, ValueError) as unshared:
-            return None, None, str(unshared)
-        kin = Kin(streams, form, constants)
-        known = ((one.name, flow_of(one.generator, [one.annotation])) for one in reads)
-        flows = {name: flow for name, flow in known if flow is not None}
+            form, constants = form_of(query, inputs, submission.options)
+        except (Unshared, ValueError) as reason:
+            return None, None, str(reason)
+        instance = FormInstance(streams, form, constants)
+        rates = ((one.name, flow_of(one.generator, [one.annotation])) for one in reads)
+        flows = {name: flow for name, flow in rates if flow is not None}
         try:
-            break_even_count = partial(self._plans.queries.break_even_count, kin, flows)
-            return kin, self._alikes.pattern(kin, break_even_count), ""
-        except Unshared as unshared:
-            return kin, None, str(unshared)
+            break_even = partial(self._plans.queries.break_even, instance, flows)
+            return instance, self._sharing.pattern(instance, break_even), ""
+        except Unshared as reason:
+            return instance, None, str(reason)
 
     def _join(
         self,
         query: ContinuousQuery,
-        kin: Kin,
+        instance: FormInstance,
         pattern: Pattern,
-        reads: Sequence[Reading],
+        reads: Sequence[ReadStream],
         matches: Sequence[Match],
-        manner: Manner,
+        settings: QuerySettings,
     ) -> InstanceUnit:
-        """Start the part of a query in what it shares with others, and that, if it is not there."""
+        """Start a query as a member of a shared computation, and that computation if it does not
+        run yet."""
         queries = self._plans.queries
-        read = _read(reads) if reads else supplies_of(matches)
+        read = _converters_of(reads) if reads else supplies_of(matches)
         shared = self._configuration.share(
-            shared_key(kin, pattern), lambda: queries.start_alike(query, kin, pattern, read)
+            shared_key(instance, pattern),
+            lambda: queries.start_alike(query, instance, pattern, read),
         )
         assert isinstance(shared, TemplateUnit)
-        return queries.start_member(shared, query, kin, manner)
+        return queries.start_member(shared, query, instance, settings)
 
     def needs(self, query: ContinuousQuery) -> Needs:
-        """What a query needs that names no streams; raises `NoPlan`."""
+        """Return the features that a query without streams needs. Raises `NoPlan`."""
         try:
             return self._templates.needs(query)
         except NeedsError as error:
             raise NoPlan(error.message, (), error.hint) from error
 
     def flows(self, query: ContinuousQuery) -> dict[str, Flow]:
-        """What may be expected of the streams that a query names, as far as they are there."""
-        found = {}
+        """Return the expected rates of the streams that a query names and that exist."""
+        flows = {}
         for clause in query.streams:
-            generator = stream_called(self._configuration, clause.iri)
+            generator = find_stream(self._configuration, clause.iri)
             if generator is None:
                 continue
             converter = self._converter_of(generator.name)
             flow = flow_of(generator, [] if converter is None else [converter.annotation])
             if flow is not None:
-                found[clause.iri] = flow
-        return found
+                flows[clause.iri] = flow
+        return flows
 
-    def is_sound(self, started: Started) -> bool:
-        """It works, and what it reads is there still and means what it did."""
+    def is_valid(self, started: StartedQuery) -> bool:
+        """Whether the query works, and its streams still exist with the meaning that they had."""
         configuration, unit = self._configuration, started.unit
         return (
             configuration.units.get(unit.output.name) is unit
@@ -207,11 +216,11 @@ class Starter:
             and all(map(self._means_the_same, started.reads))
         )
 
-    def _means_the_same(self, reading: Reading) -> bool:
-        now = self._converter_of(reading.name)
-        return now is not None and now.annotation == reading.annotation
+    def _means_the_same(self, read: ReadStream) -> bool:
+        now = self._converter_of(read.name)
+        return now is not None and now.annotation == read.annotation
 
-    def _back(
+    def _output_converter(
         self, name: str, query: ContinuousQuery, read: Sequence[Content]
     ) -> SampleConverter | None:
         vocabulary = self._ontology.vocabulary
@@ -229,24 +238,24 @@ class Starter:
 
 
 @contextmanager
-def told_as_arguments() -> Iterator[None]:
-    """What the evaluator says of a query that it cannot evaluate becomes `BadArguments`."""
+def bad_arguments_for_unsupported() -> Iterator[None]:
+    """Raise `BadArguments` for a ``ValueError`` of the evaluator about an unsupported query."""
     try:
         yield
     except ValueError as error:
-        if type(error) is not ValueError:  # an error of a language has a place of its own
+        if type(error) is not ValueError:  # a subclass such as `LanguageError` has its own place
             raise
         raise BadArguments(str(error)) from error
 
 
-def _read(reads: Sequence[Reading]) -> dict[StreamGenerator, SampleConverter]:
+def _converters_of(reads: Sequence[ReadStream]) -> dict[StreamGenerator, SampleConverter]:
     return {each.generator: each.converter for each in reads}
 
 
-def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:
-    """What the streams contain that a query reads."""
-    said: list[StreamAnnotation] = [each.annotation for each in reads]
+def _contents(matches: Sequence[Match], reads: Sequence[ReadStream]) -> Sequence[Content]:
+    """Return the contents of the streams that a query reads."""
+    annotations: list[StreamAnnotation] = [each.annotation for each in reads]
     for match in matches:
         if match.supply is not None:
-            said += [annotation_of(source.node) for source in match.supply.sources]
-    return [content for annotation in said for content in annotation.contents]
+            annotations += [annotation_of(source.node) for source in match.supply.sources]
+    return [content for annotation in annotations for content in annotation.contents]

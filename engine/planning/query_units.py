@@ -1,4 +1,5 @@
-"""Continuous queries over matched streams: the C-SPARQL units behind events ([Events14 §V.B])."""
+"""Starts the units of continuous queries: C-SPARQL units, shared templates and their instances
+([Events14 §V.B])."""
 
 from __future__ import annotations
 
@@ -47,32 +48,32 @@ from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
 from ..units.shared_query import TALLY, InstanceUnit, TemplateUnit
-from . import explain as explanations
-from .query_sharing import Kin
+from . import explanations
+from .query_sharing import FormInstance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Manner:
-    """How a query runs beside what it says: the name of its stream (None: one of the system's),
-    how it is read where the text leaves that open, who hears of each window's result."""
+class QuerySettings:
+    """The settings of a query beside its text: the name of its stream (None: a reserved one), the
+    options that the text leaves open, and a callback for the result of each window."""
 
     name: str | None = None
     options: Options = field(default_factory=Options)
-    hear: Callable[[WindowResult], None] | None = None
+    on_result: Callable[[WindowResult], None] | None = None
 
 
 Read: TypeAlias = Mapping[StreamGenerator, SampleConverter]
-"""Streams that a query names, each with the converter of all that it says."""
-_OTHERS = "# and queries that differ from this one in constants\n"
+"""Streams that a query names, each with the converter of its whole annotation."""
+_SHARED_NOTE = "# and queries that differ from this one in constants\n"
 
-EVENT = Manner()
-"""How the query of an event runs."""
+EVENT_SETTINGS = QuerySettings()
+"""The settings of the query of an event."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BuiltQuery(Generic[AnyUnit]):
-    """A C-SPARQL unit at work. ``annotation`` says what its stream means (None of a table),
-    ``rdf`` how its samples are written as triples."""
+class StartedUnit(Generic[AnyUnit]):
+    """A running C-SPARQL unit. ``annotation`` is that of its stream (None for a table); ``rdf`` is
+    the annotation by which its samples convert to triples."""
 
     unit: AnyUnit
     annotation: StreamAnnotation | None
@@ -80,7 +81,7 @@ class BuiltQuery(Generic[AnyUnit]):
 
 
 class Queries:
-    """Starts queries over the streams of plan nodes, which ``obtain`` gives."""
+    """Starts queries over the streams of plan nodes, which ``obtain`` returns."""
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class Queries:
         self._budget = budget
 
     def form(self, query: ContinuousQuery) -> ResultForm:
-        """What the results of a query look like."""
+        """Return the form of a query's results."""
         return result_form(query, self._ontology.vocabulary)
 
     def start(
@@ -105,18 +106,18 @@ class Queries:
         query: ContinuousQuery,
         supplies: Sequence[Supply],
         since: Beginning,
-        manner: Manner = EVENT,
-    ) -> BuiltQuery[QueryUnit]:
-        """Start what the supplies ask for, inputs first, then the query unit over them."""
-        inputs, converters = self._read(supplies, since)
+        settings: QuerySettings = EVENT_SETTINGS,
+    ) -> StartedUnit[QueryUnit]:
+        """Start the units of the supplies, then the query unit over them."""
+        inputs, converters = self._start_inputs(supplies, since)
         form = self.form(query)
         query = with_streams(query, list(inputs))
-        unit = self._start(query, inputs, converters, form, since, manner)
-        return _built(unit, query, form, supplies)
+        unit = self._start(query, inputs, converters, form, since, settings)
+        return _started(unit, query, form, supplies)
 
     def start_template(self, query: ContinuousQuery, supplies: Sequence[Supply]) -> TemplateUnit:
-        """Start the query of a template, its parameters free, over what the supplies ask for."""
-        inputs, converters = self._read(supplies, Since.NOW)
+        """Start the query of a template, its parameters free, over the streams of the supplies."""
+        inputs, converters = self._start_inputs(supplies, Since.NOW)
         query = with_streams(query, list(inputs))
         evaluator = self._evaluator(query, list(inputs))
         return self._start_shared(query, inputs, converters, evaluator)
@@ -127,9 +128,9 @@ class Queries:
         query: ContinuousQuery,
         supplies: Sequence[Supply],
         request: str,
-    ) -> BuiltQuery[InstanceUnit]:
-        """Start the part of ``query``, which is the template's with the arguments of ``request``
-        (its text); ``supplies`` are those it would have by itself."""
+    ) -> StartedUnit[InstanceUnit]:
+        """Start ``query`` as an instance of the template, with the arguments of ``request`` (its
+        text). ``supplies`` are those that it would have alone; its annotation needs their roles."""
         evaluator = template.evaluator
         assert isinstance(evaluator, TemplateEvaluator)
         form = self.form(query)
@@ -137,9 +138,11 @@ class Queries:
 
         def make(output: StreamGenerator) -> InstanceUnit:
             text = format_query(replace(query, name=output.name))
-            given = {"request": request, "query": text}
+            parameters = {"request": request, "query": text}
             return InstanceUnit(
-                *self._configuration.identity(SELECT_INSTANCE, [template.output], output, given),
+                *self._configuration.identity(
+                    SELECT_INSTANCE, [template.output], output, parameters
+                ),
                 template=template,
                 enter=partial(evaluator.add, query.bindings),
                 evaluation=evaluator.explain,
@@ -147,32 +150,42 @@ class Queries:
             )
 
         unit = self._configuration.start_query(form.schema, make)
-        return _built(unit, query, form, supplies)
+        return _started(unit, query, form, supplies)
 
-    def break_even_count(self, kin: Kin, flows: Mapping[str, Flow], pattern: Pattern) -> int:
-        """From how many queries on that fit ``pattern`` it is likely to be cheaper to compute them
-        together; ``flows`` is what is known of their streams."""
-        background = explanations.closed_ontology(self._ontology, kin.form.static_named)
+    def break_even(
+        self, instance: FormInstance, flows: Mapping[str, Flow], pattern: Pattern
+    ) -> int:
+        """Estimate the number of queries of ``pattern`` from which on sharing is cheaper.
+        ``flows``: the rates of their streams."""
+        background = explanations.closed_ontology(self._ontology, instance.form.static_named)
         static = StaticSide(background, TermValues(self._dictionary))
-        return break_even_count(kin.form, pattern, kin.constants, static, flows)
+        return break_even_count(instance.form, pattern, instance.constants, static, flows)
 
     def start_alike(
-        self, query: ContinuousQuery, kin: Kin, pattern: Pattern, read: Read | Sequence[Supply]
+        self,
+        query: ContinuousQuery,
+        instance: FormInstance,
+        pattern: Pattern,
+        read: Read | Sequence[Supply],
     ) -> TemplateUnit:
-        """Start what the queries have in common whose constants fit ``pattern``; ``query`` is one
-        of them, which reads ``read``."""
-        inputs, converters = self._of(read)
+        """Start the shared computation of the queries of ``pattern``. ``query`` is one of them,
+        with the streams ``read``."""
+        inputs, converters = self._inputs_of(read)
         query = with_streams(query, list(inputs)) if not query.streams else query
         background = explanations.closed_ontology(self._ontology, query.static_named)
         evaluator = SimilarQueriesEvaluator(
-            query, kin.form, pattern, self._dictionary, background, list(inputs), self._budget
+            query, instance.form, pattern, self._dictionary, background, list(inputs), self._budget
         )
-        return self._start_shared(query, inputs, converters, evaluator, _OTHERS)
+        return self._start_shared(query, inputs, converters, evaluator, _SHARED_NOTE)
 
     def start_member(
-        self, shared: TemplateUnit, query: ContinuousQuery, kin: Kin, manner: Manner
+        self,
+        shared: TemplateUnit,
+        query: ContinuousQuery,
+        instance: FormInstance,
+        settings: QuerySettings,
     ) -> InstanceUnit:
-        """Start the part of ``query`` in what it has in common with others."""
+        """Start ``query`` as a member of a shared computation."""
         evaluator = shared.evaluator
         assert isinstance(evaluator, SimilarQueriesEvaluator)
         form = self.form(query)
@@ -181,17 +194,17 @@ class Queries:
             query = with_streams(query, [source.name for source in shared.inputs])
 
         def make(output: StreamGenerator) -> InstanceUnit:
-            given = {"query": text or format_query(replace(query, name=output.name))}
+            parameters = {"query": text or format_query(replace(query, name=output.name))}
             return InstanceUnit(
-                *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, given),
+                *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, parameters),
                 template=shared,
-                enter=partial(evaluator.add, query, kin.constants),
-                evaluation=lambda: evaluator.explain_of(kin.constants, shared.flows()),
+                enter=partial(evaluator.add, query, instance.constants),
+                evaluation=lambda: evaluator.explain_of(instance.constants, shared.flows()),
                 results=form.converter(output.stream.pools),
-                on_result=manner.hear,
+                on_result=settings.on_result,
             )
 
-        return self._configuration.start_query(form.schema, make, Since.NOW, manner.name)
+        return self._configuration.start_query(form.schema, make, Since.NOW, settings.name)
 
     def agreement(
         self,
@@ -200,10 +213,10 @@ class Queries:
         streamed: Collection[str],
         selected: Collection[str],
     ) -> frozenset[str] | None:
-        """The parameters on which requests of a template with such arguments have to agree to share
-        a query over streams of the features ``streamed``, where each selects the objects that
-        ``selected`` parameters name; None if they cannot."""
-        # Any name of a stream does: only what the query says decides.
+        """Return the parameters on which requests of a template have to agree to share a query;
+        None if they cannot share. ``streamed``: the features of the streams; ``selected``: the
+        parameters whose objects each request selects."""
+        # The names of the streams do not matter here, but the evaluator needs one.
         evaluator = self._evaluator(with_streams(query, ["any"]), ["any"])
         return evaluator.agreement(arguments, selected, streamed)
 
@@ -217,10 +230,10 @@ class Queries:
         inputs: Mapping[str, StreamGenerator],
         converters: Mapping[str, Sequence[SampleConverter]],
         evaluator: SharedWindows,
-        told: str = "",
+        parameters: str = "",
     ) -> TemplateUnit:
         def make(output: StreamGenerator) -> TemplateUnit:
-            text = told + format_query(replace(query, name=output.name))
+            text = parameters + format_query(replace(query, name=output.name))
             sources = list(inputs.values())
             return TemplateUnit(
                 *self._configuration.identity(C_SPARQL, sources, output, {"query": text}),
@@ -230,34 +243,34 @@ class Queries:
 
         return self._configuration.start_query(TALLY, make)
 
-    def _of(
+    def _inputs_of(
         self, read: Read | Sequence[Supply]
     ) -> tuple[dict[str, StreamGenerator], Mapping[str, Sequence[SampleConverter]]]:
         if not isinstance(read, Mapping):
-            return self._read(read, Since.NOW)
+            return self._start_inputs(read, Since.NOW)
         converters = {generator.name: [converter] for generator, converter in read.items()}
         return {generator.name: generator for generator in read}, converters
 
-    def _read(
+    def _start_inputs(
         self, supplies: Sequence[Supply], since: Beginning
     ) -> tuple[dict[str, StreamGenerator], dict[str, list[SampleConverter]]]:
-        """The streams that the supplies ask for, started, with the converters of what is wanted of
-        each."""
+        """Start the streams of the supplies; return them with the converters of the wanted
+        features."""
         inputs: dict[str, StreamGenerator] = {}
         converters: dict[str, list[SampleConverter]] = defaultdict(list)
         wanted = [(supply, source) for supply in supplies for source in supply.sources]
-        asked: dict[tuple[object, ...], set[str]] = defaultdict(set)
+        features_of: dict[tuple[object, ...], set[str]] = defaultdict(set)
         for supply, source in wanted:
-            asked[_element(source)].add(supply.want.feature)
-        # Two patterns may want the same of one stream: its samples are still elements once.
+            features_of[_element(source)].add(supply.want.feature)
+        # Two patterns may want one feature of one stream: convert its samples once.
         read: set[tuple[str, tuple[Content, ...], Unit | None]] = set()
         for supply, source in wanted:
             generator = self._obtain(source.node, since)
             inputs[generator.name] = generator
             annotation = wanted_annotation(supply, source, generator.name)
             target: Unit | None = source.port.target
-            if len(asked[_element(source)]) > 1:
-                # Under its own name: that it is of the wider features as well is entailed.
+            if len(features_of[_element(source)]) > 1:
+                # Wanted as several features: convert it as its own one, which entails the wider.
                 annotation = own_annotation(source, generator.name)
                 target = None
             element = (generator.name, annotation.contents, target)
@@ -282,15 +295,14 @@ class Queries:
         query: ContinuousQuery,
         read: Read,
         since: Beginning,
-        manner: Manner,
+        settings: QuerySettings,
     ) -> QueryUnit:
-        """Start a query over the streams that its clauses name, by their own names; ``read`` gives
-        each with the converter of all that it says."""
-        inputs, converters = self._of(read)
+        """Start a query over the streams ``read`` that its clauses name."""
+        inputs, converters = self._inputs_of(read)
         for generator in inputs.values():
             check_retained(since, generator.stream)
         form = self.form(query)
-        return self._start(query, inputs, converters, form, since, manner, query.source.strip())
+        return self._start(query, inputs, converters, form, since, settings, query.source.strip())
 
     def _start(
         self,
@@ -299,42 +311,42 @@ class Queries:
         converters: Mapping[str, Sequence[SampleConverter]],
         form: ResultForm,
         since: Beginning,
-        manner: Manner,
+        settings: QuerySettings,
         text: str | None = None,
     ) -> QueryUnit:
         def make(output: StreamGenerator) -> QueryUnit:
             named = replace(query, name=output.name)
             background = explanations.closed_ontology(self._ontology, named.static_named)
-            sources, told = list(inputs.values()), {"query": text or format_query(named)}
+            sources, parameters = list(inputs.values()), {"query": text or format_query(named)}
             return QueryUnit(
-                *self._configuration.identity(C_SPARQL, sources, output, told),
+                *self._configuration.identity(C_SPARQL, sources, output, parameters),
                 evaluator=ContinuousEvaluator(
                     named,
                     self._dictionary,
                     background,
                     list(inputs),
-                    manner.options,
+                    settings.options,
                     self._budget,
                 ),
                 converters=converters,
                 results=form.converter(output.stream.pools),
-                on_result=manner.hear,
+                on_result=settings.on_result,
             )
 
-        return self._configuration.start_query(form.schema, make, since, manner.name)
+        return self._configuration.start_query(form.schema, make, since, settings.name)
 
 
 def _element(source: SupplySource) -> tuple[object, ...]:
-    """What of a node's samples an element is made of."""
+    """The part of a node's samples that makes one element of a window."""
     return source.node, source.port.source_field, source.roles
 
 
-def _built(
+def _started(
     unit: AnyUnit, query: ContinuousQuery, form: ResultForm, supplies: Sequence[Supply]
-) -> BuiltQuery[AnyUnit]:
+) -> StartedUnit[AnyUnit]:
     roles = [role for s in supplies for source in s.sources for role in source.roles]
     name = unit.output.name
-    return BuiltQuery(
+    return StartedUnit(
         unit,
         form.event_annotation(name, query.name, roles),
         form.rdf_annotation(name, roles),

@@ -1,4 +1,4 @@
-"""Registrations of continuous queries: what is compared, kept over a restart and shown."""
+"""Registrations of continuous queries: compared, stored over a restart, and shown."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..model.views import QueryView
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """A text and how it is to run: who registers a name again must mean the same."""
+class Submission:
+    """A query text with its options. Registering a name again requires an equal one."""
 
     source: str
     options: Options
@@ -23,7 +23,7 @@ class Asked:
 
     @property
     def how(self) -> str:
-        """All but the text, for people."""
+        """The options as text."""
         options = self.options
         return (
             f"semantics={options.semantics}, bounds={options.bounds}, origin={options.origin}, "
@@ -33,33 +33,33 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """What was asked as the ``number``-th, and which query it is: STREAM or QUERY, its form and
-    dialect, which a text that is not understood any more does not tell."""
+    """The ``number``-th submission. Kind (STREAM or QUERY), form and dialect are stored, because a
+    later version may not be able to parse the text."""
 
     number: int
-    asked: Asked
+    submission: Submission
     kind: str
     form: str
     dialect: str
 
     @classmethod
-    def of(cls, number: int, asked: Asked, query: ContinuousQuery) -> Registration:
+    def of(cls, number: int, submission: Submission, query: ContinuousQuery) -> Registration:
         kind = "STREAM" if query.produces_stream else "QUERY"
-        return cls(number, asked, kind, str(query.form), str(query.dialect))
+        return cls(number, submission, kind, str(query.form), str(query.dialect))
 
     def json(self) -> str:
-        """As it is kept; the inverse of `registration_of`."""
-        asked, options = self.asked, self.asked.options
+        """Encode it for storage; the inverse of `registration_of`."""
+        submission, options = self.submission, self.submission.options
         return json.dumps(
             {
                 "number": self.number,
-                "source": asked.source,
+                "source": submission.source,
                 "semantics": options.semantics,
                 "bounds": options.bounds,
                 "origin": options.origin,
                 "report": options.report,
-                "strategy": asked.strategy,
-                "since": str(asked.since),
+                "strategy": submission.strategy,
+                "since": str(submission.since),
                 "kind": self.kind,
                 "form": self.form,
                 "dialect": self.dialect,
@@ -67,20 +67,20 @@ class Registration:
         )
 
     def view(self, name: str, state: str, failure: str | None, users: int) -> QueryView:
-        """The query as the service shows it, but for what it has at work."""
-        options = self.asked.options
+        """Return the view of the query without its running parts."""
+        options = self.submission.options
         return QueryView(
             name=name,
             kind=self.kind,
             form=self.form,
             dialect=self.dialect,
-            source=self.asked.source,
+            source=self.submission.source,
             semantics=options.semantics,
             bounds=options.bounds,
             origin=options.origin,
             report=options.report,
-            strategy=self.asked.strategy,
-            since=str(self.asked.since),
+            strategy=self.submission.strategy,
+            since=str(self.submission.since),
             state=state,
             failure=failure,
             users=users,
@@ -89,25 +89,31 @@ class Registration:
 
 
 def usual_semantics(dialect: Dialect) -> Semantics:
-    """What equal triples of a window are where nobody says."""
+    """Return the dialect's default for equal triples of a window."""
     return "set" if dialect is Dialect.RSP_QL else "bag"
 
 
 def registration_of(text: str) -> Registration:
-    """A registration that was kept; raises ``ValueError``, ``KeyError``, ``TypeError`` or
+    """Decode a stored registration. Raises ``ValueError``, ``KeyError``, ``TypeError`` or
     `BadArguments`."""
     kept = json.loads(text)
     options = Options(kept["semantics"], kept["bounds"], kept["origin"], kept["report"])
-    asked = Asked(kept["source"], options, kept["strategy"], parse_beginning(kept["since"]))
-    return Registration(kept["number"], asked, kept["kind"], kept["form"], kept["dialect"])
+    submission = Submission(
+        kept["source"], options, kept["strategy"], parse_beginning(kept["since"])
+    )
+    return Registration(kept["number"], submission, kept["kind"], kept["form"], kept["dialect"])
 
 
-def check_same(name: str, known: Asked, asked: Asked) -> None:
-    """Raises `AlreadyExists` for another text or other options under a name that is taken."""
-    if known == asked:
+def check_same(name: str, existing: Submission, submission: Submission) -> None:
+    """Raise `AlreadyExists` for another text or other options under a name in use."""
+    if existing == submission:
         return
-    told = "with another text" if known.source != asked.source else f"that runs with {known.how}"
+    difference = (
+        "with another text"
+        if existing.source != submission.source
+        else f"that runs with {existing.how}"
+    )
     raise AlreadyExists(
-        f"there is a query {name!r} {told}",
+        f"there is a query {name!r} {difference}",
         f"remove it first (DELETE /queries/{name}), or give this one another name",
     )

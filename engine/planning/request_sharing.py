@@ -1,8 +1,8 @@
-"""Which requests of a template one query can serve (DESIGN §3 "Sharing").
+"""Requests of a template that share one query (DESIGN §3 "Sharing").
 
-Requests share what is computed when their arguments differ and the streams they read are the same;
-or differ only in that each selects its own objects from these. It is worth while from some requests
-on: a few objects are cheaper selected than all of them computed.
+Requests share a query if they differ in arguments and read the same streams, or differ only in the
+objects that each selects from these streams. Sharing begins with some number of requests: selecting
+a few objects is cheaper than computing all.
 """
 
 from __future__ import annotations
@@ -35,18 +35,17 @@ from ..model.views import Since
 from .plan_execution import Plans
 
 SAME_STREAMS = 4
-"""So many requests that read the same streams are evaluated as one query."""
+"""The number of requests with the same streams from which on one query evaluates them."""
 OWN_OBJECTS = 32
-"""So many requests that select objects of their own from the same streams are."""
-_REMEMBERED = 1_000
-"""Of so many kinds of requests of one template it is kept whether they can share."""
+"""The same for requests that each select objects of their own."""
+_MAX_CACHED = 1_000
+"""Kinds of requests of one template whose agreement is cached."""
 
 
 @dataclass(frozen=True, slots=True)
-class Common:
-    """What requests have in common that can be evaluated as one query.
-
-    ``supplies`` give what all of them read; ``least`` are worth it. Equal ``key``, equal query.
+class ShareableQuery:
+    """The query that requests with an equal ``key`` can share, over the streams of ``supplies``;
+    worth it from ``least`` requests on.
     """
 
     key: Hashable
@@ -57,16 +56,16 @@ class Common:
 
 @dataclass(frozen=True, slots=True)
 class _Agreements:
-    """Of a template with this text, under these rules of the ontology: by kind of request the
-    parameters on which they have to agree, None where they cannot share."""
+    """The parameters on which requests have to agree, by kind of request; None where they cannot
+    share. Valid for a template with this text under these rules of the ontology."""
 
     source: str
     rules: Rules
-    known: dict[Hashable, frozenset[str] | None]
+    by_kind: dict[Hashable, frozenset[str] | None]
 
 
-class Sharing:
-    """Says of a request with whom it could share, and counts those who do not yet."""
+class RequestSharing:
+    """Finds the query that a request can share, and counts the requests that do not share yet."""
 
     def __init__(self, ontology: Ontology, templates: TemplateLibrary, plans: Plans) -> None:
         self._ontology = ontology
@@ -76,53 +75,56 @@ class Sharing:
         """By the template's name."""
         self._alone: Counter[Hashable] = Counter()
 
-    def common(
+    def find_shareable(
         self,
         template: Template,
         request: EventRequest,
         query: ContinuousQuery,
         matches: Sequence[Match],
         strategy: str,
-    ) -> Common | None:
-        """With whom ``request``, whose query and matches these are, can share; None: nobody.
+    ) -> ShareableQuery | None:
+        """Return the query that ``request``, with its query and matches, can share; None if there
+        is none.
 
         Cost: another match where the request selects objects; the first request of a kind plans
         the template's query.
         """
         if not query.bindings:
             return None
-        own = self._plans.made_from(matches)
+        own = self._plans.expand_supplies(matches)
         selected = _selected(own, query.bindings)
         fixed = self._agreement(template, query, own, selected)
         if fixed is None:
             return None
         supplies = own
         if selected:
-            every = self._unselected(template, request, own, selected, strategy)
-            if every is None:
+            all_objects = self._supplies_without_selection(
+                template, request, own, selected, strategy
+            )
+            if all_objects is None:
                 return None
-            supplies = every
+            supplies = all_objects
         terms = tuple((v.value, t if v.value in fixed else None) for v, t in query.bindings.items())
         kind = (template.source, terms, selected, supplies)
         least = OWN_OBJECTS if selected else SAME_STREAMS
-        return Common(kind, template.query, supplies, least)
+        return ShareableQuery(kind, template.query, supplies, least)
 
-    def is_worth_it(self, common: Common) -> bool:
-        """Whether one request more makes enough of them."""
-        return self._alone[common.key] + 1 >= common.least
+    def is_worth_it(self, shareable: ShareableQuery) -> bool:
+        """Whether one request more makes sharing worth it."""
+        return self._alone[shareable.key] + 1 >= shareable.least
 
-    def began_alone(self, common: Common) -> None:
-        """A request has a query of its own."""
-        self._alone[common.key] += 1
+    def add_alone(self, shareable: ShareableQuery) -> None:
+        """Count a request that is evaluated alone."""
+        self._alone[shareable.key] += 1
 
-    def ended_alone(self, common: Common) -> None:
-        """A request that had a query of its own has ended."""
-        self._alone[common.key] -= 1
-        if not self._alone[common.key]:
-            del self._alone[common.key]
+    def remove_alone(self, shareable: ShareableQuery) -> None:
+        """Stop counting a request that was evaluated alone."""
+        self._alone[shareable.key] -= 1
+        if not self._alone[shareable.key]:
+            del self._alone[shareable.key]
 
     def forget(self, template: Template) -> None:
-        """``template`` is gone."""
+        """Drop the cache of a removed template."""
         self._agreements.pop(template.name, None)
 
     def _agreement(
@@ -132,10 +134,10 @@ class Sharing:
         supplies: Sequence[Supply],
         selected: frozenset[str],
     ) -> frozenset[str] | None:
-        """The parameters on which such requests have to agree to share the template's query, or
-        None; found once. (Others would have a plan each over what all of them read.)"""
+        """Return the parameters on which such requests have to agree, or None; cached. Requests
+        that differ in one of these would each need a plan of its own over the shared streams."""
         streamed = frozenset(supply.want.feature for supply in supplies)
-        given = frozenset(variable.value for variable in query.bindings)
+        parameters = frozenset(variable.value for variable in query.bindings)
         agreements = self._agreements.get(template.name)
         rules = self._ontology.rules
         if (
@@ -145,17 +147,17 @@ class Sharing:
         ):
             agreements = _Agreements(template.source, rules, {})
             self._agreements[template.name] = agreements
-        known = agreements.known
-        kind = (given, selected, streamed)
-        if kind not in known:
-            if len(known) >= _REMEMBERED:
-                known.clear()
-            known[kind] = self._plans.queries.agreement(
+        by_kind = agreements.by_kind
+        kind = (parameters, selected, streamed)
+        if kind not in by_kind:
+            if len(by_kind) >= _MAX_CACHED:
+                by_kind.clear()
+            by_kind[kind] = self._plans.queries.agreement(
                 template.query, query.bindings, streamed, selected
             )
-        return known[kind]
+        return by_kind[kind]
 
-    def _unselected(
+    def _supplies_without_selection(
         self,
         template: Template,
         request: EventRequest,
@@ -163,7 +165,8 @@ class Sharing:
         selected: frozenset[str],
         strategy: str,
     ) -> tuple[Supply, ...] | None:
-        """What the request would read of all objects, if it is that from which it selects."""
+        """Match the request with its objects left free. Return the supplies if the request selects
+        its own objects from the same streams, else None."""
         arguments = [
             parameter if parameter.value in selected else argument
             for parameter, argument in zip(template.parameters, request.arguments, strict=True)
@@ -172,23 +175,23 @@ class Sharing:
             free = instantiate(template, arguments, self._ontology.vocabulary)
             wants = self._templates.needs(free).wants
         except (ArgumentError, NeedsError):
-            # Nothing else finds these objects.
+            # The template needs these arguments to find its objects.
             return None
-        found = self._plans.match(wants, strategy, self._plans.unusable(Since.NOW))
-        every = self._plans.made_from(found)
-        if len(every) != len(supplies) or _elements(every) != _elements(supplies):
+        matches = self._plans.match(wants, strategy, self._plans.unusable_streams(Since.NOW))
+        all_objects = self._plans.expand_supplies(matches)
+        if len(all_objects) != len(supplies) or _count_reads(all_objects) != _count_reads(supplies):
             return None
         outlines = _Outlines()
         same = all(
             [outlines.of(one.node) for one in mine.sources]
             == [outlines.of(one.node) for one in other.sources]
-            for mine, other in zip(supplies, every, strict=True)
+            for mine, other in zip(supplies, all_objects, strict=True)
         )
-        return every if same else None
+        return all_objects if same else None
 
 
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:
-    """The parameters whose objects are selected from streams of several."""
+    """Return the parameters whose objects the plans select from streams of several objects."""
     objects = {
         node.object
         for supply in supplies
@@ -202,9 +205,9 @@ def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> 
     )
 
 
-def _elements(supplies: Sequence[Supply]) -> int:
-    """How many streams are read, counting what each is read for: two patterns that want the same of
-    one stream read it once, of two objects twice."""
+def _count_reads(supplies: Sequence[Supply]) -> int:
+    """Count the streams with the features read from each: two patterns that want one feature of
+    one stream count once."""
     return len(
         {
             (source.node, supply.want.feature, source.port.target)
@@ -215,15 +218,15 @@ def _elements(supplies: Sequence[Supply]) -> int:
 
 
 class _Outlines:
-    """How streams are made, whether of all objects or of some that are selected: numbers, equal
-    for those that are made alike. Cost: O(distinct nodes)."""
+    """Numbers nodes by their outline, that is the node without its selections of objects: equal
+    outlines have equal numbers. Cost: O(distinct nodes)."""
 
     def __init__(self) -> None:
         self._numbers: dict[Hashable, int] = {}
         self._known: dict[Node, int] = {}
 
     def of(self, source: Node) -> int:
-        """The number of a node's outline."""
+        """Return the number of a node's outline."""
         for node in nodes_of(source):
             if node not in self._known:
                 self._known[node] = self._number(node)

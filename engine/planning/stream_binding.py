@@ -1,5 +1,5 @@
-"""Finding the streams of a query that names none: from the features it needs, by semantic matching
-([Events14 §IV.A, §V.B]). For requests of events and for registered queries alike.
+"""Finds streams for a query that names none, by semantic matching of the features that it needs
+([Events14 §IV.A, §V.B]). Requests of events and registered queries use it.
 """
 
 from __future__ import annotations
@@ -18,52 +18,52 @@ from .plan_execution import Plans
 
 
 def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
-    """The graphs that a query names are loaded ontologies; raises `NoPlan`."""
+    """Raise `NoPlan` unless the graphs that a query names are loaded ontologies."""
     named = (("FROM", query.static), ("FROM NAMED", query.static_named))
     for clause, graph in ((clause, graph) for clause, graphs in named for graph in graphs):
         if not ontology.has_ontology(graph):
-            known = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
+            loaded = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
             raise NoPlan(
                 f"{clause} <{graph}> names no loaded ontology",
                 (graph,),
-                "static graphs are named, never fetched: load it (POST /ontologies), or leave "
-                f"{clause} out; there are {known}",
+                "the service does not fetch graphs: load it (POST /ontologies), or leave "
+                f"{clause} out; loaded are {loaded}",
             )
 
 
 def find_streams(
-    plans: Plans, wanted: Needs, strategy: str, since: Beginning, asked: str
+    plans: Plans, wanted: Needs, strategy: str, since: Beginning, description: str
 ) -> tuple[Match, ...]:
-    """A match for each feature that ``asked`` needs; raises `NoPlan` and `BadArguments`."""
-    without = plans.unusable(since)
+    """Match each feature that ``description`` needs. Raises `NoPlan`, `BadArguments`."""
+    unusable = plans.unusable_streams(since)
     try:
-        matches = plans.match(wanted.wants, strategy, without, explained=True)
+        matches = plans.match(wanted.wants, strategy, unusable, explained=True)
     except UnknownStrategy as error:
         raise BadArguments(str(error)) from error
     missing = tuple(
         f"{match.want}: {text}"
         for match in matches
         if match.supply is None
-        for text in match.missing or ("nothing gives it",)
+        for text in match.missing or ("no stream or transformation provides it",)
     )
     if missing or not matches:
         raise NoPlan(
-            f"no stream and no transformation answers {asked}"
+            f"no stream and no transformation answers {description}"
             + ("" if missing else ": the query needs no feature of a stream"),
             missing,
-            "annotate a stream that contains the feature, or one it can be computed from; "
-            "POST /match shows what was tried",
+            "annotate a stream that contains the feature, or one from which it can be computed; "
+            "POST /match shows the alternatives tried",
         )
     return matches
 
 
 def supplies_of(matches: Iterable[Match]) -> list[Supply]:
-    """What the matches found."""
+    """Return the supplies of the matches that succeeded."""
     return [match.supply for match in matches if match.supply is not None]
 
 
 def mean_the_same(matches: Iterable[Match], space: StreamSpace) -> bool:
-    """Whether the streams that were found mean what they meant then."""
+    """Whether the streams of the matches still exist with the same annotations."""
     streams = space.streams
     return all(
         node.stream in streams and streams[node.stream].contents == node.contents

@@ -1,4 +1,5 @@
-"""The streams that a query names itself, FROM STREAM or FROM NAMED WINDOW ([Events14 §III.A])."""
+"""Resolves the streams that a query names in FROM STREAM or FROM NAMED WINDOW ([Events14
+§III.A])."""
 
 from __future__ import annotations
 
@@ -17,15 +18,15 @@ from ..configuration.configuration import Configuration
 from ..model.errors import NotAnnotated, UnknownStream
 
 ENDING = ".trdf"
-"""What the IRI of a stream ends with in the papers' FROM STREAM."""
+"""The ending of a stream's IRI in the papers' FROM STREAM."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """A stream that a query names, and what makes triples of its samples.
+class ReadStream:
+    """A stream that a query names, and the converter of its samples to triples.
 
-    All that the stream says is converted, also what no pattern asks for: a window counts the
-    triples in it, and is evaluated where it has any, whatever they say.
+    All contents of the stream are converted, also those that no pattern matches: count windows
+    count every triple, and a window is evaluated if it contains any.
     """
 
     generator: StreamGenerator
@@ -44,38 +45,37 @@ def read_streams(
     configuration: Configuration,
     converter_of: Callable[[str], SampleConverter | None],
     query: ContinuousQuery,
-) -> tuple[ContinuousQuery, tuple[Reading, ...]]:
-    """The query with its streams under their own names, and these streams, each once.
-
-    Raises `UnknownStream`, and `NotAnnotated` for one of which nobody has said what it contains.
+) -> tuple[ContinuousQuery, tuple[ReadStream, ...]]:
+    """Return the query with the streams' own names, and its streams, each once. Raises
+    `UnknownStream`, and `NotAnnotated` for a stream without an annotation.
     """
-    found: dict[str, Reading] = {}
+    found: dict[str, ReadStream] = {}
     clauses = []
     for clause in query.streams:
-        generator = stream_called(configuration, clause.iri)
+        generator = find_stream(configuration, clause.iri)
         if generator is None:
-            raise _no_stream(configuration, clause.iri)
+            raise _unknown_stream(configuration, clause.iri)
         converter = converter_of(generator.name)
         if converter is None:
             raise NotAnnotated(
-                f"nobody has said what stream {generator.name!r} contains",
-                _how_to_annotate(generator),
+                f"stream {generator.name!r} has no annotation, so its contents are unknown",
+                _annotation_hint(generator),
             )
-        found.setdefault(generator.name, Reading(generator, converter))
+        found.setdefault(generator.name, ReadStream(generator, converter))
         clauses.append(replace(clause, iri=stream_iri(generator.name)))
     return replace(query, streams=tuple(clauses)), tuple(found.values())
 
 
-def stream_called(configuration: Configuration, iri: str) -> StreamGenerator | None:
-    """The stream that an IRI in a query means; None if there is none."""
+def find_stream(configuration: Configuration, iri: str) -> StreamGenerator | None:
+    """Return the stream that an IRI in a query names; None if there is none."""
     found = (configuration.find(name) for name in _names(iri))
     return next((generator for generator in found if generator is not None), None)
 
 
-def _no_stream(configuration: Configuration, iri: str) -> UnknownStream:
+def _unknown_stream(configuration: Configuration, iri: str) -> UnknownStream:
     names = tuple(_names(iri))
-    known = sorted({*configuration.streams, *configuration.aliases})
-    near = difflib.get_close_matches(names[-1], known, n=3)
+    existing = sorted({*configuration.streams, *configuration.aliases})
+    near = difflib.get_close_matches(names[-1], existing, n=3)
     hint = f"did you mean {' or '.join(f'<{stream_iri(name)}>' for name in near)}?"
     if not near:
         hint = f"write <{DYKNOW}NAME{ENDING}> with the name of a stream; GET /streams lists them"
@@ -83,8 +83,8 @@ def _no_stream(configuration: Configuration, iri: str) -> UnknownStream:
 
 
 def _names(iri: str) -> Iterator[str]:
-    """What a stream may be called that an IRI means: its name, the papers' IRI, or the one that
-    the stream space has for it."""
+    """Yield the names that an IRI can stand for: a stream's name itself, the papers' IRI, or that
+    of the stream space."""
     yield iri
     for namespace in (DYKNOW, STREAM_SPACE):
         if iri.startswith(namespace):
@@ -93,7 +93,7 @@ def _names(iri: str) -> Iterator[str]:
             yield name.removesuffix(ENDING)
 
 
-def _how_to_annotate(generator: StreamGenerator) -> str:
+def _annotation_hint(generator: StreamGenerator) -> str:
     fields = ", ".join(generator.schema.names) or "not known before the first sample"
     return (
         f"annotate it (POST /annotations): stream {generator.name} contains FEATURE(SORT) = FIELD "

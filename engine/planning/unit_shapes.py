@@ -1,8 +1,8 @@
-"""The shapes of units: what a specification can say of the running system ([Introspection15 §3.2]).
+"""The shapes of units, by which a specification identifies running units ([Introspection15 §3.2]).
 
-A shape is a transformation with its parameters, and the shapes or the names of the streams that it
-reads. Units of the same shape are the same to a specification, whoever started them: `Running`
-reads the shapes of the units that run, `elaboration` makes those that a text speaks of.
+A shape is a transformation with its parameters and the shapes, or names, of its input streams. To a
+specification units of one shape are equal, whether a request or a text started them.
+`RunningShapes` has the shapes of the units that run; `elaboration` makes those of a text.
 """
 
 from __future__ import annotations
@@ -29,53 +29,53 @@ from ..configuration.policy_keys import policy_keys
 from ..model.views import Since
 from ..units.base import ComputationalUnit
 
-LONGEST_ROW = 90
-"""So many units may read each other in a row: a text that nests them can still be read."""
+MAX_CHAIN = 90
+"""The longest chain of units that read each other. A text that nests them can still be parsed."""
 
 Parameters: TypeAlias = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """A unit of ``type``. ``parameters`` are those that differ from the transformation's, by name;
-    ``inputs`` are other shapes, or names of streams that no specification can make.
+    """The shape of a unit of transformation ``type``. ``parameters`` are those that differ from the
+    transformation's own; ``inputs`` are shapes, or names of streams that no specification can make.
 
-    Shapes of one `Shapes` are equal only if they are the same object: a shape that stands in many
-    places would else be compared along every path.
+    Shapes of one `Shapes` compare by identity: a comparison by value would follow every path to a
+    shape that several units share.
     """
 
     type: str
     parameters: Parameters
     inputs: tuple[Shape | str, ...]
-    row: int
-    """How many units read each other in a row, itself included."""
+    chain: int
+    """The length of the longest chain of units that ends with it."""
     number: int
-    """Of the shapes of one `Shapes`, from 1."""
+    """Its number in its `Shapes`, from 1."""
 
 
 class Shapes:
-    """Makes shapes, each once. Cost: O(inputs) a look-up."""
+    """Makes each shape once. Cost: O(inputs) a look-up."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[str, Parameters, tuple[Shape | str, ...]], Shape] = {}
 
     def of(self, type: str, parameters: Parameters, inputs: tuple[Shape | str, ...]) -> Shape:
-        """The shape; ``parameters`` in any order."""
+        """Return the shape; ``parameters`` may be in any order."""
         key = (type, tuple(sorted(parameters)), inputs)
-        found = self._made.get(key)
-        if found is None:
-            row = 1 + max((one.row for one in inputs if isinstance(one, Shape)), default=0)
-            found = self._made[key] = Shape(*key, row, len(self._made) + 1)
-        return found
+        shape = self._made.get(key)
+        if shape is None:
+            chain = 1 + max((one.chain for one in inputs if isinstance(one, Shape)), default=0)
+            shape = self._made[key] = Shape(*key, chain, len(self._made) + 1)
+        return shape
 
 
-class Running:
-    """The shapes of the units that run, as they are now.
+class RunningShapes:
+    """The shapes of the units that run, as they are now. Cost: O(units).
 
-    ``shape_of`` has them by the stream that they make, in the order in which they started, and
-    those that failed too, and ``stream_of`` the first stream of each; ``unit_of`` has a unit of
-    each shape that works. ``implied`` are units that a specification makes without saying so,
-    ``unsaid`` those that none can make. Cost: O(units).
+    ``shape_of`` has the shapes by output stream in the order of starting, failed units included;
+    ``stream_of`` has the first stream of each shape; ``unit_of`` has a working unit of each.
+    ``implied`` are units that a specification starts without naming them (synchronization before a
+    unit of several inputs); ``inexpressible`` are units that no specification can start.
     """
 
     def __init__(
@@ -86,35 +86,35 @@ class Running:
         self.stream_of: dict[Shape, str] = {}
         self.unit_of: dict[Shape, ComputationalUnit] = {}
         self.implied: set[ComputationalUnit] = set()
-        self.unsaid: list[ComputationalUnit] = []
+        self.inexpressible: list[ComputationalUnit] = []
         self._configuration = configuration
         self._transformations = transformations
         self._broken: set[StreamGenerator] = set()
-        said: set[ComputationalUnit] = set()
+        named: set[ComputationalUnit] = set()
         for unit in configuration.units.values():
-            self._add(unit, said)
-        self.implied -= said
+            self._add(unit, named)
+        self.implied -= named
 
-    def leave_out(self, units: Iterable[ComputationalUnit]) -> None:
-        """Nothing is to be made with ``units``, which are about to stop."""
+    def exclude(self, units: Iterable[ComputationalUnit]) -> None:
+        """Remove ``units``, which are about to stop, from ``unit_of``."""
         for unit in units:
             shape = self.shape_of.get(unit.output.name)
             if shape is not None and self.unit_of.get(shape) is unit:
                 del self.unit_of[shape]
 
     def is_broken(self, unit: ComputationalUnit) -> bool:
-        """Whether nothing more comes of a unit."""
+        """Whether a unit, or one that it depends on, has failed or lost an input."""
         return unit.output in self._broken
 
     def producer(self, stream: StreamGenerator) -> ComputationalUnit | None:
-        """The unit that makes a stream, if a specification can make it."""
+        """Return the unit that makes a stream, if a specification can express it."""
         unit = self._configuration.units.get(stream.name)
-        known = unit is not None and unit.output is stream and stream.name in self.shape_of
-        return unit if known else None
+        is_expressible = unit is not None and unit.output is stream and stream.name in self.shape_of
+        return unit if is_expressible else None
 
-    def behind(self, unit: ComputationalUnit) -> Iterator[ComputationalUnit]:
-        """The units that ``unit`` is made from, as far as a specification can make them, and
-        itself; each once."""
+    def upstream(self, unit: ComputationalUnit) -> Iterator[ComputationalUnit]:
+        """Yield ``unit`` and the units that it depends on and a specification can express; each
+        once."""
         seen = {unit}
         todo = [unit]
         while todo:
@@ -126,28 +126,28 @@ class Running:
                     seen.add(producer)
                     todo.append(producer)
 
-    def _add(self, unit: ComputationalUnit, said: set[ComputationalUnit]) -> None:
-        is_there = all(self._is_there(source) for source in unit.sources)
-        if unit.failure is not None or not is_there or not self._broken.isdisjoint(unit.sources):
+    def _add(self, unit: ComputationalUnit, named: set[ComputationalUnit]) -> None:
+        streams = self._configuration.streams
+        exists = all(streams.get(source.name) is source for source in unit.sources)
+        if unit.failure is not None or not exists or not self._broken.isdisjoint(unit.sources):
             self._broken.add(unit.output)
         key = self._configuration.key_of(unit)
-        shape = self._shape(unit, key, said) if is_there else None
-        if shape is None or shape.row > LONGEST_ROW:
-            self.unsaid.append(unit)
-            said.update(filter(None, map(self.producer, unit.sources)))
+        shape = self._shape(unit, key, named) if exists else None
+        if shape is None or shape.chain > MAX_CHAIN:
+            self.inexpressible.append(unit)
+            named.update(filter(None, map(self.producer, unit.sources)))
             return
         self.shape_of[unit.output.name] = shape
         self.stream_of.setdefault(shape, unit.output.name)
         if unit.output not in self._broken:
-            others = self.unit_of.get(shape)
-            if others is None or _since(self._configuration.key_of(others)) is not Since.NOW:
+            other = self.unit_of.get(shape)
+            key = None if other is None else self._configuration.key_of(other)
+            # A unit that began with new samples is the one that a text would start.
+            if not isinstance(key, tuple) or key[-1] is not Since.NOW:
                 self.unit_of[shape] = unit
 
-    def _is_there(self, source: StreamGenerator) -> bool:
-        return self._configuration.streams.get(source.name) is source
-
     def _shape(
-        self, unit: ComputationalUnit, key: object, said: set[ComputationalUnit]
+        self, unit: ComputationalUnit, key: object, named: set[ComputationalUnit]
     ) -> Shape | None:
         match key:
             case (
@@ -157,30 +157,30 @@ class Running:
                 Since() | Moment(),
             ):
                 if keys != policy_keys(self._configuration, source):
-                    # It was made by another annotation or by other rules: a text makes another.
+                    # The annotation or the rules have changed since: a text would start another.
                     return None
-                return self._over(unit, POLICY, (("policy", format_policy(policy)),), said)
+                return self._shape_over(unit, POLICY, (("policy", format_policy(policy)),), named)
             case (SelectObject(_, field, object), Since() | Moment()):
-                given = (("field", field), ("object", shorten(object)))
-                return self._over(unit, SELECT_OBJECT, given, said)
+                parameters = (("field", field), ("object", shorten(object)))
+                return self._shape_over(unit, SELECT_OBJECT, parameters, named)
             case (Synchronize(), Since() | Moment()):
-                return self._over(unit, SYNCHRONIZE, (), said)
+                return self._shape_over(unit, SYNCHRONIZE, (), named)
             case (Compute() as node, Since() | Moment()):
                 inputs = self._implied_inputs(unit, node)
                 if inputs is None:
-                    return self._over(unit, node.transformation, node.parameters, said)
+                    return self._shape_over(unit, node.transformation, node.parameters, named)
                 return self.shapes.of(node.transformation, node.parameters, inputs)
             case _:
                 return None
 
-    def _over(
+    def _shape_over(
         self,
         unit: ComputationalUnit,
         type: str,
         parameters: Parameters,
-        said: set[ComputationalUnit],
+        named: set[ComputationalUnit],
     ) -> Shape:
-        said.update(filter(None, map(self.producer, unit.sources)))
+        named.update(filter(None, map(self.producer, unit.sources)))
         inputs = tuple(self._input(source) for source in unit.inputs)
         return self.shapes.of(type, parameters, inputs)
 
@@ -190,22 +190,24 @@ class Running:
     def _implied_inputs(
         self, unit: ComputationalUnit, node: Compute
     ) -> tuple[Shape | str, ...] | None:
-        """What feeds each input of a unit whose inputs are synchronized as a matter of course; None
-        for another unit."""
-        known = self._transformations.get(node.transformation)
-        if known is None or not isinstance(known.annotation, TransformationAnnotation):
+        """Return the streams behind the implied synchronization of a unit's inputs, one for each
+        input; None for a unit without one."""
+        transformation = self._transformations.get(node.transformation)
+        if transformation is None or not isinstance(
+            transformation.annotation, TransformationAnnotation
+        ):
             return None
-        fields = [port.field for port in known.annotation.inputs]
+        fields = [port.field for port in transformation.annotation.inputs]
         if not node.inputs or not is_implied(node.inputs[0], fields):
             return None
         synchronizing = self.producer(unit.inputs[0])
         if synchronizing is None:
             return None
-        together = node.inputs[0].node
-        assert isinstance(together, Synchronize)
+        synchronize = node.inputs[0].node
+        assert isinstance(synchronize, Synchronize)
         feeding = {
             port.target_field: self._input(source)
-            for edge, source in zip(together.inputs, synchronizing.inputs, strict=True)
+            for edge, source in zip(synchronize.inputs, synchronizing.inputs, strict=True)
             for port in edge.ports
         }
         read = {port.target_field: port.source_field for port in node.inputs[0].ports}
@@ -214,14 +216,13 @@ class Running:
 
 
 def is_implied(edge: Edge, fields: list[str]) -> bool:
-    """Whether a unit of inputs ``fields`` that takes ``edge`` reads several streams, which are
-    brought together for it alone."""
+    """Whether ``edge`` synchronizes several streams for the one unit with inputs ``fields``."""
     if not isinstance(edge.node, Synchronize):
         return False
-    made = {port.target_field for feed in edge.node.inputs for port in feed.ports}
+    synchronized = {port.target_field for feed in edge.node.inputs for port in feed.ports}
     read = {port.target_field: port.source_field for port in edge.ports}
-    return read.keys() == set(fields) and made == set(read.values()) and made <= set(fields)
-
-
-def _since(key: object) -> object:
-    return key[-1] if isinstance(key, tuple) else None
+    return (
+        read.keys() == set(fields)
+        and synchronized == set(read.values())
+        and synchronized <= set(fields)
+    )

@@ -1,8 +1,8 @@
 """Adaptive subscriptions: to a feature and objects, not to a stream ([Introspection15 §4.4]).
 
-The subscription keeps one output stream, while what it is made from changes: when a stream ends,
-falls silent, loses quality or means something else, the manager matches again, only for the
-subscriptions concerned, and switches them.
+A subscription keeps one output stream while its sources change. When a source ends, becomes silent,
+loses quality or changes its meaning, `Rematching` matches the affected subscriptions again and
+switches their sources.
 """
 
 from __future__ import annotations
@@ -38,27 +38,27 @@ from ..model.views import Since
 from ..units.merge import OBJECT, MergeInput, MergeUnit, ObjectName
 from ..units.policy import AdaptationUnit
 
-KEPT = 1000
-"""So many switches of a subscription are remembered."""
+MAX_REMATCHES = 1000
+"""The number of latest switches that a subscription remembers."""
 
 
 class State(StrEnum):
-    """How a subscription is."""
+    """The state of a subscription."""
 
     RUNNING = "running"
     STALE = "stale"
-    """It reads what there is, which is silent or too bad, and nothing better is known."""
+    """Its sources are silent or below the wanted quality, and there are no better ones."""
     WAITING = "waiting"
-    """Nothing gives what is wanted; it starts when something does."""
+    """No stream or transformation provides the feature; it starts when one does."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What is subscribed to, and when that is to be matched again.
+    """The feature of a subscription, and the conditions for matching it again.
 
-    ``staleness`` (ns) is how long a source may be silent; None: as long as it has been used to.
-    ``quality`` is the least that is good enough. A better plan is taken when it has been there for
-    ``hold_off`` (ns). The policy holds for each object by itself if it ``is_keyed``.
+    ``staleness`` (ns): how long a source may be silent; None: as long as its usual intervals imply.
+    ``quality``: the least acceptable quality. A better plan is taken when it has existed for
+    ``hold_off`` (ns). ``is_keyed``: the policy applies to each object separately.
     """
 
     want: Want
@@ -72,21 +72,21 @@ class Wish:
 
     @property
     def kind(self) -> Kind:
-        """By what the strategy chooses."""
+        """The kind of the strategy."""
         return Strategy.parse(self.strategy).kind
 
     @property
-    def minds_quality(self) -> bool:
-        """Whether it matters how good a plan is."""
+    def considers_quality(self) -> bool:
+        """Whether the quality of plans matters."""
         return self.quality > 0 or self.kind in (Kind.QUALITY, Kind.WEIGHTED)
 
 
 @dataclass(frozen=True, slots=True)
 class Rematch:
-    """A switch: after sample ``position`` of the subscription's stream, at ``time`` (ns), from
-    ``before`` to ``after`` (the names of what is read), because of ``why``.
+    """A switch after sample ``position`` of the output, at ``time`` (ns), from the sources
+    ``before`` to the sources ``after`` (names), for the reason ``why``.
 
-    ``lost`` says whether the new source had forgotten some of what followed the last sample.
+    ``lost``: the new source has evicted samples after the last one that the subscription got.
     """
 
     time: int
@@ -98,53 +98,56 @@ class Rematch:
 
 
 class AdaptiveSubscription:
-    """One subscription at work. `unit` merges what `supply` says; ``adapted`` keeps the policy."""
+    """A running subscription. `unit` merges the sources of `supply`; ``adaptation`` applies the
+    policy."""
 
     def __init__(
-        self, id: str, wish: Wish, unit: MergeUnit, adapted: AdaptationUnit | None
+        self, id: str, wish: Wish, unit: MergeUnit, adaptation: AdaptationUnit | None
     ) -> None:
         self.id = id
         self.wish = wish
         self.unit = unit
-        self.adapted = adapted
+        self.adaptation = adaptation
         self.supply: Supply | None = None
         self.streams: tuple[StreamGenerator, ...] = ()
         """The streams of the sources of its supply."""
         self.quality = 1.0
-        """How good its supply was when that was last looked at."""
+        """The quality of its supply when it was last computed."""
         self.has_begun = False
         """Whether it has ever read anything."""
         self.state = State.WAITING
         self.missing: tuple[str, ...] = ()
         self.reads: frozenset[str] = frozenset()
-        """The streams behind it: those it reads, and those that these are made from."""
-        self.made_by: frozenset[str] = frozenset()
+        """Names of the streams that it reads, directly or through units."""
+        self.transformations: frozenset[str] = frozenset()
         """The transformations of its plan."""
-        self.misled = False
-        """Whether a unit of its plan has said that its stream means something else by now."""
+        self.has_new_meaning = False
+        """Whether the annotation of a unit's stream in its plan has changed."""
         self.avoided: set[str] = set()
-        """Streams and transformations that fell silent or failed, until they speak again or some
-        time is over."""
-        self.young: dict[str, int] = {}
-        """Streams and transformations that might be better, and since when (ns) they are there:
-        none of them is taken for that before its hold-off."""
-        self.timed: set[str] = set()
-        """Those of them that do not speak for themselves, and are looked at when it is time."""
-        self.watched: set[StreamGenerator] = set()
-        """Those of which it is settled when they are looked at next."""
-        self.looks_again = False
-        """Whether it is settled when it is matched again."""
-        self.rematches: deque[Rematch] = deque(maxlen=KEPT)
+        """Silent streams and failed transformations, until they bring samples again or some time
+        has passed."""
+        self.candidates: dict[str, int] = {}
+        """Streams and transformations that might be better, and the time (ns) since which they
+        exist. They are not used before the hold-off has passed."""
+        self.timed_candidates: set[str] = set()
+        """Those candidates for which an alarm is set, since no samples of their own announce
+        them."""
+        self.watched_sources: set[StreamGenerator] = set()
+        """The sources for whose next check an alarm is set."""
+        self.will_match = False
+        """Whether an alarm is set for the next match."""
+        self.rematches: deque[Rematch] = deque(maxlen=MAX_REMATCHES)
 
     @property
-    def begins(self) -> Beginning:
-        """What a plan for it begins with: with the past, too, once it has read anything."""
+    def beginning(self) -> Beginning:
+        """The beginning of its next plan. Once it has read samples a new source includes its
+        history, so that the merge can continue without a gap."""
         return Since.START if self.has_begun else self.wish.since
 
     @property
     def output(self) -> StreamGenerator:
         """The stream that the subscriber reads."""
-        return self.unit.output if self.adapted is None else self.adapted.output
+        return self.unit.output if self.adaptation is None else self.adaptation.output
 
     @property
     def nodes(self) -> tuple[Node, ...]:
@@ -152,7 +155,7 @@ class AdaptiveSubscription:
         return () if self.supply is None else nodes_of_supply(self.supply)
 
     @property
-    def leaves(self) -> tuple[str, ...]:
+    def source_names(self) -> tuple[str, ...]:
         """The streams and sources of its plan, each once."""
         found: dict[str, None] = {}
         for node in self.nodes:
@@ -163,7 +166,7 @@ class AdaptiveSubscription:
         return tuple(found)
 
     def nodes_behind(self, stream: StreamGenerator) -> tuple[Node, ...]:
-        """The nodes of its plan that ``stream``, which it reads, is made from."""
+        """The nodes of its plan that produce ``stream``, one of its sources."""
         if self.supply is None:
             return ()
         read = zip(self.supply.sources, self.streams, strict=True)
@@ -172,7 +175,8 @@ class AdaptiveSubscription:
         )
 
     def rdf(self, vocabulary: Vocabulary) -> StreamAnnotation:
-        """How its samples are written as triples: they are the wanted feature's, in its unit."""
+        """Return the annotation by which its samples convert to triples: the wanted feature, in
+        the feature's unit."""
         name = self.output.name
         want = self.wish.want
         info = vocabulary.feature(want.feature)
@@ -184,7 +188,7 @@ class AdaptiveSubscription:
 
 
 def value_field(want: Want) -> str:
-    """The field of a subscription's stream that holds the feature."""
+    """Return the field of a subscription's stream that contains the feature."""
     name = variable_name(want.feature)
     return "value" if name == OBJECT else name
 
@@ -195,7 +199,7 @@ def merge_inputs(
     configuration: Configuration,
     vocabulary: Callable[[], Vocabulary],
 ) -> list[MergeInput]:
-    """What a merge takes from each source of a supply; ``streams`` are the sources' streams."""
+    """Return the inputs of a merge for the sources of a supply and their ``streams``."""
     return [
         MergeInput(
             generator,
@@ -214,7 +218,7 @@ def merge_inputs(
 def _filter(
     want: Want, source: SupplySource, vocabulary: Callable[[], Vocabulary]
 ) -> Callable[[str], bool] | None:
-    """Which objects of a source are meant, where it speaks of others, too."""
+    """Return a filter for the wanted objects; None if the source has no others."""
     if want.object is not None:
         return None
     role = source.roles[0]
@@ -224,15 +228,15 @@ def _filter(
     return lambda iri: Sorts(vocabulary()).belongs(Subject(None, iri), want.wanted_sort)
 
 
-def behind(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
-    """The names of all streams whose samples reach the unit."""
+def upstream_names(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
+    """Yield the names of all streams that the unit reads, directly or through units."""
     for part in configuration.upstream_units(unit):
         for source in part.inputs:
             yield source.name
 
 
 def transformations_of(nodes: Iterable[Node]) -> frozenset[str]:
-    """The transformations among the nodes of a plan."""
+    """Return the names of the transformations in a plan."""
     names = set()
     for node in nodes:
         if isinstance(node, Compute):
@@ -243,7 +247,7 @@ def transformations_of(nodes: Iterable[Node]) -> frozenset[str]:
 
 
 def names_of(nodes: Iterable[Node]) -> frozenset[str]:
-    """The streams and transformations among the nodes of a plan."""
+    """Return the names of the streams and transformations in a plan."""
     nodes = tuple(nodes)
     streams = frozenset(node.stream for node in nodes if isinstance(node, UseStream))
     return streams | transformations_of(nodes)

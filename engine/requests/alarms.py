@@ -1,4 +1,4 @@
-"""What is to be done when."""
+"""Alarms: callbacks at times."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from itertools import count
 
 
 class Alarms:
-    """Calls at times (ns) that `ring` tells; those of one time in the order in which they were
-    set. Cost: O(log n) each."""
+    """Callbacks at times (ns); those of one time run in the order in which they were set. The
+    caller passes the time to `ring`. Cost: O(log n) each."""
 
     def __init__(self) -> None:
         self._alarms: list[tuple[int, int, Callable[[int], None]]] = []
@@ -17,11 +17,11 @@ class Alarms:
         self._serial = count()
 
     def at(self, time: int, act: Callable[[int], None]) -> None:
-        """Call ``act`` with the time, once that is ``time`` or later."""
+        """Call ``act`` with the present time once that is ``time`` or later."""
         heapq.heappush(self._alarms, (time, next(self._serial), act))
 
     def ring(self, now: int) -> None:
-        """The time is ``now``."""
+        """Run the callbacks that are due at ``now``."""
         while self._alarms and self._alarms[0][0] <= now:
             _, _, act = heapq.heappop(self._alarms)
             act(now)

@@ -1,8 +1,8 @@
-"""Continuous queries that people register without a template ([Events14 §III-V], SPEC §5).
+"""Registered continuous queries: queries without a template ([Events14 §III-V], SPEC §5).
 
-A query names its streams (FROM STREAM), or they are found from the features that it needs, as for
-events. Its results are a stream of its name; the windows themselves are kept beside, for people.
-What is registered survives a restart, unless the system had to invent a name for it.
+A query names its streams (FROM STREAM), or matching finds them from the features that it needs, as
+for events. Its results are a stream of its name; the last windows are kept too, with their terms.
+The ontology stores registrations with a name over a restart; `accepted_commands` keeps the others.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from ..model.errors import (
 )
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
-from ..planning import explain as explanations
+from ..planning import explanations
 from ..planning.plan_execution import Plans
-from ..planning.query_start import Started, Starter, told_as_arguments
+from ..planning.query_start import QueryStarter, StartedQuery, bad_arguments_for_unsupported
 from ..planning.registrations import (
-    Asked,
     Registration,
+    Submission,
     check_same,
     registration_of,
     usual_semantics,
@@ -53,12 +53,12 @@ from .empty_reasons import NO_WINDOW, why_empty
 
 @dataclass(slots=True, eq=False)
 class _Running:
-    """A query at work under its name; ``is_named`` unless the system had to invent that."""
+    """A running query. Not ``is_named``: the system chose its name."""
 
     name: str
     is_named: bool
     registration: Registration
-    started: Started
+    started: StartedQuery
     users: int = 1
 
     @property
@@ -68,16 +68,17 @@ class _Running:
 
 @dataclass(frozen=True, slots=True)
 class _Lost:
-    """A query that cannot be started any more; what was asked is kept."""
+    """A registration whose query could not be started again."""
 
     registration: Registration
     reason: str
 
 
 class RegisteredQueries:
-    """The queries that people registered; the engine's face for them.
+    """The registered queries.
 
-    ``changed`` hears what cannot be restored; for the others see `Starter`.
+    ``changed`` gets the changes that report queries which cannot be restored; `QueryStarter`
+    describes the other arguments.
     """
 
     def __init__(
@@ -97,8 +98,8 @@ class RegisteredQueries:
         self._configuration = configuration
         self._plans = plans
         self._declared = declared
-        self._changed = changed
-        self._starter = Starter(
+        self._report = changed
+        self._starter = QueryStarter(
             ontology, dictionary, templates, configuration, plans, space, converter_of
         )
         self._running: dict[str, _Running] = {}
@@ -119,68 +120,69 @@ class RegisteredQueries:
         since: str = Since.NOW,
         name: str = "",
     ) -> QueryView:
-        """Start a query; registered again it is shared, with one user more.
+        """Start a query. Registering an equal query again adds a user to it.
 
-        ``semantics`` is the dialect's unless given; ``name`` is what a query is to be called whose
-        text says no name, if that is free. Raises `LanguageError`, `Refused` for a name
-        that is not the user's to give, `AlreadyExists` for one that is taken, `UnknownStream`,
-        `NotAnnotated`, `NoPlan`, `BadArguments`, `Forgotten` and `ConversionError`; nothing has
-        begun then. For ``since`` see `Engine.request_event`.
+        ``semantics`` defaults to that of the dialect. ``name`` is used for a text without a name,
+        if it is free. For ``since`` see `Engine.request_event`. Raises `LanguageError`, `Refused`
+        for a reserved name, `AlreadyExists` for a name in use, `UnknownStream`, `NotAnnotated`,
+        `NoPlan`, `BadArguments`, `Forgotten` and `ConversionError`, and starts nothing then.
         """
         query = parse_query(text)
         options = Options(semantics or usual_semantics(query.dialect), bounds, origin, report)
         return self.start(
-            query, Asked(text.strip(), options, strategy, parse_beginning(since)), name
+            query, Submission(text.strip(), options, strategy, parse_beginning(since)), name
         )
 
     def name_for(self, text: str, wanted: str = "") -> str:
-        """What a query would be called, if nothing is in its way; ``wanted`` or the next free name
-        where it says none or cannot be read."""
+        """Return the name that a query would get; for a text without a name, or with errors,
+        ``wanted`` or the next reserved name."""
         try:
             name = parse_query(text).name
         except LanguageError:
             name = ""
         return _own_name(name) if name else wanted or self._configuration.next_reserved
 
-    def start(self, query: ContinuousQuery, asked: Asked, wanted: str = "") -> QueryView:
-        """The same for a query that was read already."""
-        checked_strategy(asked.strategy)
-        name = self._name_of(query, asked, wanted)
-        known = self._running.get(name)
-        if known is not None:
-            check_same(name, known.registration.asked, asked)
-            if self._starter.is_sound(known.started):
-                known.users += 1
-                known.unit.users += 1
+    def start(self, query: ContinuousQuery, submission: Submission, wanted: str = "") -> QueryView:
+        """`register` for a parsed query."""
+        checked_strategy(submission.strategy)
+        name = self._name_of(query, submission, wanted)
+        existing = self._running.get(name)
+        if existing is not None:
+            check_same(name, existing.registration.submission, submission)
+            if self._starter.is_valid(existing.started):
+                existing.users += 1
+                existing.unit.users += 1
                 return self.view(name)
-            self._stop(known)
+            # A unit failed, or a stream was removed or has another annotation: start it anew.
+            self._stop(existing)
         self._number += 1
-        registration = Registration.of(self._number, asked, query)
+        registration = Registration.of(self._number, submission, query)
         try:
             running = self._start(name, registration, query)
         except Exception as error:
-            if known is not None:
-                self._lost[name] = _Lost(known.registration, str(error))
+            if existing is not None:
+                # It has stopped already; its registration stays, for a later attempt.
+                self._lost[name] = _Lost(existing.registration, str(error))
             if isinstance(error, RecursionError):
-                # The text is to blame, however many kinds of things in each other are bounded.
+                # Parsers bound the depth of each construct, but their combinations can be deeper.
                 raise LanguageError(
                     "the query is nested too deeply to be evaluated",
-                    asked.source,
+                    submission.source,
                     Span(0, 0),
-                    "ask with several queries",
+                    "split it into several queries",
                 ) from error
             raise
-        if known is not None:
-            running.users = running.unit.users = known.users + 1
+        if existing is not None:
+            running.users = running.unit.users = existing.users + 1
         if query.name and not any(each.name.startswith(RESERVED) for each in running.started.reads):
-            # Another run may give such a name to another stream.
+            # Another run may give a reserved name to another stream, so such a query is not stored.
             self._ontology.registered.queries[name] = registration.json()
         self._lost.pop(name, None)
         return self.view(name)
 
     def remove(self, name: str) -> None:
-        """One user less; with the last the query stops. Raises `UnknownQuery`, and `Conflict` for
-        the last one while others read its stream."""
+        """Remove a user; with the last one the query stops. Raises `UnknownQuery`, and `Conflict`
+        for the last user while others read its stream."""
         if name in self._lost:
             del self._lost[name]
             self._ontology.registered.queries.pop(name, None)
@@ -194,24 +196,24 @@ class RegisteredQueries:
         if readers:
             raise Conflict(
                 f"the stream of query {name!r} is read by {', '.join(readers)}",
-                "remove or cancel what reads it first",
+                "remove or cancel these readers first",
             )
         self._stop(running)
         self._declared.forget_annotation(name)
         self._ontology.registered.queries.pop(name, None)
 
-    # -- asking ------------------------------------------------------------------------------
+    # -- views -------------------------------------------------------------------------------
 
     def __len__(self) -> int:
-        """How many there are, with those of an earlier run that do not hold."""
+        """The number of registered queries, with those that could not be restored."""
         return len(self._lost) + len(self._running)
 
     def views(self) -> tuple[QueryView, ...]:
-        """The registered queries, oldest first, with those of an earlier run that do not hold."""
+        """The registered queries, oldest first, with those that could not be restored."""
         return tuple(map(self.view, self.names()))
 
     def names(self) -> tuple[str, ...]:
-        """Those of all of them, oldest first."""
+        """Their names, oldest first."""
         registrations = {name: lost.registration for name, lost in self._lost.items()}
         registrations |= {name: one.registration for name, one in self._running.items()}
         return tuple(sorted(registrations, key=lambda name: registrations[name].number))
@@ -221,7 +223,7 @@ class RegisteredQueries:
         return name in self._running
 
     def view(self, name: str) -> QueryView:
-        """One query; raises `UnknownQuery`."""
+        """The view of a query. Raises `UnknownQuery`."""
         lost = self._lost.get(name)
         if lost is not None:
             return lost.registration.view(name, "not restored", lost.reason, 0)
@@ -254,11 +256,11 @@ class RegisteredQueries:
         )
 
     def latest(self, name: str) -> WindowResult:
-        """What the last window that closed gave; raises `UnknownQuery` and `NoResult`."""
+        """The result of the last closed window. Raises `UnknownQuery` and `NoResult`."""
         found = self._get(name).started.kept.latest
         if found is None:
             view = self.view(name)
-            hint = "a window closes when its streams have passed its end"
+            hint = "a window closes when the watermarks of its streams have passed its end"
             if view.waits_for:
                 hint = f"it waits for {', '.join(view.waits_for)}"
             elif view.empty is not None and not view.empty.endswith(NO_WINDOW):
@@ -273,40 +275,40 @@ class RegisteredQueries:
         end: int | None = None,
         limit: int | None = None,
     ) -> Sequence[WindowResult]:
-        """What kept windows gave; see `KeptWindows.between`. Raises `UnknownQuery`."""
+        """The results of kept windows (`KeptWindows.between`). Raises `UnknownQuery`."""
         return self._get(name).started.kept.between(start, end, limit)
 
     def explain_running(self, name: str) -> str:
-        """Each stage of a query that runs; raises `UnknownQuery`."""
+        """Explain the stages of a running query. Raises `UnknownQuery`."""
         running = self._get(name)
-        return explanations.running_query(
-            running.registration.asked.source,
+        return explanations.explain_running_query(
+            running.registration.submission.source,
             [each.annotation for each in running.started.reads],
             running.started.matches,
             explanations.plan_text(self._configuration, running.unit),
             running.unit.explain(),
-            running.started.alone,
+            running.started.unshared,
         )
 
     def explain(self, text: str) -> str:
-        """Each stage of a query that is not registered: nothing is started. Its streams need not
-        exist. Raises `LanguageError`, `NoPlan` and `BadArguments`."""
+        """Explain the stages of a query without starting it. Its streams need not exist. Raises
+        `LanguageError`, `NoPlan` and `BadArguments`."""
         query = parse_query(text)
-        known = self._ontology, self._dictionary
-        with told_as_arguments():
+        context = self._ontology, self._dictionary
+        with bad_arguments_for_unsupported():
             if query.streams:
-                return explanations.query(query, *known, self._starter.flows(query))
+                return explanations.explain_query(query, *context, self._starter.flows(query))
             wanted = self._starter.needs(query)
             matches = self._plans.match(wanted.wants, "fast", explained=True)
-            return explanations.inferred(query, wanted, matches, *known)
+            return explanations.explain_matched_query(query, wanted, matches, *context)
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
-        """The queries that a stream answers, as people call them."""
+        """The query whose results are a stream, as ``query NAME``."""
         return (f"query {stream}",) if stream in self._running else ()
 
     def converter(self, stream: str) -> SampleConverter | None:
-        """Converts the samples of a query's stream to the triples that its head constructed; None
-        of another stream, of a table, and where people have said what the stream contains."""
+        """The converter of a query's samples to the triples of its head; None for other streams,
+        for tables, and for a stream with an annotation of its own, which takes precedence."""
         running = self._running.get(stream)
         if running is None or self._declared.annotation_of(stream) is not None:
             return None
@@ -315,43 +317,45 @@ class RegisteredQueries:
     # -- an earlier run ----------------------------------------------------------------------
 
     def recall(self) -> tuple[str, ...]:
-        """The names of the queries that an earlier run was told of; `restore` starts them."""
+        """Read the registrations of an earlier run and return their names; `restore` starts
+        them."""
         kept = dict(self._ontology.registered.queries)
         for name, text in kept.items():
             try:
                 self._lost[name] = _Lost(registration_of(text), "not started yet")
             except (ValueError, KeyError, TypeError, BadArguments) as error:
                 reason = f"{type(error).__name__}: {error}\n{text}"
-                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+                self._report(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
         numbers = (lost.registration.number for lost in self._lost.values())
         self._number = max(numbers, default=0)
         return tuple(kept)
 
     def restore(self, restored: Callable[[str], None]) -> None:
-        """Start what can be, in order of registration; ``restored`` hears of each."""
-        for name, lost in sorted(self._lost.items(), key=_number_of):
+        """Start the recalled queries in order of registration; call ``restored`` with the name of
+        each that starts."""
+        for name, lost in sorted(self._lost.items(), key=lambda item: item[1].registration.number):
             registration = lost.registration
             try:
-                self._start(name, registration, parse_query(registration.asked.source))
-            except Exception as error:  # noqa: BLE001  the engine starts without it, and says why
+                self._start(name, registration, parse_query(registration.submission.source))
+            except Exception as error:  # noqa: BLE001  the engine starts without it, and reports it
                 self._lost[name] = replace(lost, reason=str(error))
                 continue
             del self._lost[name]
             restored(name)
 
-    def tell_lost(self) -> None:
-        """Tell what could not be restored on the status stream; it is kept."""
+    def report_lost(self) -> None:
+        """Report on the status stream the queries that could not be restored. They are kept."""
         for name, lost in self._lost.items():
-            reason = f"{lost.reason}\n{lost.registration.asked.source}"
-            self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+            reason = f"{lost.reason}\n{lost.registration.submission.source}"
+            self._report(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
 
-    # -- within ------------------------------------------------------------------------------
+    # -- internals ---------------------------------------------------------------------------
 
-    def _name_of(self, query: ContinuousQuery, asked: Asked, wanted: str) -> str:
-        """The name of the query and its stream; raises `Refused` and `AlreadyExists`."""
+    def _name_of(self, query: ContinuousQuery, submission: Submission, wanted: str) -> str:
+        """Return the name of the query and its stream. Raises `Refused` and `AlreadyExists`."""
         if not query.name:
             for running in self._running.values():
-                if not running.is_named and running.registration.asked == asked:
+                if not running.is_named and running.registration.submission == submission:
                     return running.name
             if wanted and not self._configuration.has(wanted):
                 self._configuration.skip_reserved(wanted)
@@ -362,14 +366,14 @@ class RegisteredQueries:
             self._declared.check_stream_name(name)
             if self._configuration.has(name):
                 raise AlreadyExists(
-                    f"there is a stream called {name!r}, and a query's results are a stream of "
-                    "its name",
+                    f"there is a stream called {name!r}, and a query needs its name for the stream "
+                    "of its results",
                     "give the query another name",
                 )
         return name
 
     def _start(self, name: str, registration: Registration, query: ContinuousQuery) -> _Running:
-        started = self._starter.start(name, query, registration.asked)
+        started = self._starter.start(name, query, registration.submission)
         started.unit.users += 1
         running = _Running(name, bool(query.name), registration, started)
         self._running[name] = running
@@ -395,16 +399,16 @@ class RegisteredQueries:
         if self._configuration.units.get(running.name) is not running.unit:
             return ()
         streams = {unit.name: stream for stream, unit in self._configuration.units.items()}
-        told: dict[str, None] = {}
+        readers: dict[str, None] = {}
         for reader in self._configuration.readers_of(running.name):
-            made = [streams.get(reader, "")]
-            if isinstance(self._configuration.units.get(made[0]), TemplateUnit):
-                # It reads for those that share it.
-                parts = self._configuration.readers_of(made[0])
-                made = [streams.get(part, part) for part in parts]
-            queries = [stream for stream in made if stream in self._running]
-            told |= dict.fromkeys([f"query {name}" for name in queries] or [reader])
-        return tuple(told)
+            outputs = [streams.get(reader, "")]
+            if isinstance(self._configuration.units.get(outputs[0]), TemplateUnit):
+                # A shared query reads the stream for its instances: name these.
+                parts = self._configuration.readers_of(outputs[0])
+                outputs = [streams.get(part, part) for part in parts]
+            queries = [stream for stream in outputs if stream in self._running]
+            readers |= dict.fromkeys([f"query {name}" for name in queries] or [reader])
+        return tuple(readers)
 
     def _stop(self, running: _Running) -> None:
         del self._running[running.name]
@@ -412,9 +416,5 @@ class RegisteredQueries:
 
 
 def _own_name(name: str) -> str:
-    """The name of a query's stream, by the one that its text gives it."""
+    """Return the name of a query's stream for the name in its text."""
     return local_name(name) if ":" in name else name
-
-
-def _number_of(item: tuple[str, _Lost]) -> int:
-    return item[1].registration.number

@@ -1,7 +1,7 @@
-"""Why a query that runs has given nothing yet: what it read, and what that lacks.
+"""Reasons why a running query has no results yet: the samples it read, and the features it lacks.
 
-Called by the views of requests and registered queries (`event_requests`, `continuous_queries`). All
-of it is what was counted and what annotations and the ontology say; nothing is guessed.
+The views of requests and registered queries show them (`event_requests`, `continuous_queries`).
+They are derived from counters, annotations and the ontology only.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ NO_WINDOW: Final = "no window has closed yet"
 def why_empty(
     configuration: Configuration, unit: ComputationalUnit, ontology: Ontology
 ) -> str | None:
-    """``12,000 samples read, 0 triples: no stream that it reads is annotated with …``; None once
-    the unit has given a sample. Cost: O(units behind it), and the reading of its query."""
+    """Return a text like ``12,000 samples read, 0 triples: no stream that it reads is annotated
+    with …``; None once the unit has a result. Cost: O(units behind it), and parsing its query."""
     evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
     # Numbers go on from an earlier stream of the name.
     has_given = unit.output.stream.last_available is not None
     if has_given or not isinstance(evaluating, WindowUnit):
         return None
     vocabulary = ontology.vocabulary
-    wants, unknown = _asked(unit, ontology)
-    lost = _dropped(configuration, evaluating)
+    wants, unknown = _wants(unit, ontology)
+    dropped = _dropped(configuration, evaluating)
     if evaluating.late:
-        lost.append(f"{evaluating.late:,} came too late for their windows")
+        dropped.append(f"{evaluating.late:,} were too late for their windows")
     if not evaluating.samples:
         streams = ", ".join(source.name for source in evaluating.reads)
-        return "; ".join([f"no sample read yet from {streams}", *unknown, *lost])
+        return "; ".join([f"no sample read yet from {streams}", *unknown, *dropped])
     lacking = (_lacking(want, evaluating.contents, vocabulary) for want in wants)
     causes = [*unknown, *(cause for cause in lacking if cause is not None)]
     if not causes and not evaluating.triples:
-        causes = ["no sample had an object that the annotation speaks of, and a value"]
+        causes = ["no sample had both an annotated object and a value"]
     elif not causes and not evaluating.windows:
         causes = [NO_WINDOW]
     elif not causes:
-        causes = [f"none of {evaluating.windows:,} windows fulfilled the query's conditions"]
-    said = f"{evaluating.samples:,} samples read, {evaluating.triples:,} triples"
-    return f"{said}: {'; '.join(dict.fromkeys([*causes, *lost]))}"
+        causes = [f"none of {evaluating.windows:,} windows satisfied the query's conditions"]
+    counts = f"{evaluating.samples:,} samples read, {evaluating.triples:,} triples"
+    return f"{counts}: {'; '.join(dict.fromkeys([*causes, *dropped]))}"
 
 
-def _asked(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:
-    """What the query needs of streams, and its terms that nothing knows; nothing where that cannot
-    be told."""
+def _wants(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:
+    """Return the features that the query needs, and reports on its unknown terms; both are empty if
+    they cannot be determined."""
     try:
         query = parse_query(unit.parameters["query"])
         unknown = unknown_terms(query, ontology.vocabulary, is_static_in(ontology.static_store))
@@ -69,7 +69,8 @@ def _asked(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...
 
 
 def _lacking(want: Want, contents: tuple[Content, ...], vocabulary: Vocabulary) -> str | None:
-    """What of a want no stream that is read can give, by its annotation."""
+    """Return why no stream that the query reads can provide ``want``, by the annotations; None if
+    one can."""
     names = {want.feature, *vocabulary.subfeatures(want.feature)}
     carried = [content for content in contents if content.feature in names]
     if not carried:
@@ -88,13 +89,13 @@ def _lacking(want: Want, contents: tuple[Content, ...], vocabulary: Vocabulary) 
 
 
 def _dropped(configuration: Configuration, unit: WindowUnit) -> list[str]:
-    """What the policies between the streams and the query did not let through."""
-    told = []
+    """Return the numbers of samples that policies before the query dropped."""
+    reasons = []
     for part in configuration.upstream_units(unit):
         if not isinstance(part, AdaptationUnit):
             continue
         counters: PolicyCounters = part.policy_counters
         count = sum(counters.dropped.values())
         if count:
-            told.append(f"{count:,} dropped by `{format_policy(part.policy)}`")
-    return told
+            reasons.append(f"{count:,} dropped by `{format_policy(part.policy)}`")
+    return reasons

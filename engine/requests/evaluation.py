@@ -1,4 +1,4 @@
-"""How far everything is that reads a stream, and what of it has failed."""
+"""Progress and failures of the units that read a stream."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 
 
 class Evaluation:
-    """Questions about the units of a configuration, and who asked for them."""
+    """Answers how far units have evaluated a stream, which failed, and for which requests."""
 
     def __init__(
         self,
@@ -31,27 +31,28 @@ class Evaluation:
     ) -> None:
         self._configuration = configuration
         self._backlog = backlog
-        self._asking = (requests, queries, subscriptions)
+        self._requesters = (requests, queries, subscriptions)
 
     def backlog_of(self, stream: str) -> tuple[WindowUnit, ...]:
-        """The units of the backlog that read ``stream``, themselves or through other units."""
+        """The units of the backlog that read ``stream``, directly or through other units."""
         units = [unit for unit in self._backlog.units if isinstance(unit, WindowUnit)]
         return self._readers(units, stream)
 
     def failure(self, generator: StreamGenerator) -> str | None:
-        """Why nothing more comes in a stream: what feeds it has failed. None while something may.
-        See `Configuration.failure_of`."""
+        """The failure that keeps samples from a stream; None if there is none
+        (`Configuration.failure_of`)."""
         unit = self._configuration.units.get(generator.name)
         if unit is None or unit.output is not generator:
             return None
         return self._configuration.failure_of(unit)
 
     def failed(self) -> tuple[FailureView, ...]:
-        """The units that were cut off. Cost: O(units), and for each failure O(requests)."""
+        """The failed units. Cost: O(units), and O(requests) for each failure."""
         return self._failed(self._configuration.units.values())
 
     def of(self, name: str) -> EvaluationView:
-        """How far all is that reads stream ``name``; raises `UnknownStream`. Cost: O(units²)."""
+        """How far all readers have evaluated stream ``name``. Raises `UnknownStream`. Cost:
+        O(units²)."""
         generator = self._configuration.stream(name)
         stream, evaluated = generator.stream, generator.stream.last_number
         readers = self._readers(self._configuration.units.values(), generator.name)
@@ -62,7 +63,7 @@ class Evaluation:
         return EvaluationView(stream.last_number, evaluated, self._failed(readers))
 
     def _readers(self, units: Iterable[AnyUnit], stream: str) -> tuple[AnyUnit, ...]:
-        """Those of ``units`` that read ``stream``, themselves or through other units."""
+        """Those of ``units`` that read ``stream``, directly or through other units."""
         return tuple(
             unit
             for unit in units
@@ -78,6 +79,6 @@ class Evaluation:
         for unit in units:
             if unit.failure is not None:
                 stream = unit.output.name
-                asked = tuple(id for each in self._asking for id in each.of_stream(stream))
-                found.append(FailureView(unit.name, stream, asked, unit.failure))
+                requests = tuple(id for each in self._requesters for id in each.of_stream(stream))
+                found.append(FailureView(unit.name, stream, requests, unit.failure))
         return tuple(found)

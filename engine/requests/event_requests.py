@@ -1,8 +1,7 @@
-"""Event requests: from what somebody wants to know to the units that answer it
-([Events14 §V.B-C]).
+"""Event requests: start the units that answer them ([Events14 §V.B-C]).
 
 request → template → query → needed features → semantic matching → streams and units → a C-SPARQL
-unit over them. Requests for the same thing share one stream.
+unit over them. Equal requests share one stream.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan, UnknownRequest
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
-from ..planning import explain as explanations
+from ..planning import explanations
 from ..planning.plan_execution import Plans
-from ..planning.query_units import BuiltQuery
-from ..planning.request_sharing import Common, Sharing
+from ..planning.query_units import StartedUnit
+from ..planning.request_sharing import RequestSharing, ShareableQuery
 from ..planning.stream_binding import (
     check_graphs,
     find_streams,
@@ -52,22 +51,20 @@ _SHORT = {
     XSD + "double": re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][+-]?[0-9]+"),
     XSD + "boolean": re.compile(r"true|false"),
 }
-"""Literals that SPARQL writes without quotes and datatype."""
+"""The literals that SPARQL can write without quotes and datatype."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Running:
-    """One C-SPARQL unit that answers requests, with what was decided when it started.
-
-    ``annotation`` says what its stream means, ``rdf`` how its samples are written as triples;
-    ``common``, with whom it could share what it computes by itself.
+    """A C-SPARQL unit that answers requests. ``annotation`` is that of its stream; by ``rdf`` its
+    samples convert to triples; ``shareable`` is the query that it could share, while it runs alone.
     """
 
     unit: QueryUnit | InstanceUnit
     matches: tuple[Match, ...]
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
-    common: Common | None
+    shareable: ShareableQuery | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,11 +98,11 @@ class EventRequests:
         self._configuration = configuration
         self._plans = plans
         self._space = space
-        self._changed = changed
-        self._sharing = Sharing(ontology, templates, plans)
+        self._report = changed
+        self._sharing = RequestSharing(ontology, templates, plans)
         self._requests: dict[str, _Request] = {}
-        # By what was asked, to share; by the stream it makes, to say what that means. One that is
-        # not sound any more is shared no longer, and still makes its stream.
+        # `_running` is by key, for sharing, and `_answers` by output stream. A unit that is no
+        # longer valid leaves the first when it is replaced, and the second when its users leave.
         self._running: dict[tuple[object, ...], _Running] = {}
         self._answers: dict[str, _Running] = {}
         self._number = 0
@@ -113,16 +110,16 @@ class EventRequests:
     def start(
         self, template: Template, request: EventRequest, strategy: str, since: Beginning
     ) -> EventView:
-        """Answer ``request`` by the streams there are; raises `BadArguments`, `NoPlan` and
-        `Forgotten`."""
+        """Start the answer to ``request``. Raises `BadArguments`, `NoPlan` and `Forgotten`."""
         plan = None
         if isinstance(since, Moment) and since.before is not None:
-            # Which time a duration means, and so with whom it is shared, its streams say.
+            # The last times of the streams decide which time a duration means, so the key that
+            # finds an equal request needs a plan first.
             plan = self._plan(template, request, strategy, since)
             since = self._plans.resolve_duration(since, supplies_of(plan[1]))
         key = _key(template, request, strategy, since)
         running = self._running.get(key)
-        if running is None or not self._is_sound(running):
+        if running is None or not self._is_valid(running):
             query, matches = plan or self._plan(template, request, strategy, since)
             try:
                 running = self._build(template, request, query, matches, strategy, since)
@@ -131,11 +128,11 @@ class EventRequests:
                 raise
             self._running[key] = running
             self._answers[running.unit.output.name] = running
-            if running.common is not None:
-                self._sharing.began_alone(running.common)
-            self._tell_meaning(running)
+            if running.shareable is not None:
+                self._sharing.add_alone(running.shareable)
+            self._annotate(running)
         running.unit.users += 1
-        # Of a stream that others asked for before, what came until now is their past.
+        # If an earlier request started the stream, its samples until now are not for this one.
         position = running.unit.output.stream.last_number if since is Since.NOW else 0
         self._number += 1
         id = f"event{self._number}"
@@ -146,33 +143,33 @@ class EventRequests:
 
     @property
     def number(self) -> int:
-        """That of the latest request, whether it runs or not."""
+        """The number of the latest request, whether it runs or not."""
         return self._number
 
     def number_after(self, number: int) -> None:
-        """The next request has a number after this one, and after those there are."""
+        """Let the next request have a number greater than this one and than the present ones."""
         self._number = max(self._number, number)
 
     def cancel(self, id: str) -> None:
-        """One user less; raises `UnknownRequest`."""
+        """Cancel a request. Raises `UnknownRequest`."""
         request = self._request(id)
         del self._requests[id]
         running = request.running
         if running.unit.users == 1:
             del self._answers[running.unit.output.name]
-            # One that is not sound any more may have been replaced under the same key since.
+            # A newer unit may have replaced an invalid one under the same key.
             if self._running.get(request.key) is running:
                 del self._running[request.key]
-            if running.common is not None:
-                self._sharing.ended_alone(running.common)
+            if running.shareable is not None:
+                self._sharing.remove_alone(running.shareable)
         self._configuration.release(running.unit)
 
     def forget(self, template: Template) -> None:
-        """``template`` is gone."""
+        """Drop caches of a removed template."""
         self._sharing.forget(template)
 
     def __len__(self) -> int:
-        """How many requests run."""
+        """The number of running requests."""
         return len(self._requests)
 
     def views(self) -> tuple[EventView, ...]:
@@ -180,20 +177,20 @@ class EventRequests:
         return tuple(map(self.view, self.ids()))
 
     def ids(self) -> tuple[str, ...]:
-        """Those of the running requests, oldest first."""
+        """The ids of the running requests, oldest first."""
         return tuple(self._requests)
 
     def of_event(self, event: str) -> tuple[str, ...]:
-        """The ids of the requests that run for ``event`` (an IRI)."""
+        """The ids of the running requests for ``event`` (an IRI)."""
         return tuple(r.id for r in self._requests.values() if r.request.event == event)
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
-        """The ids of the requests that a stream answers."""
+        """The ids of the requests whose answer is ``stream``."""
         requests = self._requests.values()
         return tuple(r.id for r in requests if r.running.unit.output.name == stream)
 
     def view(self, id: str) -> EventView:
-        """One running request; raises `UnknownRequest`."""
+        """The view of a running request. Raises `UnknownRequest`."""
         request = self._request(id)
         running = request.running
         return EventView(
@@ -214,22 +211,23 @@ class EventRequests:
         )
 
     def rdf_of(self, stream: str) -> StreamAnnotation | None:
-        """How samples of a request's answer are written as triples; None for another stream."""
+        """The annotation by which the samples of an answer convert to triples; None for another
+        stream."""
         running = self._answers.get(stream)
         return None if running is None else running.rdf
 
     def explain_running(self, id: str) -> str:
-        """What answers a running request, and how its query is evaluated; raises
+        """Explain the plan of a running request and the evaluation of its query. Raises
         `UnknownRequest`."""
         unit = self._request(id).running.unit
         view = explanations.plan_view(self._configuration, unit)
         return f"{view.text.rstrip()}\n\n{unit.explain()}"
 
     def explain(self, template: Template, request: EventRequest) -> str:
-        """Each stage of answering ``request``, without starting anything."""
+        """Explain the stages of answering ``request`` without starting it."""
         query, wanted = self._query(template, request)
         matches = self._plans.match(wanted.wants, str(Kind.FAST), explained=True)
-        return explanations.request(
+        return explanations.explain_request(
             template, request, query, wanted, matches, self._ontology, self._dictionary
         )
 
@@ -254,8 +252,8 @@ class EventRequests:
     ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
         check_graphs(self._ontology, query)
-        asked = shorten(request.event)
-        return query, find_streams(self._plans, wanted, strategy, since, asked)
+        event = shorten(request.event)
+        return query, find_streams(self._plans, wanted, strategy, since, event)
 
     def _build(
         self,
@@ -266,32 +264,31 @@ class EventRequests:
         strategy: str,
         since: Beginning,
     ) -> _Running:
-        """Start what the matches ask for, inputs first, then the query unit, or its part in the
-        query that others have as well."""
+        """Start the units of the matches, then the query unit, or an instance of a shared query."""
         supplies = supplies_of(matches)
-        common = None
+        shareable = None
         if since is Since.NOW:
-            common = self._sharing.common(template, request, query, matches, strategy)
-        if common is not None and self._sharing.is_worth_it(common):
-            start = partial(self._plans.queries.start_template, common.query, common.supplies)
-            unit = self._configuration.share(common.key, start)
+            shareable = self._sharing.find_shareable(template, request, query, matches, strategy)
+        if shareable is not None and self._sharing.is_worth_it(shareable):
+            start = partial(self._plans.queries.start_template, shareable.query, shareable.supplies)
+            unit = self._configuration.share(shareable.key, start)
             assert isinstance(unit, TemplateUnit)
-            built: BuiltQuery[Any] = self._plans.queries.start_instance(
+            built: StartedUnit[Any] = self._plans.queries.start_instance(
                 unit, query, supplies, request.source.strip()
             )
-            common = None
+            shareable = None
         else:
             built = self._plans.queries.start(query, supplies, since)
-        return _Running(built.unit, tuple(matches), built.annotation, built.rdf, common)
+        return _Running(built.unit, tuple(matches), built.annotation, built.rdf, shareable)
 
-    def _is_sound(self, running: _Running) -> bool:
-        """It works, and the streams it reads mean what they meant when it started."""
+    def _is_valid(self, running: _Running) -> bool:
+        """Whether the unit works, and its streams have the annotations that they had."""
         broken = self._configuration.is_broken(running.unit)
         return not broken and mean_the_same(running.matches, self._space)
 
-    def _tell_meaning(self, running: _Running) -> None:
+    def _annotate(self, running: _Running) -> None:
         if running.annotation is not None:
-            self._changed(
+            self._report(
                 Change(
                     ChangeKind.STREAM_ANNOTATED,
                     running.unit.output.name,
@@ -304,7 +301,7 @@ class EventRequests:
 def _key(
     template: Template, request: EventRequest, strategy: str, since: Beginning
 ) -> tuple[object, ...]:
-    """Requests with equal keys want the same stream: the name of a variable does not matter."""
+    """Return the key of a request. Equal keys share a stream; names of variables do not matter."""
     arguments = tuple(
         None if isinstance(argument, Variable) else argument for argument in request.arguments
     )
@@ -312,7 +309,7 @@ def _key(
 
 
 def _argument_text(argument: object) -> str:
-    """As people write it in a request; read again it is the same term."""
+    """Write an argument as in the text of a request; parsing it gives the same term."""
     if isinstance(argument, Literal):
         pattern = _SHORT.get(argument.datatype.value)
         if pattern is not None and pattern.fullmatch(argument.value):

@@ -1,4 +1,4 @@
-"""Event templates as the engine has them: registered, told to matching, found for requests."""
+"""Event templates: registers them, publishes them to matching, finds them for requests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .event_requests import EventRequests
 
 
 class EventTemplates:
-    """The library of templates, and the transformations that they are to matching (``space``)."""
+    """The library of templates; to matching (``space``) each is a transformation."""
 
     def __init__(
         self,
@@ -33,14 +33,14 @@ class EventTemplates:
         self._library = library
         self._requests = requests
         self._space = space
-        self._changed = changed
+        self._report = changed
 
     def __len__(self) -> int:
         return len(self._library)
 
     def register(self, text: str, *, replace: bool) -> TemplateView:
-        """Register a template; its event concept is known from now on. Raises `LanguageError`,
-        `Refused`, and `AlreadyExists` unless ``replace``."""
+        """Register a template and its event concept. Raises `LanguageError`, `Refused`, and
+        `AlreadyExists` unless ``replace``."""
         try:
             template = self._library.register(text, replace=replace)
         except TemplateExists as error:
@@ -49,11 +49,11 @@ class EventTemplates:
             ) from error
         except TemplateRefused as error:
             raise Refused(error.message, error.hint) from error
-        self.tell()
+        self.publish()
         return self._view(template)
 
     def remove(self, name: str) -> None:
-        """Forget a template; raises `UnknownTemplate`, and `Conflict` while a request uses it."""
+        """Remove a template. Raises `UnknownTemplate`, and `Conflict` while a request uses it."""
         template = self.find(name)
         users = self._requests.of_event(template.name)
         if users:
@@ -63,7 +63,7 @@ class EventTemplates:
             )
         self._library.remove(name)
         self._requests.forget(template)
-        self._changed(
+        self._report(
             Change(ChangeKind.TRANSFORMATION_REMOVED, transformation=shorten(template.name))
         )
 
@@ -72,11 +72,11 @@ class EventTemplates:
         return tuple(self.view(name) for name in self._library.names())
 
     def view(self, name: str) -> TemplateView:
-        """One template by local name, prefixed name or IRI; raises `UnknownTemplate`."""
+        """The view of a template by local name, prefixed name or IRI. Raises `UnknownTemplate`."""
         return self._view(self.find(name))
 
     def find(self, name: str) -> Template:
-        """The template itself; raises `UnknownTemplate`."""
+        """Return a template. Raises `UnknownTemplate`."""
         try:
             return self._library.get(name)
         except NoSuchTemplate as error:
@@ -85,32 +85,32 @@ class EventTemplates:
             ) from error
 
     def of(self, request: EventRequest) -> Template:
-        """The template of the event that is requested; raises `UnknownEvent`."""
+        """Return the template of a request's event. Raises `UnknownEvent`."""
         try:
             return self._library.get(request.event)
         except NoSuchTemplate as error:
-            known = ", ".join(shorten(name) for name in self._library.names())
+            names = ", ".join(shorten(name) for name in self._library.names())
             raise UnknownEvent(
-                f"the ontology knows no event {shorten(request.event)} with a template",
+                f"no event {shorten(request.event)} has a template",
                 did_you_mean(error.suggestions)
-                or (f"there are {known}" if known else "register one with POST /templates"),
+                or (f"there are {names}" if names else "register one with POST /templates"),
             ) from error
 
-    def tell(self) -> None:
-        """What the templates take and give, as matching sees it; one may have made known what
-        another needs."""
+    def publish(self) -> None:
+        """Publish the inputs and outputs of all templates to matching. All, since the event concept
+        of a new template may be a feature that another one needs."""
         for name in self._library.names():
             template = self._library.get(name)
-            known = event_transformation(
+            transformation = event_transformation(
                 template, lambda: self._ontology.vocabulary, self._library.needs
             )
-            if known != self._space.transformations.get(known.name):
-                self._changed(
+            if transformation != self._space.transformations.get(transformation.name):
+                self._report(
                     Change(
                         ChangeKind.TRANSFORMATION_ANNOTATED,
-                        transformation=known.name,
+                        transformation=transformation.name,
                         specification=template.source,
-                        described=KnownTransformation(known, C_SPARQL),
+                        described=KnownTransformation(transformation, C_SPARQL),
                     )
                 )
 

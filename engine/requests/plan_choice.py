@@ -1,4 +1,4 @@
-"""Which plan is best for an adaptive subscription now, and whether its own still is what is wanted
+"""Chooses plans for adaptive subscriptions, and checks whether the present ones are still valid
 ([Introspection15 §4.3, §4.4])."""
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from ..planning.plan_execution import Plans
 from .adaptive_subscription import AdaptiveSubscription, State, names_of
 
 
-class Choosing:
-    """Judges plans; changes nothing but that it passes over what is silent. Cost: that of semantic
-    matching where a plan is looked for, else linear in the plan."""
+class PlanChoice:
+    """Compares plans. It changes nothing except that it marks silent streams as avoided. Cost: that
+    of semantic matching to find a plan, else linear in the plan."""
 
     def __init__(
         self,
@@ -52,19 +52,19 @@ class Choosing:
         self._reach = Reachability(space)
 
     def forget(self) -> None:
-        """Transformations or the ontology have changed, and what leads to a feature with them."""
+        """Drop the cache of reachable features, after transformations or the ontology changed."""
         self._reach.forget()
 
-    def leads(self, feature: str, wanted: str) -> bool:
-        """Whether streams of ``feature`` may lead to ``wanted``."""
+    def may_lead(self, feature: str, wanted: str) -> bool:
+        """Whether ``wanted`` might be computed from streams of ``feature``."""
         return feature in self._reach.of(wanted, self._ontology.vocabulary)
 
-    def may_serve(self, stream: str, found: AdaptiveSubscription) -> bool:
-        """Whether a stream may have anything to do with what is wanted."""
-        known = self._space.streams.get(stream)
-        if known is None:
+    def may_serve(self, stream: str, subscription: AdaptiveSubscription) -> bool:
+        """Whether a stream might serve a subscription, directly or through transformations."""
+        description = self._space.streams.get(stream)
+        if description is None:
             return False
-        want = found.wish.want
+        want = subscription.wish.want
         vocabulary = self._ontology.vocabulary
         reach = self._reach.of(want.feature, vocabulary)
         direct = vocabulary.subfeatures(want.feature)
@@ -77,64 +77,70 @@ class Choosing:
                 or not content.roles
                 or not sorts.why_not(content.roles[0], subject)
             )
-            for content in known.contents
+            for content in description.contents
         )
 
-    def is_worth(self, found: AdaptiveSubscription, quality: float) -> bool:
-        """Whether what is made of a part of this quality may be good enough, or better."""
-        if found.state is not State.RUNNING or not found.wish.minds_quality:
+    def may_improve(self, subscription: AdaptiveSubscription, quality: float) -> bool:
+        """Whether a plan with a part of this quality might be good enough, or better."""
+        if subscription.state is not State.RUNNING or not subscription.wish.considers_quality:
             return True
-        is_better = found.wish.kind is not Kind.QUALITY or quality > found.quality
-        return is_better and quality >= found.wish.quality
+        is_better = subscription.wish.kind is not Kind.QUALITY or quality > subscription.quality
+        return is_better and quality >= subscription.wish.quality
 
-    def is_better(self, found: AdaptiveSubscription, supply: Supply) -> bool:
-        """Whether a plan, that the strategy has chosen, is better than the one that is carried
-        out: with *fast* the first one is. What runs for either, or for somebody else, is paid."""
-        old = found.supply
-        if old is None or self.is_same(found, supply):
+    def is_better(self, subscription: AdaptiveSubscription, supply: Supply) -> bool:
+        """Whether a plan that the strategy chose is better than the present one. With *fast* every
+        new choice is. Units that run already, for any user, cost nothing."""
+        old = subscription.supply
+        if old is None or self.is_same(subscription, supply):
             return False
-        strategy = Strategy.parse(found.wish.strategy)
+        strategy = Strategy.parse(subscription.wish.strategy)
         if strategy.kind is Kind.FAST or supply.complete != old.complete:
             return True
         new_weight, old_weight = (
-            weight_of(each, self._space, strategy, self._is_running(found))
+            weight_of(each, self._space, strategy, self._is_running(subscription))
             for each in (supply, old)
         )
         return new_weight < old_weight
 
-    def made_streams(self) -> AbstractSet[str]:
-        """The streams of other plans, which are no sources: of equal plans the units are shared,
-        and each knows what it is made from. And those that are broken."""
-        return self._plans.unusable(Since.START) | self._plans.made
+    def plan_streams(self) -> AbstractSet[str]:
+        """The broken streams and the streams of plans. The latter are no sources: a plan contains
+        the nodes that make them, and execution shares the units of equal nodes."""
+        return self._plans.unusable_streams(Since.START) | self._plans.streams
 
-    def unusable(self, found: AdaptiveSubscription, now: int) -> AbstractSet[str]:
-        """What a subscription is to do without: also what is silent, or failed it."""
-        silent = self._silences.silent_streams(now, found.wish.staleness)
+    def unusable(self, subscription: AdaptiveSubscription, now: int) -> AbstractSet[str]:
+        """The streams and transformations that a subscription cannot use, with those that are
+        silent or failed it."""
+        silent = self._silences.silent_streams(now, subscription.wish.staleness)
         for name in silent:
             self._silences.pass_over(name)
-        return self.made_streams() | silent | found.avoided
+        return self.plan_streams() | silent | subscription.avoided
 
-    def state_of(self, found: AdaptiveSubscription, supply: Supply) -> State:
-        is_good = self.quality(supply) >= found.wish.quality
+    def state_of(self, subscription: AdaptiveSubscription, supply: Supply) -> State:
+        is_good = self.quality(supply) >= subscription.wish.quality
         return State.RUNNING if is_good else State.STALE
 
     def best(
-        self, found: AdaptiveSubscription, without: AbstractSet[str], *, explained: bool = False
+        self,
+        subscription: AdaptiveSubscription,
+        without: AbstractSet[str],
+        *,
+        explained: bool = False,
     ) -> Match:
-        """What the strategy chooses of what is good enough; where nothing is, the best."""
-        wish = found.wish
+        """The strategy's choice among plans of the wanted quality; if there is none, the plan of
+        the best quality."""
+        wish = subscription.wish
         if wish.quality > 0:
-            bad = self._too_bad(wish.quality)
-            match = self._match(found, wish.strategy, without, bad)
+            bad = self._below_quality(wish.quality)
+            match = self._match(subscription, wish.strategy, without, bad)
             if match.supply is not None and self.quality(match.supply) >= wish.quality:
                 return match
         strategy = str(Kind.QUALITY) if wish.quality > 0 else wish.strategy
-        match = self._match(found, strategy, without, explained=explained)
+        match = self._match(subscription, strategy, without, explained=explained)
         return replace(match, strategy=wish.strategy)
 
     def _match(
         self,
-        found: AdaptiveSubscription,
+        subscription: AdaptiveSubscription,
         strategy: str,
         without: AbstractSet[str],
         bad: AbstractSet[str] = frozenset(),
@@ -142,23 +148,23 @@ class Choosing:
         explained: bool = False,
     ) -> Match:
         counts = Strategy.parse(strategy).kind is Kind.COST
-        shared = self._shared(found, without, bad) if counts else {}
+        shared = self._shared(subscription, without, bad) if counts else {}
         (match,) = self._plans.match(
-            [found.wish.want], strategy, (without - shared.keys()) | bad, explained=explained
+            [subscription.wish.want], strategy, (without - shared.keys()) | bad, explained=explained
         )
         supply = None if match.supply is None else expanded(match.supply, shared)
         return replace(match, supply=supply)
 
     def _shared(
-        self, found: AdaptiveSubscription, without: AbstractSet[str], bad: AbstractSet[str]
+        self, subscription: AdaptiveSubscription, without: AbstractSet[str], bad: AbstractSet[str]
     ) -> Mapping[str, Node]:
-        """The streams of units that run and cost nothing more, and what makes them: a subscription
-        has to know what it rests on. None of it is ``without`` or ``bad``, or means something else
-        by now."""
-        avoided = (without | bad) - self._plans.made
+        """The streams of running units, which cost nothing more, with their nodes, which a
+        subscription has to know. Left out are those with a node that is ``without`` or ``bad``, or
+        whose meaning has changed."""
+        avoided = (without | bad) - self._plans.streams
         streams = self._space.streams
         shared = {}
-        for name, node in self._plans.shared(found.begins).items():
+        for name, node in self._plans.shareable_nodes(subscription.beginning).items():
             if name not in streams or name in bad or streams[name].contents != contents_of(node):
                 continue
             nodes = tuple(nodes_of(node))
@@ -166,8 +172,9 @@ class Choosing:
                 shared[name] = node
         return shared
 
-    def _too_bad(self, bound: float) -> AbstractSet[str]:
-        """What nothing good enough is made of: a plan is as good as the worst of it at most."""
+    def _below_quality(self, bound: float) -> AbstractSet[str]:
+        """The streams and transformations below the ``bound``. A plan is at most as good as its
+        worst part, so plans without these suffice."""
         streams, transformations = self._space.streams, self._space.transformations
         return frozenset(
             {name for name, stream in streams.items() if stream.quality < bound}
@@ -177,41 +184,41 @@ class Choosing:
     def quality(self, supply: Supply) -> float:
         return quality_of(supply, self._space)
 
-    def _is_running(self, found: AdaptiveSubscription) -> Callable[[Node], bool]:
-        own = set(found.nodes)
-        return lambda node: node in own or self._plans.is_shared(node, found.begins)
+    def _is_running(self, subscription: AdaptiveSubscription) -> Callable[[Node], bool]:
+        own = set(subscription.nodes)
+        return lambda node: node in own or self._plans.is_shared(node, subscription.beginning)
 
-    def is_same(self, found: AdaptiveSubscription, supply: Supply) -> bool:
+    def is_same(self, subscription: AdaptiveSubscription, supply: Supply) -> bool:
         return (
-            found.supply is not None
-            and found.supply.sources == supply.sources
-            and self._still_reads(found)
+            subscription.supply is not None
+            and subscription.supply.sources == supply.sources
+            and self._still_reads(subscription)
         )
 
-    def _still_reads(self, found: AdaptiveSubscription) -> bool:
-        """Its inputs are there, and work."""
-        unit = found.unit
+    def _still_reads(self, subscription: AdaptiveSubscription) -> bool:
+        """Whether its inputs exist and work."""
+        unit = subscription.unit
         return bool(unit.inputs) and (
             self._configuration.has_current_inputs(unit) and not self._configuration.is_broken(unit)
         )
 
-    def serves(self, found: AdaptiveSubscription) -> bool:
-        """What it reads is there and works, and is what is wanted."""
-        return self._still_reads(found) and self.means_the_same(found)
+    def is_served(self, subscription: AdaptiveSubscription) -> bool:
+        """Whether its inputs exist, work, and still mean the wanted feature."""
+        return self._still_reads(subscription) and self.means_the_same(subscription)
 
-    def means_the_same(self, found: AdaptiveSubscription) -> bool:
-        """What its plan is made of means what it did when it was made, and that is wanted."""
-        if found.supply is None or found.misled:
+    def means_the_same(self, subscription: AdaptiveSubscription) -> bool:
+        """Whether the parts of its plan have the meaning that they had, and match the want."""
+        if subscription.supply is None or subscription.has_new_meaning:
             return False
         vocabulary = self._ontology.vocabulary
         sorts = Sorts(vocabulary)
-        want = found.wish.want
+        want = subscription.wish.want
         served = vocabulary.subfeatures(want.feature)
         return all(
             source.port.feature in served
             and not (source.roles and sorts.why_not(source.roles[0], _subject(want, sorts)))
-            for source in found.supply.sources
-        ) and all(self._is_known(node) for node in found.nodes)
+            for source in subscription.supply.sources
+        ) and all(self._is_known(node) for node in subscription.nodes)
 
     def _is_known(self, node: Node) -> bool:
         if isinstance(node, UseStream):

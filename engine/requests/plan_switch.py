@@ -1,4 +1,4 @@
-"""An adaptive subscription from one plan to another ([Introspection15 §4.4])."""
+"""Switches an adaptive subscription from one plan to another ([Introspection15 §4.4])."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from .adaptive_subscription import (
 )
 
 
-class Switching:
-    """Carries out the plans of subscriptions. ``clock`` gives the time (ns)."""
+class PlanSwitch:
+    """Executes the plans of subscriptions. ``clock`` returns the time (ns)."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Switching:
         self._clock = clock
 
     def make(self, wish: Wish) -> MergeUnit:
-        """The unit that merges what a subscription reads; it reads nothing yet."""
+        """Make the merge unit of a subscription, without inputs."""
         want = wish.want
         info = self._ontology.vocabulary.feature(want.feature)
         objects = object_fields(1 + len(want.others))
@@ -64,11 +64,11 @@ class Switching:
         )
 
     def streams_of(
-        self, found: AdaptiveSubscription, supply: Supply | None, since: Beginning
+        self, subscription: AdaptiveSubscription, supply: Supply | None, since: Beginning
     ) -> tuple[StreamGenerator, ...]:
-        """The streams of the sources of a plan that begins ``since``, found or built. Raises
-        `DyknowError` and `Forgotten`, and then nothing is built."""
-        read = self._working_streams(found)
+        """Return the source streams of a plan that begins ``since``, and start their units if
+        needed. Raises `DyknowError` and `Forgotten`, and starts nothing then."""
+        read = self._working_streams(subscription)
         sources = () if supply is None else supply.sources
         try:
             return tuple(
@@ -79,13 +79,14 @@ class Switching:
             self._configuration.release_unused()
             raise
 
-    def _working_streams(self, found: AdaptiveSubscription) -> dict[Node, StreamGenerator]:
-        """What is read already goes on, as it began."""
-        if found.supply is None:
+    def _working_streams(self, subscription: AdaptiveSubscription) -> dict[Node, StreamGenerator]:
+        """The working sources of the present plan; the next plan keeps them as they are, even if
+        it has another beginning."""
+        if subscription.supply is None:
             return {}
         configuration = self._configuration
         streams: dict[Node, StreamGenerator] = {}
-        for source, stream in zip(found.supply.sources, found.streams, strict=True):
+        for source, stream in zip(subscription.supply.sources, subscription.streams, strict=True):
             maker = configuration.units.get(stream.name)
             if configuration.streams.get(stream.name) is stream and (
                 maker is None
@@ -96,21 +97,21 @@ class Switching:
 
     def switch(
         self,
-        found: AdaptiveSubscription,
+        subscription: AdaptiveSubscription,
         supply: Supply | None,
         streams: Sequence[StreamGenerator],
         why: str,
     ) -> tuple[StreamGenerator, ...]:
-        """Read ``streams`` from now on, which are those of ``supply``. Returns what is new."""
-        unit = found.unit
-        before, names = unit.inputs, found.leaves
-        has_history = found.has_begun or found.wish.since is not Since.NOW
-        if not found.has_begun:
-            unit.begin_at(found.wish.since)
-        position = found.output.stream.last_number
-        found.supply, found.streams = supply, tuple(streams)
-        found.misled = False
-        found.has_begun = found.has_begun or supply is not None
+        """Replace the inputs by ``streams``, those of ``supply``; return the new ones."""
+        unit = subscription.unit
+        before, names = unit.inputs, subscription.source_names
+        has_history = subscription.has_begun or subscription.wish.since is not Since.NOW
+        if not subscription.has_begun:
+            unit.begin_at(subscription.wish.since)
+        position = subscription.output.stream.last_number
+        subscription.supply, subscription.streams = supply, tuple(streams)
+        subscription.has_new_meaning = False
+        subscription.has_begun = subscription.has_begun or supply is not None
         inputs = (
             []
             if supply is None
@@ -121,7 +122,9 @@ class Switching:
         has_forgotten = unit.switch(inputs, history=has_history)
         gained = tuple(stream for stream in unit.inputs if stream not in before)
         lost = [stream for stream in before if stream not in unit.inputs]
-        self._configuration.change_inputs(unit, gained, lost, f"{found.wish.want}: {why}")
-        after = found.leaves
-        found.rematches.append(Rematch(self._clock(), position, why, names, after, has_forgotten))
+        self._configuration.change_inputs(unit, gained, lost, f"{subscription.wish.want}: {why}")
+        after = subscription.source_names
+        subscription.rematches.append(
+            Rematch(self._clock(), position, why, names, after, has_forgotten)
+        )
         return gained

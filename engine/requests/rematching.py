@@ -1,8 +1,8 @@
-"""When adaptive subscriptions are matched again, and what follows ([Introspection15 §4.4]).
+"""Matches adaptive subscriptions again when their sources change ([Introspection15 §4.4]).
 
-What is lost is replaced at once; what is better is taken when it has been there for a while; what
-cannot be met waits. Only subscriptions that read what was lost, or might read what appeared, are
-looked at: the cost of a change is linear in these.
+A lost source is replaced at once, a better one is taken after the hold-off, and a subscription
+without a source waits. A change costs O(subscriptions that read the lost stream or might read the
+new one); the others are not examined.
 """
 
 from __future__ import annotations
@@ -35,26 +35,27 @@ from .adaptive_subscription import (
     transformations_of,
 )
 from .alarms import Alarms
-from .plan_choice import Choosing
-from .plan_switch import Switching
+from .plan_choice import PlanChoice
+from .plan_switch import PlanSwitch
 from .silent_sources import culprits, silent_from
-from .subscription_index import SubscriptionIndex, others
+from .subscription_index import SubscriptionIndex, other_readers
 
-_LOOK_AGAIN = SECOND
-"""After so long (ns) a source is looked at again, if not before: nothing that learns falls silent
-sooner after it spoke (`arrivals.MIN_SILENCE`)."""
-_FORGIVEN = 30 * SECOND
-"""After so long (ns) a transformation is tried again that failed, or made nothing."""
-_AT_ONCE = 5
-"""So often a subscription is matched again in one go; then it waits for its hold-off."""
+_CHECK_INTERVAL = SECOND
+"""The longest time (ns) between two checks of a source: no source that learns its intervals counts
+as silent sooner after a sample (`arrivals.MIN_SILENCE`)."""
+_RETRY_AFTER = 30 * SECOND
+"""The time (ns) after which a transformation that failed or made no samples is tried again."""
+_MAX_MATCHES = 5
+"""How often one `settle` matches a subscription; then it waits for its hold-off. Without the bound,
+plans that fail in turn would keep it busy."""
 
 
 class Rematching:
-    """The adaptive subscriptions that run.
+    """The running adaptive subscriptions.
 
-    It hears of every change (`heard`) and of every arrival (`came`), and only notes what they
-    concern; whoever caused them calls `settle` when all is as it is to be. ``clock`` gives the
-    time (ns).
+    It records which of them a change (`on_change`) or an arrival (`on_arrival`) affects. The caller
+    of the change calls `settle` when it is complete, and only then subscriptions are matched again.
+    ``clock`` returns the time (ns).
     """
 
     def __init__(
@@ -65,48 +66,48 @@ class Rematching:
         plans: Plans,
         space: StreamSpace,
         clock: Callable[[], int],
-        adapted: Callable[[StreamGenerator, Wish], AdaptationUnit | None],
+        adapt: Callable[[StreamGenerator, Wish], AdaptationUnit | None],
     ) -> None:
         self._configuration = configuration
         self._plans = plans
         self._space = space
         self._clock = clock
-        self._adapted = adapted
+        self._adapt = adapt
         self._silences = Silences(configuration, space, plans.makes)
-        self._choosing = Choosing(ontology, configuration, plans, space, self._silences)
-        self._switching = Switching(ontology, dictionary, configuration, plans, clock)
+        self._choice = PlanChoice(ontology, configuration, plans, space, self._silences)
+        self._switcher = PlanSwitch(ontology, dictionary, configuration, plans, clock)
         self._index = SubscriptionIndex()
         self._alarms = Alarms()
         self._lost: dict[str, str] = {}
-        """Who has lost something, and what."""
-        self._ripe: dict[str, None] = {}
-        """Who may have something better."""
+        """The reason, by id of each subscription that has lost a source."""
+        self._improvable: dict[str, None] = {}
+        """Ids of subscriptions for which a better plan may exist, in order."""
 
     # -- subscriptions -----------------------------------------------------------------------
 
     def start(self, id: str, wish: Wish) -> AdaptiveSubscription:
-        """Subscribe. What cannot be met now waits until it can."""
-        unit = self._switching.make(wish)
+        """Start a subscription; without a plan it waits until there is one."""
+        unit = self._switcher.make(wish)
         self._configuration.start(unit, specification=f"{wish.want} by {wish.strategy}")
-        adapted = self._adapted(unit.output, wish)
-        if adapted is None:
+        adaptation = self._adapt(unit.output, wish)
+        if adaptation is None:
             unit.users += 1
-        found = AdaptiveSubscription(id, wish, unit, adapted)
-        self._index.add(found)
+        subscription = AdaptiveSubscription(id, wish, unit, adaptation)
+        self._index.add(subscription)
         try:
-            self._rematch(found, "requested")
+            self._rematch(subscription, "requested")
             self.settle()
         except Exception:
             self.cancel(id)
             raise
-        return found
+        return subscription
 
     def cancel(self, id: str) -> None:
-        """Give a subscription up; its units stop with it."""
-        found = self._index.remove(id)
+        """Cancel a subscription and stop its units."""
+        subscription = self._index.remove(id)
         self._lost.pop(id, None)
-        self._ripe.pop(id, None)
-        last = found.unit if found.adapted is None else found.adapted
+        self._improvable.pop(id, None)
+        last = subscription.unit if subscription.adaptation is None else subscription.adaptation
         if self._configuration.units.get(last.output.name) is last:
             self._configuration.release(last)
 
@@ -118,376 +119,382 @@ class Rematching:
         """The subscription whose stream this is."""
         return self._index.of_stream(name)
 
-    # -- what has happened -------------------------------------------------------------------
+    # -- changes -----------------------------------------------------------------------------
 
-    def heard(self, change: Change) -> None:
-        """Note whom a change of the stream space concerns."""
+    def on_change(self, change: Change) -> None:
+        """Record the subscriptions that a change of the stream space affects."""
         match change.kind:
             case ChangeKind.STREAM_ENDED:
                 self._silences.note_end(change.stream)
                 self._note_loss(change.stream, f"{change.stream} ended")
             case ChangeKind.STREAM_REMOVED:
-                self._forget_stream(change.stream)
+                self._silences.forget(change.stream)
+                self._index.stop_avoiding_all(change.stream)
+                self._note_loss(change.stream, f"{change.stream} was removed")
             case ChangeKind.UNIT_FAILED | ChangeKind.UNIT_STOPPED_BY_RULE:
                 unit = self._configuration.units.get(change.stream)
-                if unit is not None and unit.failure is not None:  # else it goes on
+                if unit is not None and unit.failure is not None:  # else it still runs
                     self._note_failure(unit)
             case ChangeKind.STREAM_ANNOTATED if not self._plans.makes(change.stream):
                 self._silences.refresh()
                 self._note_meaning(change.stream)
             case ChangeKind.STREAM_ANNOTATED:
-                self._note_misled(change.stream)
+                self._note_new_meaning(change.stream)
             case ChangeKind.QUALITY_CHANGED if change.quality is not None:
                 self._note_quality(change.stream, change.quality)
             case ChangeKind.QUALITY_CHANGED | ChangeKind.TRANSFORMATION_ANNOTATED:
                 assert change.described is not None
                 self._note_transformation(change.described.description)
             case ChangeKind.TRANSFORMATION_REMOVED:
-                self._choosing.forget()
+                self._choice.forget()
                 self._index.drop_candidate(change.transformation)
             case _:
                 pass
 
-    def _forget_stream(self, stream: str) -> None:
-        self._silences.forget(stream)
-        self._index.admit(stream)
-        self._note_loss(stream, f"{stream} was removed")
-
-    def _note_misled(self, stream: str) -> None:
-        """The stream of a plan's unit means something; to who reads it already, something else."""
+    def _note_new_meaning(self, stream: str) -> None:
+        """Record the readers of a plan's stream whose annotation has changed."""
         unit = self._configuration.units.get(stream)
-        for found in self._index.readers(stream):
+        for subscription in self._index.readers(stream):
             if unit is not None:
-                self._avoid(found, unit.transformation)
-            found.misled = True
-            self._lost.setdefault(found.id, f"{stream} means something else")
+                self._avoid(subscription, unit.transformation)
+            subscription.has_new_meaning = True
+            self._lost.setdefault(subscription.id, f"{stream} means something else")
 
     def _note_failure(self, unit: ComputationalUnit) -> None:
         stream = unit.output.name
-        for found in self._index.readers(stream):
-            self._avoid(found, unit.transformation)
+        for subscription in self._index.readers(stream):
+            self._avoid(subscription, unit.transformation)
         self._note_loss(stream, f"{unit.name} ({unit.transformation}) failed")
 
-    def _avoid(self, found: AdaptiveSubscription, name: str) -> None:
-        """Use a stream that is silent no more until it speaks again, and for a while what fails,
-        or gives nothing of what is wanted."""
-        if name in found.avoided:
+    def _avoid(self, subscription: AdaptiveSubscription, name: str) -> None:
+        """Avoid a silent stream until it brings samples again, and a transformation that failed or
+        made no samples for some time."""
+        if name in subscription.avoided:
             return
-        self._index.avoid(found, name)
+        self._index.avoid(subscription, name)
         now = self._clock()
-        silent = self._silences.silent_streams(now, found.wish.staleness)
+        silent = self._silences.silent_streams(now, subscription.wish.staleness)
         speaks = self._silences.has_arrivals(name) and name not in silent
         if name in self._space.streams and not speaks:
             self._silences.pass_over(name)
         else:
-            self._alarms.at(now + _FORGIVEN, partial(self._forgive, found.id, name))
+            self._alarms.at(now + _RETRY_AFTER, partial(self._stop_avoiding, subscription.id, name))
 
-    def came(self, stream: str, now: int) -> None:
-        """Something was published to a stream."""
+    def on_arrival(self, stream: str, now: int) -> None:
+        """Record that a batch was published to a stream."""
         if not self._silences.note_samples(stream):
-            return  # it brought no sample, or only such as were late
+            return  # the batch had no samples, or only late ones
         if self._silences.take_back(stream):
-            self._back(stream)
-        for found in self._index.candidates(stream):
-            self._note_stay(found, stream, now)
+            self._on_return(stream)
+        for subscription in self._index.candidates(stream):
+            self._note_arrival(subscription, stream, now)
         self._silences.note_arrival(stream, now)
 
-    def _note_stay(self, found: AdaptiveSubscription, stream: str, now: int) -> None:
-        """What may be better speaks: it has been there since it last was silent."""
-        if self._silences.is_new_or_silent(stream, now, found.wish.staleness):
-            found.young[stream] = now
-        if now - found.young[stream] >= found.wish.hold_off:
-            self._ripen(found, stream)
+    def _note_arrival(self, subscription: AdaptiveSubscription, stream: str, now: int) -> None:
+        """A candidate brought samples. Its hold-off counts since it was last silent."""
+        if self._silences.is_new_or_silent(stream, now, subscription.wish.staleness):
+            subscription.candidates[stream] = now
+        if now - subscription.candidates[stream] >= subscription.wish.hold_off:
+            self._mark_improvable(subscription, stream)
 
-    def withdraw(self, stream: str) -> None:
-        """A stream is about to be removed: nobody reads it any more, whatever there is instead.
-
-        Raises `Conflict`, changing nothing, while anybody else needs it."""
-        readers = others(stream, self._index.all(), self._configuration)
+    def leave_stream(self, stream: str) -> None:
+        """Switch all subscriptions away from a stream that is about to be removed. Raises
+        `Conflict`, and changes nothing, while other units read it."""
+        readers = other_readers(stream, self._index.all(), self._configuration)
         if readers:
             raise Conflict(
                 f"stream {stream!r} is read by {', '.join(readers)}",
-                "cancel the requests that need it first",
+                "cancel the requests that read it first",
             )
-        for found in self._index.readers(stream):
-            self._rematch(found, f"{stream} is removed", removed=stream)
+        for subscription in self._index.readers(stream):
+            self._rematch(subscription, f"{stream} is removed", removed=stream)
 
     def ontology_changed(self) -> None:
-        """Sorts and features may contain each other otherwise: everybody is looked at again."""
-        self._choosing.forget()
-        for found in self._index.all():
-            found.unit.refresh_objects()
-            if found.supply is not None and not self._choosing.means_the_same(found):
-                self._lost.setdefault(found.id, "the ontology has changed")
+        """Check all subscriptions, since hierarchies of sorts and features may have changed."""
+        self._choice.forget()
+        for subscription in self._index.all():
+            subscription.unit.refresh_objects()
+            if subscription.supply is not None and not self._choice.means_the_same(subscription):
+                self._lost.setdefault(subscription.id, "the ontology has changed")
             else:
-                self._ripe[found.id] = None
+                self._improvable[subscription.id] = None
 
-    def _back(self, stream: str) -> None:
-        """A stream that was passed over speaks again."""
-        self._index.admit(stream)
+    def _on_return(self, stream: str) -> None:
+        """An avoided stream brings samples again."""
+        self._index.stop_avoiding_all(stream)
         self._index.drop_candidate(stream)
         self._note_gain(stream)
-        for found in self._index.readers(stream):
-            if found.state is State.STALE:
-                self._lost.setdefault(found.id, f"{stream} speaks again")
+        for subscription in self._index.readers(stream):
+            if subscription.state is State.STALE:
+                self._lost.setdefault(subscription.id, f"{stream} speaks again")
 
     def _note_loss(self, stream: str, why: str) -> None:
-        for found in self._index.readers(stream):
-            self._lost.setdefault(found.id, why)
+        for subscription in self._index.readers(stream):
+            self._lost.setdefault(subscription.id, why)
         self._index.drop_candidate(stream)
 
     def _note_meaning(self, stream: str) -> None:
-        for found in self._index.readers(stream):
-            if not self._choosing.means_the_same(found):
-                self._lost.setdefault(found.id, f"{stream} means something else")
-        for found in self._index.candidates(stream):
-            if not self._choosing.may_serve(stream, found):
-                self._index.drop_young(found, stream)
+        for subscription in self._index.readers(stream):
+            if not self._choice.means_the_same(subscription):
+                self._lost.setdefault(subscription.id, f"{stream} means something else")
+        for subscription in self._index.candidates(stream):
+            if not self._choice.may_serve(stream, subscription):
+                self._index.drop_candidate_of(subscription, stream)
         self._note_gain(stream)
 
     def _note_quality(self, stream: str, quality: float) -> None:
-        for found in self._index.readers(stream):
-            self._doubt(found, f"quality of {stream} is {quality:g}")
+        for subscription in self._index.readers(stream):
+            self._recheck_quality(subscription, f"quality of {stream} is {quality:g}")
         self._note_worth(stream, quality)
         self._note_gain(stream, is_only_quality=True)
 
     def _note_transformation(self, description: TransformationDescription) -> None:
-        self._choosing.forget()
+        self._choice.forget()
         name = description.name
-        for found in self._index.users(name):
-            if self._choosing.means_the_same(found):
-                self._doubt(found, f"quality of {name}")
+        for subscription in self._index.users(name):
+            if self._choice.means_the_same(subscription):
+                self._recheck_quality(subscription, f"quality of {name}")
             else:
-                self._lost.setdefault(found.id, f"{name} means something else")
+                self._lost.setdefault(subscription.id, f"{name} means something else")
         self._note_worth(name, description.quality)
-        for found in self._interested(description.output.feature):
-            self._consider(found, name)
+        for subscription in self._interested(description.output.feature):
+            self._add_candidate(subscription, name)
 
-    def _doubt(self, found: AdaptiveSubscription, why: str) -> None:
-        """The quality of what a subscription reads has changed."""
-        if found.supply is None or not found.wish.minds_quality:
+    def _recheck_quality(self, subscription: AdaptiveSubscription, why: str) -> None:
+        """Record a loss if a change of quality makes the present plan worse."""
+        if subscription.supply is None or not subscription.wish.considers_quality:
             return
-        before, found.quality = found.quality, self._choosing.quality(found.supply)
-        has_fallen = found.quality < before and found.wish.kind is not Kind.FAST
-        if has_fallen or found.quality < found.wish.quality or found.state is State.STALE:
-            self._lost.setdefault(found.id, why)
+        before, wish = subscription.quality, subscription.wish
+        subscription.quality = self._choice.quality(subscription.supply)
+        has_fallen = subscription.quality < before and wish.kind is not Kind.FAST
+        is_bad = subscription.quality < wish.quality or subscription.state is State.STALE
+        if has_fallen or is_bad:
+            self._lost.setdefault(subscription.id, why)
 
     def _note_worth(self, name: str, quality: float) -> None:
-        """Who waits to take what has become too bad waits for it no more."""
-        for found in self._index.candidates(name):
-            if not self._choosing.is_worth(found, quality):
-                self._index.drop_young(found, name)
+        """Drop a candidate whose quality has become too low."""
+        for subscription in self._index.candidates(name):
+            if not self._choice.may_improve(subscription, quality):
+                self._index.drop_candidate_of(subscription, name)
 
-    # -- what may be better ------------------------------------------------------------------
+    # -- better plans ------------------------------------------------------------------------
 
     def _note_gain(self, stream: str, *, is_only_quality: bool = False) -> None:
-        """A stream is there, or has another quality, that might be better for somebody."""
-        known = self._space.streams.get(stream)
-        if known is None:
+        """Record subscriptions for which a new stream, or one with a new quality, may be better."""
+        description = self._space.streams.get(stream)
+        if description is None:
             return
-        for feature in dict.fromkeys(content.feature for content in known.contents):
-            for found in self._interested(feature):
-                minds = found.wish.minds_quality
+        for feature in dict.fromkeys(content.feature for content in description.contents):
+            for subscription in self._interested(feature):
+                considers = subscription.wish.considers_quality
                 if (
-                    stream not in found.reads
-                    and (minds or not is_only_quality)
-                    and self._choosing.is_worth(found, known.quality)
-                    and self._choosing.may_serve(stream, found)
+                    stream not in subscription.reads
+                    and (considers or not is_only_quality)
+                    and self._choice.may_improve(subscription, description.quality)
+                    and self._choice.may_serve(stream, subscription)
                 ):
-                    self._consider(found, stream)
+                    self._add_candidate(subscription, stream)
 
     def _interested(self, feature: str) -> Iterator[AdaptiveSubscription]:
-        """The subscriptions to whose feature ``feature`` may lead."""
-        for wanted, those in self._index.wanted():
-            if self._choosing.leads(feature, wanted):
-                yield from those
+        """Yield the subscriptions whose feature might be computed from ``feature``."""
+        for wanted, subscriptions in self._index.wanted():
+            if self._choice.may_lead(feature, wanted):
+                yield from subscriptions
 
-    def _consider(self, found: AdaptiveSubscription, name: str) -> None:
-        """Take what might be better when it has been there for a while; at once if need be.
+    def _add_candidate(self, subscription: AdaptiveSubscription, name: str) -> None:
+        """Make ``name`` a candidate until its hold-off has passed; a subscription without a good
+        source tries it at once.
 
-        A stream from outside proves by speaking that it is there, anything else by time.
+        Samples show that a stream from outside still exists; for other candidates an alarm ends
+        the hold-off.
         """
         now = self._clock()
-        due = now + found.wish.hold_off
-        if found.state is not State.RUNNING:
-            self._ripe[found.id] = None
-        elif name in found.made_by:
-            if not found.looks_again:
-                found.looks_again = True
-                self._alarms.at(due, partial(self._look_again, found.id))
-        elif name not in found.young:
-            self._index.add_young(found, name, now)
+        due = now + subscription.wish.hold_off
+        if subscription.state is not State.RUNNING:
+            self._improvable[subscription.id] = None
+        elif name in subscription.transformations:
+            if not subscription.will_match:
+                subscription.will_match = True
+                self._alarms.at(due, partial(self._match_later, subscription.id))
+        elif name not in subscription.candidates:
+            self._index.add_candidate(subscription, name, now)
             is_published = name in self._space.streams and name not in self._configuration.units
-            if not is_published and name not in found.timed:
-                found.timed.add(name)
-                self._alarms.at(due, partial(self._has_stayed, found.id, name))
+            if not is_published and name not in subscription.timed_candidates:
+                subscription.timed_candidates.add(name)
+                self._alarms.at(due, partial(self._end_hold_off, subscription.id, name))
 
-    def _has_stayed(self, id: str, name: str, now: int) -> None:
-        found = self._index.get(id)
-        if found is None:
+    def _end_hold_off(self, id: str, name: str, now: int) -> None:
+        subscription = self._index.get(id)
+        if subscription is None:
             return
-        found.timed.discard(name)
-        if name not in found.young:
+        subscription.timed_candidates.discard(name)
+        if name not in subscription.candidates:
             return
-        due = found.young[name] + found.wish.hold_off
+        due = subscription.candidates[name] + subscription.wish.hold_off
         if due <= now:
-            self._ripen(found, name)
+            self._mark_improvable(subscription, name)
         else:
-            found.timed.add(name)
-            self._alarms.at(due, partial(self._has_stayed, id, name))
+            subscription.timed_candidates.add(name)
+            self._alarms.at(due, partial(self._end_hold_off, id, name))
 
-    def _ripen(self, found: AdaptiveSubscription, name: str) -> None:
-        self._index.drop_young(found, name)
-        self._ripe[found.id] = None
+    def _mark_improvable(self, subscription: AdaptiveSubscription, name: str) -> None:
+        self._index.drop_candidate_of(subscription, name)
+        self._improvable[subscription.id] = None
 
     # -- time --------------------------------------------------------------------------------
 
     def tick(self, now: int) -> None:
-        """The time is ``now`` (ns): who has fallen silent, and what has been better long enough.
-
-        Cost: what is due, and a look at what was passed over.
+        """Advance the time to ``now`` (ns): find silent sources and candidates whose hold-off has
+        passed. Cost: O(alarms due + avoided streams).
         """
         for name in self._silences.take_all_back():
-            self._back(name)
+            self._on_return(name)
         self._alarms.ring(now)
         self.settle()
 
-    def _look_again(self, id: str, now: int) -> None:
-        found = self._index.get(id)
-        if found is not None:
-            found.looks_again = False
-            self._ripe[id] = None
+    def _match_later(self, id: str, now: int) -> None:
+        subscription = self._index.get(id)
+        if subscription is not None:
+            subscription.will_match = False
+            self._improvable[id] = None
 
-    def _forgive(self, id: str, name: str, now: int) -> None:
-        found = self._index.get(id)
-        if found is None or name not in found.avoided:
+    def _stop_avoiding(self, id: str, name: str, now: int) -> None:
+        subscription = self._index.get(id)
+        if subscription is None or name not in subscription.avoided:
             return
-        self._index.forgive(found, name)
-        if found.state is not State.RUNNING:
-            self._ripe[id] = None
+        self._index.stop_avoiding(subscription, name)
+        if subscription.state is not State.RUNNING:
+            self._improvable[id] = None
 
-    def _watch(self, found: AdaptiveSubscription, source: StreamGenerator, time: int) -> None:
-        """Look at a source at ``time``, or before; there is one alarm for each."""
-        if source not in found.watched:
-            found.watched.add(source)
-            soon = min(time, self._clock() + _LOOK_AGAIN)
-            self._alarms.at(soon, partial(self._look_at, found.id, source))
+    def _schedule_check(
+        self, subscription: AdaptiveSubscription, source: StreamGenerator, time: int
+    ) -> None:
+        """Set an alarm to check a source at ``time`` or before, unless it has one."""
+        if source not in subscription.watched_sources:
+            subscription.watched_sources.add(source)
+            soon = min(time, self._clock() + _CHECK_INTERVAL)
+            self._alarms.at(soon, partial(self._check_source, subscription.id, source))
 
-    def _look_at(self, id: str, source: StreamGenerator, now: int) -> None:
-        found = self._index.get(id)
-        if found is None:
+    def _check_source(self, id: str, source: StreamGenerator, now: int) -> None:
+        subscription = self._index.get(id)
+        if subscription is None:
             return
-        found.watched.discard(source)
-        if source not in found.unit.arrivals:
+        subscription.watched_sources.discard(source)
+        if source not in subscription.unit.arrivals:
             return
-        silent_at = silent_from(found, source, self._silences)
+        silent_at = silent_from(subscription, source, self._silences)
         if silent_at is not None and silent_at <= now:
-            blamed = culprits(found, source, self._silences, now)
-            if not found.avoided.issuperset(blamed):
+            blamed = culprits(subscription, source, self._silences, now)
+            if not subscription.avoided.issuperset(blamed):
                 for name in blamed:
-                    self._avoid(found, name)
+                    self._avoid(subscription, name)
                 self._lost.setdefault(id, f"{' and '.join(blamed)} fell silent")
-        elif silent_at is not None and found.state is State.STALE:
-            again = found.avoided & names_of(found.nodes_behind(source))
+        elif silent_at is not None and subscription.state is State.STALE:
+            again = subscription.avoided & names_of(subscription.nodes_behind(source))
             for name in again:
-                self._forgive(id, name, now)
+                self._stop_avoiding(id, name, now)
             if again:
                 self._lost.setdefault(id, f"{' and '.join(sorted(again))} speaks again")
         if silent_at is None or silent_at <= now:
-            silent_at = now + _LOOK_AGAIN
-        self._watch(found, source, silent_at)
+            silent_at = now + _CHECK_INTERVAL
+        self._schedule_check(subscription, source, silent_at)
 
     def settle(self) -> None:
-        """Match again whoever has lost something, or may have something better by now."""
+        """Match the recorded subscriptions again."""
         times: Counter[str] = Counter()
-        while self._lost or self._ripe:
-            id = next(iter(self._lost or self._ripe))
+        while self._lost or self._improvable:
+            id = next(iter(self._lost or self._improvable))
             why = self._lost.pop(id, None)
-            self._ripe.pop(id, None)
-            found = self._index.get(id)
-            if found is None:
+            self._improvable.pop(id, None)
+            subscription = self._index.get(id)
+            if subscription is None:
                 continue
             times[id] += 1
-            if times[id] > _AT_ONCE:
-                later = self._clock() + max(found.wish.hold_off, SECOND)
-                self._alarms.at(later, partial(self._look_again, id))
+            if times[id] > _MAX_MATCHES:
+                later = self._clock() + max(subscription.wish.hold_off, SECOND)
+                self._alarms.at(later, partial(self._match_later, id))
             elif why is not None:
-                self._rematch(found, why)
+                self._rematch(subscription, why)
             else:
-                self._improve(found)
+                self._improve(subscription)
 
     # -- matching again ----------------------------------------------------------------------
 
-    def _improve(self, found: AdaptiveSubscription) -> None:
-        """Take a better plan if there is one."""
-        choosing = self._choosing
-        if found.state is not State.RUNNING or not choosing.serves(found):
-            self._rematch(found, "something appeared")
+    def _improve(self, subscription: AdaptiveSubscription) -> None:
+        """Switch to a better plan if there is one."""
+        choice = self._choice
+        if subscription.state is not State.RUNNING or not choice.is_served(subscription):
+            self._rematch(subscription, "something appeared")
             return
-        unusable = choosing.unusable(found, self._clock())
-        supply = choosing.best(found, unusable | found.young.keys()).supply
-        if supply is not None and choosing.is_better(found, supply):
-            found.state = choosing.state_of(found, supply)
-            self._switch(found, supply, "a better source appeared")
+        unusable = choice.unusable(subscription, self._clock())
+        supply = choice.best(subscription, unusable | subscription.candidates.keys()).supply
+        if supply is not None and choice.is_better(subscription, supply):
+            subscription.state = choice.state_of(subscription, supply)
+            self._switch(subscription, supply, "a better source appeared")
 
-    def _rematch(self, found: AdaptiveSubscription, why: str, removed: str | None = None) -> None:
-        """What it reads is lost or bad: take what is there, but not what is about to be
-        ``removed``."""
-        choosing = self._choosing
+    def _rematch(
+        self, subscription: AdaptiveSubscription, why: str, removed: str | None = None
+    ) -> None:
+        """Find a plan for a subscription whose sources are lost or bad, without the stream that is
+        about to be ``removed``."""
+        choice = self._choice
         without = frozenset() if removed is None else frozenset((removed,))
-        match = choosing.best(found, choosing.unusable(found, self._clock()) | without)
+        match = choice.best(subscription, choice.unusable(subscription, self._clock()) | without)
         if match.supply is not None:
-            found.state = choosing.state_of(found, match.supply)
-        elif removed is None and choosing.serves(found):
-            found.state = State.STALE
+            subscription.state = choice.state_of(subscription, match.supply)
+        elif removed is None and choice.is_served(subscription):
+            subscription.state = State.STALE
             return
         else:
-            # Better a silent stream, which may speak again, than none.
-            failing = found.avoided - self._space.streams.keys()
-            match = choosing.best(
-                found, choosing.made_streams() | failing | without, explained=True
+            # A silent stream, which may bring samples again, is better than none.
+            failing = subscription.avoided - self._space.streams.keys()
+            match = choice.best(
+                subscription, choice.plan_streams() | failing | without, explained=True
             )
-            found.state = State.WAITING if match.supply is None else State.STALE
+            subscription.state = State.WAITING if match.supply is None else State.STALE
         if match.supply is None:
-            found.missing = match.missing
-            if found.supply is None and found.rematches:
-                return  # it waits already
-        elif choosing.is_same(found, match.supply):
+            subscription.missing = match.missing
+            if subscription.supply is None and subscription.rematches:
+                return  # it waits already, so there is no switch to report
+        elif choice.is_same(subscription, match.supply):
             return
-        self._switch(found, match.supply, why)
+        self._switch(subscription, match.supply, why)
 
-    def _switch(self, found: AdaptiveSubscription, supply: Supply | None, why: str) -> None:
+    def _switch(self, subscription: AdaptiveSubscription, supply: Supply | None, why: str) -> None:
         try:
-            streams = self._streams_of(found, supply)
+            streams = self._streams_of(subscription, supply)
         except DyknowError as error:
-            # A plan that cannot be carried out: do without its transformations for a while.
+            # The plan cannot be executed: avoid its transformations for some time.
             for name in transformations_of(() if supply is None else nodes_of_supply(supply)):
-                self._avoid(found, name)
-            self._lost[found.id] = f"{why}; {error.causes}"
+                self._avoid(subscription, name)
+            self._lost[subscription.id] = f"{why}; {error.causes}"
             return
-        self._index.forget_reads(found)
-        gained = self._switching.switch(found, supply, streams, why)
-        self._index.remember_reads(found, self._configuration)
+        self._index.drop_sources(subscription)
+        gained = self._switcher.switch(subscription, supply, streams, why)
+        self._index.index_sources(subscription, self._configuration)
         now = self._clock()
         for stream in gained:
-            self._watch(
-                found, stream, silent_from(found, stream, self._silences) or now + _LOOK_AGAIN
+            self._schedule_check(
+                subscription,
+                stream,
+                silent_from(subscription, stream, self._silences) or now + _CHECK_INTERVAL,
             )
         if supply is not None:
-            found.missing = ()
-            found.quality = self._choosing.quality(supply)
-        for part in self._configuration.upstream_units(found.unit):
-            if part is not found.unit and part.failure is not None:
-                self._note_failure(part)  # it failed on the past, before anybody read it
+            subscription.missing = ()
+            subscription.quality = self._choice.quality(supply)
+        for part in self._configuration.upstream_units(subscription.unit):
+            if part is not subscription.unit and part.failure is not None:
+                self._note_failure(part)  # it failed on the history, before it had readers
 
     def _streams_of(
-        self, found: AdaptiveSubscription, supply: Supply | None
+        self, subscription: AdaptiveSubscription, supply: Supply | None
     ) -> tuple[StreamGenerator, ...]:
-        """The streams of a plan. A subscription that begins at a moment which they do not keep is
-        refused; one that has waited begins with what they keep, and its switch says that some is
-        lost. Raises `DyknowError`, and `Forgotten` for a request."""
-        if supply is not None and not found.has_begun:
-            since = self._plans.resolve_duration(found.wish.since, [supply])
-            found.wish = replace(found.wish, since=since)
-        begin = partial(self._switching.streams_of, found, supply)
-        return start_from_retained(found.begins, begin) if found.rematches else begin(found.begins)
+        """The streams of a plan. If they have evicted samples since the beginning, a new
+        subscription is refused; one that has waited begins with the oldest samples, and its switch
+        reports the loss. Raises `DyknowError`, and `Forgotten` for a new subscription."""
+        if supply is not None and not subscription.has_begun:
+            since = self._plans.resolve_duration(subscription.wish.since, [supply])
+            subscription.wish = replace(subscription.wish, since=since)
+        begin = partial(self._switcher.streams_of, subscription, supply)
+        beginning = subscription.beginning
+        return start_from_retained(beginning, begin) if subscription.rematches else begin(beginning)

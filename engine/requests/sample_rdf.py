@@ -1,4 +1,4 @@
-"""Samples of streams as triples: by their annotation, or as what the system answers is written."""
+"""Converts samples of streams to triples, by the stream's annotation or that of an answer."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ..configuration.configuration import Configuration
 
 
 class SampleRdf:
-    """Converters of streams, made when first needed.
+    """The converters of streams, made on first use.
 
-    ``answered`` tells of a stream that the system makes how its samples are written, and ``query``
-    gives the converter of a registered query's stream; None where it is no such stream.
+    ``annotation_of_answer`` returns the annotation for the samples of an answer, and ``query`` the
+    converter of a registered query's stream; both return None for other streams.
     """
 
     def __init__(
@@ -27,40 +27,41 @@ class SampleRdf:
         configuration: Configuration,
         declared: DeclaredStreams,
         manager: SemanticsManager,
-        answered: Callable[[str], StreamAnnotation | None],
+        annotation_of_answer: Callable[[str], StreamAnnotation | None],
         query: Callable[[str], SampleConverter | None],
     ) -> None:
         self._configuration = configuration
         self._declared = declared
         self._manager = manager
-        self._answered = answered
-        self._query = query
+        self._annotation_of_answer = annotation_of_answer
+        self._query_converter = query
         self._converters: dict[str, SampleConverter] = {}
 
     def of(self, name: str, batch: SampleBatch) -> list[str]:
-        """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
+        """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
+        triples."""
         converter = self.converter(name)
         if converter is None or not len(batch):
             return [""] * len(batch)
         lines: list[list[str]] = [[] for _ in range(len(batch))]
         names = node_names(batch.available, places_in_instants(batch.available))
-        # Rows stand for times, since samples of one instant share theirs.
+        # Convert with row numbers in place of times, since samples of one instant share a time.
         numbered = batch.with_available(np.arange(len(batch)))
         for row, subject, predicate, object in converter.convert(numbered, names):
             lines[row].append(f"{subject} {predicate} {object} .")
         return ["\n".join(triples) for triples in lines]
 
     def converter(self, name: str) -> SampleConverter | None:
-        """Converts the samples of a stream; None where nothing says what they mean."""
+        """Return the converter of a stream; None if it has no annotation."""
         source = self._configuration.late.source_of(name)
-        if source is not None:  # a late sample says what it would have said in time
+        if source is not None:  # late samples have the meaning of their stream's samples
             return self.converter(source)
         found = self._converters.get(name)
         if found is None:
-            found = self._query(name)
+            found = self._query_converter(name)
         if found is None:
             generator = self._configuration.stream(name)
-            annotation = self._answered(name) or self._manager.annotations.get(name)
+            annotation = self._annotation_of_answer(name) or self._manager.annotations.get(name)
             if annotation is None:
                 return None
             namespace = self._configuration.namespaces[name]
@@ -69,9 +70,9 @@ class SampleRdf:
         return found
 
     def forget(self, name: str) -> None:
-        """Something of a stream has changed."""
+        """Drop the converter of a stream that has changed."""
         self._converters.pop(name, None)
 
     def forget_all(self) -> None:
-        """The ontology has changed."""
+        """Drop all converters, after a change of the ontology."""
         self._converters.clear()

@@ -1,4 +1,4 @@
-"""Which source of an adaptive subscription is silent, from when on, and what is to blame."""
+"""Finds silent sources of adaptive subscriptions, and the streams that cause the silence."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from .adaptive_subscription import AdaptiveSubscription, transformations_of
 
 
 def silent_from(
-    found: AdaptiveSubscription, source: StreamGenerator, silences: Silences
+    subscription: AdaptiveSubscription, source: StreamGenerator, silences: Silences
 ) -> int | None:
-    """From when on (ns) a source is silent; None: nobody knows.
+    """Return the time (ns) from which on a source counts as silent; None: unknown.
 
-    Of what is made, and read since a short time only, what it is made from may tell."""
-    staleness = found.wish.staleness
+    For a stream of units that was read for a short time only, the streams behind it decide."""
+    staleness = subscription.wish.staleness
     if silences.has_arrivals(source.name):
         return silences.silent_at(source.name, staleness)
-    silent_at = found.unit.arrivals[source].silent_at(staleness)
+    silent_at = subscription.unit.arrivals[source].silent_at(staleness)
     if silent_at is not None:
         return silent_at
     times = [
         silences.silent_at(node.stream)
-        for node in found.nodes_behind(source)
+        for node in subscription.nodes_behind(source)
         if isinstance(node, UseStream)
     ]
     known = [time for time in times if time is not None]
@@ -30,13 +30,13 @@ def silent_from(
 
 
 def culprits(
-    found: AdaptiveSubscription, source: StreamGenerator, silences: Silences, now: int
+    subscription: AdaptiveSubscription, source: StreamGenerator, silences: Silences, now: int
 ) -> tuple[str, ...]:
-    """Of what a silent source is made from, what is silent itself: streams from outside, or
-    else the transformations, which make nothing of what they get."""
-    nodes = found.nodes_behind(source)
+    """Return the causes of a silent source: the silent streams behind it, or, if none is silent,
+    the transformations, which made no samples of their input."""
+    nodes = subscription.nodes_behind(source)
     streams = dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream))
-    silent = silences.silent_streams(now, found.wish.staleness)
+    silent = silences.silent_streams(now, subscription.wish.staleness)
     return (
         tuple(name for name in streams if name in silent)
         or tuple(sorted(transformations_of(nodes)))

@@ -1,5 +1,5 @@
-"""The adaptive subscriptions that run, found by what concerns them: the streams that they read, the
-transformations that they use, the features that they want."""
+"""An index of the running adaptive subscriptions by the streams that they read, the transformations
+that they use, and the features that they want."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import TypeAlias
 from ...streams.generator import StreamGenerator
 from ..configuration.configuration import Configuration
 from ..units.base import ComputationalUnit
-from .adaptive_subscription import AdaptiveSubscription, behind, transformations_of
+from .adaptive_subscription import AdaptiveSubscription, transformations_of, upstream_names
 
 _Index: TypeAlias = dict[str, dict[str, None]]
-"""Ids of subscriptions, in order, by a name that concerns them."""
+"""Ids of subscriptions, in order, by the name of a stream, transformation or feature."""
 
 
 class SubscriptionIndex:
-    """What `Rematching` looks up when something changes. Each look-up costs what it finds; it gives
-    the subscriptions as they are when it is made, so that they may change meanwhile."""
+    """The index that `Rematching` searches when something changes. A look-up costs O(results). It
+    returns a copy, so the caller may change the index while it iterates."""
 
     def __init__(self) -> None:
         self._subscriptions: dict[str, AdaptiveSubscription] = {}
@@ -28,23 +28,24 @@ class SubscriptionIndex:
         self._wanting: _Index = {}
         self._avoiders: _Index = {}
         self._candidates: _Index = {}
-        """Whose `AdaptiveSubscription.young` a stream or transformation is among."""
+        """By each stream or transformation, the subscriptions that have it in
+        `AdaptiveSubscription.candidates`."""
 
-    def add(self, found: AdaptiveSubscription) -> None:
-        """A subscription that reads nothing yet."""
-        self._subscriptions[found.id] = found
-        self._by_output[found.output.name] = found
-        _put(self._wanting, found.wish.want.feature, found.id)
+    def add(self, subscription: AdaptiveSubscription) -> None:
+        """Add a subscription without sources."""
+        self._subscriptions[subscription.id] = subscription
+        self._by_output[subscription.output.name] = subscription
+        _put(self._wanting, subscription.wish.want.feature, subscription.id)
 
     def remove(self, id: str) -> AdaptiveSubscription:
-        """Forget a subscription."""
-        found = self._subscriptions.pop(id)
-        self._by_output.pop(found.output.name, None)
-        self.forget_reads(found)
-        _drop(self._avoiders, found.avoided, id)
-        _drop(self._candidates, found.young, id)
-        _drop(self._wanting, (found.wish.want.feature,), id)
-        return found
+        """Remove a subscription and return it."""
+        subscription = self._subscriptions.pop(id)
+        self._by_output.pop(subscription.output.name, None)
+        self.drop_sources(subscription)
+        _drop(self._avoiders, subscription.avoided, id)
+        _drop(self._candidates, subscription.candidates, id)
+        _drop(self._wanting, (subscription.wish.want.feature,), id)
+        return subscription
 
     def get(self, id: str) -> AdaptiveSubscription | None:
         """A subscription by its id."""
@@ -59,83 +60,86 @@ class SubscriptionIndex:
         return tuple(self._subscriptions.values())
 
     def readers(self, stream: str) -> tuple[AdaptiveSubscription, ...]:
-        """Those that read a stream, themselves or through the units of their plans."""
+        """The subscriptions that read a stream, directly or through the units of their plans."""
         return self._of(self._readers, stream)
 
     def users(self, transformation: str) -> tuple[AdaptiveSubscription, ...]:
-        """Those whose plan has a unit of a transformation."""
+        """The subscriptions whose plans have a unit of a transformation."""
         return self._of(self._users, transformation)
 
     def wanted(self) -> Iterator[tuple[str, tuple[AdaptiveSubscription, ...]]]:
-        """Each feature that is wanted, and by whom."""
+        """Yield each wanted feature with its subscriptions."""
         for feature in tuple(self._wanting):
             yield feature, self._of(self._wanting, feature)
 
     def _of(self, index: _Index, name: str) -> tuple[AdaptiveSubscription, ...]:
         return tuple(self._subscriptions[id] for id in index.get(name, ()))
 
-    # -- what a plan reads
+    # -- sources
 
-    def remember_reads(self, found: AdaptiveSubscription, configuration: Configuration) -> None:
-        """What ``found`` reads now; it waits for none of that any more."""
-        found.reads = frozenset(behind(found.unit, configuration))
-        found.made_by = transformations_of(found.nodes)
-        for name in found.reads:
-            _put(self._readers, name, found.id)
-        for name in found.made_by:
-            _put(self._users, name, found.id)
-        for name in found.reads | found.made_by:
-            self.drop_young(found, name)
+    def index_sources(
+        self, subscription: AdaptiveSubscription, configuration: Configuration
+    ) -> None:
+        """Index the sources that ``subscription`` reads now; they are no candidates any more."""
+        subscription.reads = frozenset(upstream_names(subscription.unit, configuration))
+        subscription.transformations = transformations_of(subscription.nodes)
+        for name in subscription.reads:
+            _put(self._readers, name, subscription.id)
+        for name in subscription.transformations:
+            _put(self._users, name, subscription.id)
+        for name in subscription.reads | subscription.transformations:
+            self.drop_candidate_of(subscription, name)
 
-    def forget_reads(self, found: AdaptiveSubscription) -> None:
-        """It reads nothing."""
-        _drop(self._readers, found.reads, found.id)
-        _drop(self._users, found.made_by, found.id)
+    def drop_sources(self, subscription: AdaptiveSubscription) -> None:
+        """Remove the sources of ``subscription`` from the index."""
+        _drop(self._readers, subscription.reads, subscription.id)
+        _drop(self._users, subscription.transformations, subscription.id)
 
-    # -- what is avoided
+    # -- avoided streams and transformations
 
-    def avoid(self, found: AdaptiveSubscription, name: str) -> None:
-        """``found`` uses a stream or transformation no more."""
-        found.avoided.add(name)
-        _put(self._avoiders, name, found.id)
+    def avoid(self, subscription: AdaptiveSubscription, name: str) -> None:
+        """Let ``subscription`` avoid a stream or transformation."""
+        subscription.avoided.add(name)
+        _put(self._avoiders, name, subscription.id)
 
-    def forgive(self, found: AdaptiveSubscription, name: str) -> None:
-        """It may use it again."""
-        found.avoided.discard(name)
-        _drop(self._avoiders, (name,), found.id)
+    def stop_avoiding(self, subscription: AdaptiveSubscription, name: str) -> None:
+        """Let ``subscription`` use it again."""
+        subscription.avoided.discard(name)
+        _drop(self._avoiders, (name,), subscription.id)
 
-    def admit(self, name: str) -> None:
-        """Nobody avoids a stream or transformation any longer."""
+    def stop_avoiding_all(self, name: str) -> None:
+        """Let all subscriptions use a stream or transformation again."""
         for id in self._avoiders.pop(name, ()):
             self._subscriptions[id].avoided.discard(name)
 
-    # -- what may be better, when it has been there for a while
+    # -- candidates for a better plan
 
     def candidates(self, name: str) -> tuple[AdaptiveSubscription, ...]:
-        """Those for whom a stream or transformation may be better."""
+        """The subscriptions for which a stream or transformation is a candidate."""
         return self._of(self._candidates, name)
 
-    def add_young(self, found: AdaptiveSubscription, name: str, now: int) -> None:
-        """It may be better for ``found``; it has been there since ``now`` (ns)."""
-        found.young[name] = now
-        _put(self._candidates, name, found.id)
+    def add_candidate(self, subscription: AdaptiveSubscription, name: str, now: int) -> None:
+        """Add a candidate for ``subscription`` that exists since ``now`` (ns)."""
+        subscription.candidates[name] = now
+        _put(self._candidates, name, subscription.id)
 
-    def drop_young(self, found: AdaptiveSubscription, name: str) -> None:
-        """It is no longer waited for."""
-        if found.young.pop(name, None) is not None:
-            _drop(self._candidates, (name,), found.id)
+    def drop_candidate_of(self, subscription: AdaptiveSubscription, name: str) -> None:
+        """Remove a candidate of ``subscription``."""
+        if subscription.candidates.pop(name, None) is not None:
+            _drop(self._candidates, (name,), subscription.id)
 
     def drop_candidate(self, name: str) -> None:
-        """What might have been better is gone: when it comes again that is anew."""
+        """Remove a candidate of all subscriptions; if it comes again its hold-off starts again."""
         for id in self._candidates.pop(name, ()):
-            del self._subscriptions[id].young[name]
+            del self._subscriptions[id].candidates[name]
 
 
-def others(
+def other_readers(
     stream: str, subscriptions: Iterable[AdaptiveSubscription], configuration: Configuration
 ) -> tuple[str, ...]:
-    """The names of the readers of a stream that serve somebody else, too. Cost: O(units)."""
-    merges = {found.unit for found in subscriptions}
+    """Return the names of a stream's readers that do not serve ``subscriptions`` only. Cost:
+    O(units)."""
+    merges = {subscription.unit for subscription in subscriptions}
     names = {unit.name for unit in merges}
     unsure = tuple(n for n in configuration.readers_of(stream) if n not in names)
     if not unsure:
@@ -159,8 +163,8 @@ def _put(index: _Index, key: str, id: str) -> None:
 
 def _drop(index: _Index, keys: Iterable[str], id: str) -> None:
     for key in keys:
-        known = index.get(key)
-        if known is not None:
-            known.pop(id, None)
-            if not known:
+        ids = index.get(key)
+        if ids is not None:
+            ids.pop(id, None)
+            if not ids:
                 del index[key]

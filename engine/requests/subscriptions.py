@@ -1,4 +1,4 @@
-"""Subscriptions to a stream under a policy, also into its past ([DyKnow10 Def. 4.8, 5.35])."""
+"""Subscriptions to streams under policies, history included ([DyKnow10 Def. 4.8, 5.35])."""
 
 from __future__ import annotations
 
@@ -30,20 +30,19 @@ class _Subscription:
 
 
 class Subscriptions:
-    """The subscriptions that run, to streams and to features. Equal ones to a stream share one
-    adapted stream.
-
-    A subscription without constraints is to the stream as it is.
+    """The running subscriptions to streams and to features. Equal subscriptions to a stream share
+    one adapted stream; one without constraints reads the stream itself.
     """
 
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
         self._rematching: Rematching
+        """Set by `rematch_with`: `Rematching` needs `adapt`, so it is created later."""
         self._subscriptions: dict[str, _Subscription | AdaptiveSubscription] = {}
         self._number = 0
 
     def rematch_with(self, rematching: Rematching) -> None:
-        """Who looks after the adaptive ones."""
+        """Set the owner of the adaptive subscriptions."""
         self._rematching = rematching
 
     def start(
@@ -55,58 +54,59 @@ class Subscriptions:
         *,
         keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe; ``policy`` is text as after ``with`` in KPL, integers in ``unit``. Unless it
-        is not ``keyed``, it holds for each object by itself where `policy_keys` says so.
+        """Subscribe to a stream.
 
-        With ``Since.START`` it begins with the kept history, as if it had always been there, and
-        with a `Moment` there. Raises `UnknownStream`, `LanguageError` and `Forgotten`.
+        ``policy`` is text as after ``with`` in KPL, with integers in ``unit``. ``keyed``: it
+        applies to each object separately, by the keys of `policy_keys`. With ``Since.START`` the
+        subscription begins with the kept history, with a `Moment` at that time. Raises
+        `UnknownStream`, `LanguageError` and `Forgotten`.
         """
         source = self._configuration.stream(stream)
         since = resolve_duration(since, [source.stream])
         parsed = parse_policy(policy, unit)
         check_retained(since, source.stream)
         keys = policy_keys(self._configuration, source) if keyed else ()
-        adapted = None if parsed.is_default else self._adapted(source, parsed, since, keys)
-        id = self._next_id()
-        self._subscriptions[id] = _Subscription(id, source, parsed, since, adapted)
+        unit_of_policy = (
+            None if parsed.is_default else self._obtain_for_user(source, parsed, since, keys)
+        )
+        self._number += 1
+        id = f"subscription{self._number}"
+        self._subscriptions[id] = _Subscription(id, source, parsed, since, unit_of_policy)
         return self.view(id)
 
     def start_adaptive(self, wish: Wish) -> SubscriptionView:
-        """Subscribe to a feature ([Introspection15 §4.4]); what cannot be met now waits."""
+        """Subscribe to a feature ([Introspection15 §4.4]); without a plan it waits for one."""
         id = f"subscription{self._number + 1}"
         self._subscriptions[id] = self._rematching.start(id, wish)
-        # What was refused leaves no number used: another version may not refuse it.
+        # A refused subscription uses no number: a replay by another version may not refuse it, and
+        # the numbers of later subscriptions must not depend on that.
         self._number += 1
         return self.view(id)
 
-    def adapted(self, source: StreamGenerator, wish: Wish) -> AdaptationUnit | None:
-        """What keeps the policy of a wish, if it has one."""
+    def adapt(self, source: StreamGenerator, wish: Wish) -> AdaptationUnit | None:
+        """Start the unit that applies the policy of a wish; None if it has no constraint."""
         policy = wish.policy
         if policy.is_default:
             return None
         keys = object_fields(1 + len(wish.want.others)) if wish.is_keyed else ()
-        return self._adapted(source, policy, Since.START, keys)
+        return self._obtain_for_user(source, policy, Since.START, keys)
 
     def rematches(self, id: str) -> Sequence[Rematch]:
-        """The switches of an adaptive subscription, oldest first; none of another."""
-        found = self._get(id)
-        return found.rematches if isinstance(found, AdaptiveSubscription) else ()
-
-    def _next_id(self) -> str:
-        self._number += 1
-        return f"subscription{self._number}"
+        """The switches of an adaptive subscription, oldest first; empty for another one."""
+        subscription = self._get(id)
+        return subscription.rematches if isinstance(subscription, AdaptiveSubscription) else ()
 
     @property
     def number(self) -> int:
-        """That of the latest subscription, whether it runs or not."""
+        """The number of the latest subscription, whether it runs or not."""
         return self._number
 
     def number_after(self, number: int) -> None:
-        """The next subscription has a number after this one, and after those there are."""
+        """Let the next subscription have a number greater than this one and the present ones."""
         self._number = max(self._number, number)
 
     def cancel(self, id: str) -> None:
-        """Give a subscription up; raises `UnknownRequest`."""
+        """Cancel a subscription. Raises `UnknownRequest`."""
         subscription = self._get(id)
         del self._subscriptions[id]
         if isinstance(subscription, AdaptiveSubscription):
@@ -117,73 +117,77 @@ class Subscriptions:
             self._configuration.release(unit)
 
     def __len__(self) -> int:
-        """How many subscriptions run."""
+        """The number of running subscriptions."""
         return len(self._subscriptions)
 
     def views(self) -> tuple[SubscriptionView, ...]:
-        """The subscriptions that run, oldest first."""
+        """The running subscriptions, oldest first."""
         return tuple(map(self.view, self.ids()))
 
     def ids(self) -> tuple[str, ...]:
-        """Those of the subscriptions that run, oldest first."""
+        """The ids of the running subscriptions, oldest first."""
         return tuple(self._subscriptions)
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
-        """The ids of the subscriptions whose samples come on a stream, which they read as it is
-        or which was made for them."""
+        """The ids of the subscriptions whose samples are those of ``stream``: they read it without
+        constraints, or it was unit for them."""
         return tuple(
-            id for id, found in self._subscriptions.items() if stream in _streams_of(found)
+            id
+            for id, subscription in self._subscriptions.items()
+            if stream in _streams_of(subscription)
         )
 
     def view(self, id: str) -> SubscriptionView:
-        """One subscription; raises `UnknownRequest`."""
-        found = self._get(id)
-        if isinstance(found, AdaptiveSubscription):
+        """The view of a subscription. Raises `UnknownRequest`."""
+        subscription = self._get(id)
+        if isinstance(subscription, AdaptiveSubscription):
             return replace(
-                _adaptive_view(found), failure=self._configuration.failure_of(found.unit)
+                _adaptive_view(subscription),
+                failure=self._configuration.failure_of(subscription.unit),
             )
-        unit = found.unit
+        unit = subscription.unit
         counters: dict[str, object] = {}
         violations = None
         if unit is not None:
             counters = counts_of(unit)
             violations = None if unit.violations is None else unit.violations.name
-        last = unit or self._configuration.units.get(found.source.name)
+        last = unit or self._configuration.units.get(subscription.source.name)
         return SubscriptionView(
             id=id,
-            source=found.source.name,
-            policy=format_policy(found.policy),
-            since=str(found.since),
-            stream=found.source.name if unit is None else unit.output.name,
+            source=subscription.source.name,
+            policy=format_policy(subscription.policy),
+            since=str(subscription.since),
+            stream=subscription.source.name if unit is None else unit.output.name,
             counters=counters,
             violations=violations,
             failure=None if last is None else self._configuration.failure_of(last),
         )
 
     def _get(self, id: str) -> _Subscription | AdaptiveSubscription:
-        found = self._subscriptions.get(id)
-        if found is None:
+        subscription = self._subscriptions.get(id)
+        if subscription is None:
             raise UnknownRequest(
                 f"there is no subscription {id!r}", "GET /subscriptions lists those that run"
             )
-        return found
+        return subscription
 
-    def _adapted(
+    def _obtain_for_user(
         self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
     ) -> AdaptationUnit:
-        """The unit that keeps a policy, shared, with one user more."""
-        made = self.obtain(source, policy, since, keys)
-        made.users += 1
-        return made
+        """Return the unit that applies a policy, shared, and add a user to it."""
+        unit = self.obtain(source, policy, since, keys)
+        unit.users += 1
+        return unit
 
     def obtain(
         self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
     ) -> AdaptationUnit:
-        """The unit that keeps a policy, found or built; its user is still to be counted."""
+        """Return the unit that applies a policy, and start it if needed. The caller adds the
+        user."""
         key = (source, policy, tuple(keys), since)
-        made = self._configuration.share(key, lambda: self._build(source, policy, since, keys))
-        assert isinstance(made, AdaptationUnit)
-        return made
+        unit = self._configuration.share(key, lambda: self._build(source, policy, since, keys))
+        assert isinstance(unit, AdaptationUnit)
+        return unit
 
     def _build(
         self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
@@ -208,33 +212,35 @@ class Subscriptions:
         return unit
 
 
-def _streams_of(found: _Subscription | AdaptiveSubscription) -> tuple[str, ...]:
-    if isinstance(found, AdaptiveSubscription):
-        return found.unit.output.name, found.output.name
-    return (found.source.name if found.unit is None else found.unit.output.name,)
+def _streams_of(subscription: _Subscription | AdaptiveSubscription) -> tuple[str, ...]:
+    if isinstance(subscription, AdaptiveSubscription):
+        return subscription.unit.output.name, subscription.output.name
+    return (
+        subscription.source.name if subscription.unit is None else subscription.unit.output.name,
+    )
 
 
-def _adaptive_view(found: AdaptiveSubscription) -> SubscriptionView:
-    wish, adapted = found.wish, found.adapted
+def _adaptive_view(subscription: AdaptiveSubscription) -> SubscriptionView:
+    wish, adapted = subscription.wish, subscription.adaptation
     violations = None if adapted is None or adapted.violations is None else adapted.violations.name
     return SubscriptionView(
-        id=found.id,
-        source=found.unit.output.name,
+        id=subscription.id,
+        source=subscription.unit.output.name,
         policy=format_policy(wish.policy),
         since=str(wish.since),
-        stream=found.output.name,
+        stream=subscription.output.name,
         counters={} if adapted is None else counts_of(adapted),
         violations=violations,
         adaptive=AdaptiveView(
             want=str(wish.want),
             strategy=wish.strategy,
-            state=str(found.state),
-            failure=found.unit.failure,
-            reads=found.leaves,
-            missing=found.missing,
+            state=str(subscription.state),
+            failure=subscription.unit.failure,
+            reads=subscription.source_names,
+            missing=subscription.missing,
             staleness=wish.staleness,
             quality=wish.quality,
             hold_off=wish.hold_off,
-            rematches=len(found.rematches),
+            rematches=len(subscription.rematches),
         ),
     )

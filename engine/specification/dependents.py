@@ -1,7 +1,5 @@
-"""Which units stop when insertions are given up, and who needs one that must not stop
-([Introspection15 §3.2]).
-
-Nothing is changed here: `apply` asks before it acts.
+"""Determines the units that stop when insertions are removed, and the users of a unit
+([Introspection15 §3.2]). `specifications` calls this before it changes anything.
 """
 
 from __future__ import annotations
@@ -14,41 +12,41 @@ from ..units.base import ComputationalUnit
 from ..units.violations import SUFFIX
 
 Users = Callable[[str, str], tuple[str, ...]]
-"""Who uses a unit (its name) and its stream by name: requests, subscriptions, KPL."""
+"""Returns the users of a unit (its name) and of its stream: requests, subscriptions, KPL."""
 
 
-def leaving(
+def stopping_units(
     configuration: Configuration,
-    given_up: Mapping[ComputationalUnit, int],
+    losing: Mapping[ComputationalUnit, int],
     kept: Collection[ComputationalUnit],
 ) -> tuple[ComputationalUnit, ...]:
-    """The units that stop, readers first, if ``given_up`` have so many users less and nothing
-    stops that is ``kept``. Cost: O(units that stop and their inputs)."""
-    lost = Counter(dict(given_up))
-    gone: dict[ComputationalUnit, None] = {}
-    todo = list(given_up)
+    """Return the units that stop, readers first, when the units in ``losing`` lose that number of
+    users; those in ``kept`` do not stop. Cost: O(units that stop and their inputs)."""
+    lost = Counter(dict(losing))
+    stopping: dict[ComputationalUnit, None] = {}
+    todo = list(losing)
     while todo:
         unit = todo.pop()
-        if unit in gone or unit in kept or unit.users > lost[unit]:
+        if unit in stopping or unit in kept or unit.users > lost[unit]:
             continue
-        gone[unit] = None
+        stopping[unit] = None
         for source in unit.inputs:
             producer = configuration.units.get(source.name)
             if producer is not None and producer.output is source:
                 lost[producer] += 1
                 todo.append(producer)
-    return tuple(gone)
+    return tuple(stopping)
 
 
-def needing(
+def remaining_users(
     configuration: Configuration,
     unit: ComputationalUnit,
-    gone: Collection[ComputationalUnit],
+    stopping: Collection[ComputationalUnit],
     users: Users,
     inserted: Callable[[ComputationalUnit], Iterable[str]],
 ) -> tuple[str, ...]:
-    """Who needs ``unit`` when ``gone`` have stopped: ``users`` of it and of what is made from it,
-    and insertions (``inserted``, by unit); else the units that read it."""
+    """Return the names of the users of ``unit`` after ``stopping`` have stopped: ``users`` and
+    insertions (``inserted``) of it and of its readers; without any, the units that read it."""
     named: dict[str, None] = {}
     anonymous: dict[str, None] = {}
     seen = {unit}
@@ -58,7 +56,7 @@ def needing(
         found = (*users(last.name, last.output.name), *inserted(last))
         named.update(dict.fromkeys(found))
         for reader in configuration.units.values():
-            if last.output in reader.sources and reader not in seen and reader not in gone:
+            if last.output in reader.sources and reader not in seen and reader not in stopping:
                 seen.add(reader)
                 todo.append(reader)
                 if last is unit:
@@ -69,13 +67,13 @@ def needing(
     return tuple(named or anonymous)
 
 
-def used_by_name(
+def uncounted_users(
     configuration: Configuration, unit: ComputationalUnit, users: Users
 ) -> tuple[str, ...]:
-    """Who uses the stream of a unit without being counted: subscriptions to it as it is, readers
-    of what its policy refused and of what came too late."""
-    told = (unit.output.name + SUFFIX, *configuration.late.belonging_to(unit.output.name))
-    there = (name for name in told if name in configuration.streams)
+    """Return the users that `ComputationalUnit.users` does not count: subscriptions to the stream
+    itself, and readers of its violations and late samples."""
+    names = (unit.output.name + SUFFIX, *configuration.late.belonging_to(unit.output.name))
+    there = (name for name in names if name in configuration.streams)
     readers = (reader for name in there for reader in configuration.readers_of(name))
-    using = (user for name in told for user in users("", name))
+    using = (user for name in names for user in users("", name))
     return (*users("", unit.output.name), *using, *readers)

@@ -1,4 +1,4 @@
-"""A plan of semantic matching as the specification in XML that would make it
+"""Writes a plan of semantic matching as a specification in XML
 ([Introspection15 §4.3]: the result of matching is a specification)."""
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from ...rdf.namespaces import shorten
 from ..catalog.transformation_library import Transformation
 from ..configuration.configuration import SELECT_OBJECT, SYNCHRONIZE
 from ..planning.unit_shapes import Parameters, Shape, Shapes, is_implied
-from .serialize import Writer
+from .writer import Writer
 
 
 def plan_text(supply: Supply, transformations: Mapping[str, Transformation]) -> str | None:
-    """The specification whose insertions are the units of a plan; without any where the plan only
-    reads streams that there are. None where an event template is part of the plan: a specification
-    makes no continuous query.
+    """Write the units of a plan as a specification; without insertions if the plan only reads
+    existing streams. None for a plan with an event template: a specification makes no continuous
+    query.
 
-    Law: where it is applied, the same plan starts no further unit.
+    Law: after it was applied, the same plan starts no further unit.
     """
     shapes = _PlanShapes(transformations)
     tops = [shapes.of(source.node) for source in supply.sources]
     if shapes.has_query:
         return None
-    made = [(shape, None) for shape in dict.fromkeys(tops) if isinstance(shape, Shape)]
-    # A name of the system only ties the units of a text together.
-    elements = Writer({}, lambda shape: f"dyknow_reserved{shape.number}").write(made)
+    insertions = [(shape, None) for shape in dict.fromkeys(tops) if isinstance(shape, Shape)]
+    # A reserved name is a reference within the text only.
+    elements = Writer({}, lambda shape: f"dyknow_reserved{shape.number}").write(insertions)
     return format_specification(Specification(elements, (), ""))
 
 
@@ -50,37 +50,41 @@ class _PlanShapes:
         self.has_query = False
 
     def of(self, node: Node) -> Shape | str:
-        """The shape of a node, or the name of a stream that there is."""
+        """Return the shape of a node, or the name of an existing stream."""
         match node:
             case UseStream(stream):
                 return stream
             case SelectObject(source, field, object):
-                given = (("field", field), ("object", shorten(object)))
-                return self._over(SELECT_OBJECT, given, (source,))
+                parameters = (("field", field), ("object", shorten(object)))
+                return self._shape_over(SELECT_OBJECT, parameters, (source,))
             case Synchronize(inputs):
-                return self._over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
+                return self._shape_over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
             case Compute():
-                return self._over(node.transformation, node.parameters, self._inputs(node))
+                return self._shape_over(node.transformation, node.parameters, self._inputs(node))
             case Detect():
                 self.has_query = True
                 return ""
             case _:
                 assert_never(node)
 
-    def _over(self, type: str, parameters: Parameters, inputs: tuple[Node, ...]) -> Shape:
+    def _shape_over(self, type: str, parameters: Parameters, inputs: tuple[Node, ...]) -> Shape:
         return self._shapes.of(type, parameters, tuple(map(self.of, inputs)))
 
     def _inputs(self, node: Compute) -> tuple[Node, ...]:
-        """What feeds the inputs of a unit; those that are synchronized as a matter of course."""
+        """Return the input nodes of a unit; those behind an implied synchronization, if any."""
         edges = tuple(edge.node for edge in node.inputs)
-        known = self._transformations.get(node.transformation)
-        if known is None or not isinstance(known.annotation, TransformationAnnotation):
+        transformation = self._transformations.get(node.transformation)
+        if transformation is None or not isinstance(
+            transformation.annotation, TransformationAnnotation
+        ):
             return edges
-        fields = [port.field for port in known.annotation.inputs]
+        fields = [port.field for port in transformation.annotation.inputs]
         if not node.inputs or not is_implied(node.inputs[0], fields):
             return edges
-        together = node.inputs[0].node
-        assert isinstance(together, Synchronize)
-        feeding = {port.target_field: edge.node for edge in together.inputs for port in edge.ports}
+        synchronize = node.inputs[0].node
+        assert isinstance(synchronize, Synchronize)
+        feeding = {
+            port.target_field: edge.node for edge in synchronize.inputs for port in edge.ports
+        }
         read = {port.target_field: port.source_field for port in node.inputs[0].ports}
         return tuple(feeding[read[field]] for field in fields)

@@ -24,10 +24,10 @@ from typing import Any, Protocol
 import anyio
 import anyio.to_thread
 
-from ...engine.durability.accepted_commands import Waiting
+from ...engine.durability.accepted_commands import WaitingCommand
 from ...engine.durability.checkpoint import CheckpointError
-from ...engine.durability.commands import Command, ReadAlready, TellUnkept, done
-from ...engine.durability.durable_engine import DiskUse, RecordedEngine, Unwritten
+from ...engine.durability.commands import Command, ParsedBody, ReportUnkept, execute
+from ...engine.durability.durable_engine import DiskUse, PendingCheckpoint, RecordedEngine
 from ...engine.durability.process_state import Unkept
 from ...engine.engine import Engine
 from ...journal.errors import JournalError
@@ -120,11 +120,11 @@ class CommandQueue:
         recorded = self._recorded
         return recorded is None or recorded.log.durable == recorded.log.position
 
-    def deferred(self) -> tuple[Waiting, ...]:
+    def deferred(self) -> tuple[WaitingCommand, ...]:
         """Return accepted commands of earlier runs that cannot be executed now, oldest first."""
         return () if self._recorded is None else self._recorded.waiting()
 
-    def deferred_by_name(self, kind: str) -> dict[str, Waiting]:
+    def deferred_by_name(self, kind: str) -> dict[str, WaitingCommand]:
         """Return the deferred commands of one kind, by the id or name that removes them."""
         return {each.key.name: each for each in self.deferred() if each.key.kind == kind}
 
@@ -132,7 +132,7 @@ class CommandQueue:
         """Release ``output`` with each commit."""
         self._output = output
 
-    def do(self, command: Command, prepared: ReadAlready | None = None) -> Any:
+    def do(self, command: Command, prepared: ParsedBody | None = None) -> Any:
         """Execute ``command`` (`RecordedEngine.do`), and close windows that it makes due for a
         moment."""
         self._backlog.before(command)
@@ -140,9 +140,9 @@ class CommandQueue:
         self._backlog.after_command()
         return result
 
-    def _execute(self, command: Command, prepared: ReadAlready | None) -> Any:
+    def _execute(self, command: Command, prepared: ParsedBody | None) -> Any:
         if self._recorded is None:
-            return done(self._engine, command, prepared)
+            return execute(self._engine, command, prepared)
         with self._recording():
             return self._recorded.do(command, prepared)
 
@@ -344,14 +344,14 @@ class CommandQueue:
         self._recover(CHECKPOINT)
         for process in set(unsaved) - self._unsaved:
             await self.windows_closed()
-            self.do(TellUnkept(process.process, process.reason))
+            self.do(ReportUnkept(process.process, process.reason))
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
             )
         # Replaced, not extended: a process may give another reason each time.
         self._unsaved = set(unsaved)
 
-    async def _write_checkpoint(self, unwritten: Unwritten) -> tuple[Unkept, ...]:
+    async def _write_checkpoint(self, unwritten: PendingCheckpoint) -> tuple[Unkept, ...]:
         """Write a checkpoint, and activate it once the log is durable. On failure, delete it."""
         loop = asyncio.get_running_loop()
         try:

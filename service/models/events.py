@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, StringConstraints
 
-from ...engine.durability.accepted_commands import Waiting
+from ...engine.durability.accepted_commands import WaitingCommand
 from ...engine.durability.commands import RequestEvent
 from ...engine.model import views
 from .parts import Body, Name, Since, Strategy
@@ -109,7 +109,7 @@ class EventModel(BaseModel):
     empty: str | None = Field(None, description="why the stream has no sample yet")
 
     @classmethod
-    def waiting(cls, waiting: Waiting) -> EventModel:
+    def waiting(cls, waiting: WaitingCommand) -> EventModel:
         """Return the model of a waiting request."""
         command = waiting.command
         assert isinstance(command, RequestEvent)

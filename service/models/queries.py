@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
-from ...engine.durability.accepted_commands import Waiting, query_view
+from ...engine.durability.accepted_commands import WaitingCommand, query_view
 from ...engine.model import views
 from .events import PlanModel
 from .parts import iso
@@ -70,7 +70,7 @@ class QueryModel(BaseModel):
     explanation: str | None = Field(None, description="each stage, if requested")
 
     @classmethod
-    def waiting(cls, waiting: Waiting, epoch: str) -> QueryModel:
+    def waiting(cls, waiting: WaitingCommand, epoch: str) -> QueryModel:
         """Return the model of a waiting query. If its text is no longer valid, some members are
         empty."""
         return cls.of(query_view(waiting), epoch)

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from ...engine.durability.accepted_commands import Waiting
+from ...engine.durability.accepted_commands import WaitingCommand
 from ...engine.durability.commands import Subscribe, SubscribeToFeature
 from ...engine.model import views
 from ...engine.requests.adaptive_subscription import Rematch
@@ -121,7 +121,7 @@ class SubscriptionModel(BaseModel):
     adaptive: AdaptiveModel | None = Field(description="only for a subscription to a feature")
 
     @classmethod
-    def waiting(cls, waiting: Waiting) -> SubscriptionModel:
+    def waiting(cls, waiting: WaitingCommand) -> SubscriptionModel:
         """Return the model of a waiting subscription."""
         command = waiting.command
         assert isinstance(command, Subscribe | SubscribeToFeature)

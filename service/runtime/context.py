@@ -14,8 +14,8 @@ from ...engine.durability.commands import (
     ANYTIME,
     Command,
     EndStream,
+    ParsedBody,
     Publish,
-    ReadAlready,
     Tick,
 )
 from ...engine.engine import Engine
@@ -111,7 +111,7 @@ class Service:
         self.bodies.close()
         self.feeds.close()
 
-    async def do(self, command: Command, known: ReadAlready | None = None) -> Any:
+    async def do(self, command: Command, known: ParsedBody | None = None) -> Any:
         """Execute ``command``, and return its result when the log has kept it. After a batch, wait
         a limited time for the units that read the stream (back-pressure)."""
         if not isinstance(command, ANYTIME):

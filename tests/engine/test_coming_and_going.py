@@ -122,7 +122,7 @@ def test_what_comes_and_goes_leaves_nothing(
 ) -> None:
     # What is kept of what was is kept of the last: of few, so that these have come soon.
     monkeypatch.setattr(replicas, "MOST", 100)
-    monkeypatch.setattr(configuration, "_REMEMBERED", 10)
+    monkeypatch.setattr(configuration, "_MOST_REMOVED", 10)
     monkeypatch.setattr(parts, "RETENTION", Retention(samples=20))
     monkeypatch.setattr(history, "_TEXTS", 20)
     recorded = RecordedEngine(tmp_path, now=0)

@@ -281,7 +281,7 @@ def test_what_comes_and_goes_leaves_nothing(
 ) -> None:
     # What is kept of what was is kept of the last: of few, so that these have come soon.
     monkeypatch.setattr(replicas, "MOST", 0)
-    monkeypatch.setattr(configuration, "_REMEMBERED", 10)
+    monkeypatch.setattr(configuration, "_MOST_REMOVED", 10)
     monkeypatch.setattr(configuration, "RETENTION", Retention(samples=20))
     monkeypatch.setattr(ingest, "_KEYS_KEPT", 10)
     monkeypatch.setattr(history, "_TEXTS", 10)

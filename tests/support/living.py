@@ -14,7 +14,7 @@ from random import Random
 
 from commanding import REFUSALS, life, state
 
-from dyknow.engine.durability.commands import done
+from dyknow.engine.durability.commands import execute
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 
@@ -30,7 +30,7 @@ def main(folder: str, seed: str, first: str, last: str) -> None:
     for command in commands[int(first) : stop]:
         try:
             if recorded is None:
-                done(engine, command)
+                execute(engine, command)
             else:
                 recorded.do(command)
         except REFUSALS:

@@ -13,7 +13,7 @@ import msgspec
 import typer
 
 from ....engine.durability.checkpoint import program
-from ....engine.durability.commands import Begin, read
+from ....engine.durability.commands import Begin, decode_command
 from ....engine.processes.loading import load_processes
 from ....engine.processes.registry import PROCESSES
 from ....journal.directory import format_of, lacks_format, locked
@@ -157,7 +157,7 @@ def _inspected(
 
 
 def _begun_by(data: bytes) -> str | None:
-    first = read(data)
+    first = decode_command(data)
     return first.program if isinstance(first, Begin) else None
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from ....engine.durability.commands import Begin, read
-from ....engine.durability.missing_processes import missing, told
+from ....engine.durability.commands import Begin, decode_command
+from ....engine.durability.missing_processes import missing_message, missing_processes
 from ....engine.durability.portable_state import PortableHead
 from ....engine.processes.registry import PROCESSES, Processes
 from ....journal.checkpoints import read_checkpoint
@@ -38,9 +38,9 @@ def found_processes(found: Inspection, *, modules_are_known: bool) -> list[str]:
     logs = [each.path.read_bytes() for each in found.log.scans if head.processes]
     there = PROCESSES if modules_are_known else Processes()
     lines = []
-    for name, module in sorted(missing(head.processes, there, [quads, *logs]).items()):
+    for name, module in sorted(missing_processes(head.processes, there, [quads, *logs]).items()):
         if modules_are_known:
-            lines.append(f"missing: {told(name, module)}")
+            lines.append(f"missing: {missing_message(name, module)}")
         else:
             lines.append(f"a start needs the user-written process {name!r} of module {module!r}")
     for each in head.unkept:
@@ -59,5 +59,5 @@ def _begin(found: Inspection) -> Begin | None:
         return None
     data = Path(found.log.scans[0].path).read_bytes()
     record = next(walk(data, 1))
-    first = read(data[record.begin : record.begin + record.length])
+    first = decode_command(data[record.begin : record.begin + record.length])
     return first if isinstance(first, Begin) else None

@@ -49,7 +49,7 @@ from dyknow.engine.durability.commands import (
     SubscribeToFeature,
     Tick,
     Unsubscribe,
-    read,
+    decode_command,
 )
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.durability.portable_state import Portable, engine_from
@@ -128,7 +128,7 @@ def test_a_stream_that_is_asked_for_is_there_again(tmp_path):
     first = opened(tmp_path)
     declare(first, "s")
     first.engine.stream("s_late")
-    assert read(_last(first)) == OpenStream("s_late")
+    assert decode_command(_last(first)) == OpenStream("s_late")
     cut_off(first)
     again = opened(tmp_path)
     assert "s_late" in [view.name for view in again.engine.streams()]
@@ -230,7 +230,7 @@ def test_after_an_error_within_a_command_there_is_no_checkpoint(tmp_path, monkey
     monkeypatch.setattr(first.engine, "set_quality", lambda *given: {}["none"])
     with pytest.raises(KeyError):
         first.do(SetQuality("s", 0.5))
-    with pytest.raises(CheckpointError, match="not to be trusted"):
+    with pytest.raises(CheckpointError, match="undefined since an error"):
         first.checkpoint()
     cut_off(first)
     again = opened(tmp_path)
@@ -895,7 +895,7 @@ def test_what_another_program_did_after_a_checkpoint_of_this_one_begins_anew(tmp
     first.checkpoint().write()
     cut_off(first)
     monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
-    monkeypatch.setattr(RecordedEngine, "_settle_down", lambda self: None)
+    monkeypatch.setattr(RecordedEngine, "_write_first_checkpoint", lambda self: None)
     later = opened(tmp_path)
     say(later, 1, 9)
     cut_off(later)
@@ -965,7 +965,7 @@ def test_a_stream_whose_fields_are_others_now_says_what_is_not_taken_over(tmp_pa
     later = opened(tmp_path)
     (note,) = [note for note in later.recovery.notes if "other fields" in note]
     assert "s has other fields" in note
-    assert "of its 4 samples v (float) is not taken over" in note
+    assert "of its 4 samples v (float) was not restored" in note
     assert "w (string)" in note
     told = [value["specification"] for *_, value in rows(later.engine, "status")]
     assert note in told

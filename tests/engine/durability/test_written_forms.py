@@ -60,7 +60,7 @@ EXAMPLES = [
     c.Publish("s5", "ndjson", b'{"valid": 1, "spd": 31.5}\n', 5, "key"),
     c.Publish("s5", "arrow", b"\x00\xff", 6),
     c.EndStream("s5"),
-    c.Refused(c.written(c.EndStream("nowhere"))),
+    c.Refused(c.encode_command(c.EndStream("nowhere"))),
     c.DeclareStream(
         StreamDeclaration(
             "s5",
@@ -104,7 +104,7 @@ EXAMPLES = [
     ),
     c.Unsubscribe("subscription1"),
     c.RegisterQuery("REGISTER QUERY …", "set", "[)", 7, "close", "quality", Since.START),
-    c.HearOfSinks(
+    c.ReportSinkFailures(
         (
             Outcome("cu7", (Failed(5, "OSError: nobody is there", "it stops", "on_error"),), 1),
             Outcome("cu8"),
@@ -126,7 +126,7 @@ EXAMPLES = [
     c.RemoveTransformation("t"),
     c.Begin("3f2a91c1", 0, "dyknow 0.1.0, Python 3.11.7, 0123", {"Smooth": "my_units"}),
     c.Begin("3f2a91c2", 0, "dyknow 0.2.0, Python 3.11.7, 0123", rules=INSTANTS),
-    c.TellUnkept("Smooth", "self.lock is a lock and cannot be pickled (…)"),
+    c.ReportUnkept("Smooth", "self.lock is a lock and cannot be pickled (…)"),
     c.Tick(8, (Reading("pos", 7, error="UnitBlocked: it did not come back", is_blocked=True),)),
 ]
 PORTABLE = Portable(
@@ -150,7 +150,7 @@ PORTABLE = Portable(
     ],
     [c.RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", strategy="cost")],
 )
-PAYLOADS = [c.written(EXAMPLES[i]) for i in (0, 1, 3)]
+PAYLOADS = [c.encode_command(EXAMPLES[i]) for i in (0, 1, 3)]
 
 
 def test_every_command_is_among_the_examples():
@@ -175,9 +175,9 @@ def _lines():
         known = COMMANDS.read_text() if COMMANDS.exists() else ""
         there = {json.loads(line)["bytes"] for line in known.splitlines()}
         for each in EXAMPLES:
-            if c.written(each).hex() not in there:
+            if c.encode_command(each).hex() not in there:
                 told = msgspec.to_builtins(each, builtin_types=(bytes,))
-                line = {"bytes": c.written(each).hex(), "is": _plain(told)}
+                line = {"bytes": c.encode_command(each).hex(), "is": _plain(told)}
                 known += json.dumps(line, ensure_ascii=False) + "\n"
         COMMANDS.write_text(known)
     return [json.loads(line) for line in COMMANDS.read_text().splitlines()]
@@ -208,13 +208,13 @@ def _without_later(told, was):
 def test_commands_that_were_written_are_read_as_what_they_were():
     lines = _lines()
     for line in lines:
-        command = c.read(bytes.fromhex(line["bytes"]))
+        command = c.decode_command(bytes.fromhex(line["bytes"]))
         told = _plain(msgspec.to_builtins(command, builtin_types=(bytes,)))
         # Members that came later have their defaults, which are told in arrays and dataclasses.
         assert _without_later(told, line["is"]) == line["is"]
     there = {line["bytes"] for line in lines}
-    assert {c.written(each).hex() for each in EXAMPLES} <= there
-    found = [c.read(bytes.fromhex(line["bytes"])) for line in lines]
+    assert {c.encode_command(each).hex() for each in EXAMPLES} <= there
+    found = [c.decode_command(bytes.fromhex(line["bytes"])) for line in lines]
     assert all(each in found for each in EXAMPLES)
 
 
@@ -246,6 +246,6 @@ def test_a_checkpoint_that_was_written_is_read():
 
 def test_a_command_of_a_later_version_is_told():
     with pytest.raises(msgspec.DecodeError):
-        c.read(msgspec.msgpack.encode({"do": "what nobody knows"}))
+        c.decode_command(msgspec.msgpack.encode({"do": "what nobody knows"}))
     with pytest.raises(msgspec.DecodeError):
-        c.read(msgspec.msgpack.encode({"do": "tick", "now": 1, "more": 2}))
+        c.decode_command(msgspec.msgpack.encode({"do": "tick", "now": 1, "more": 2}))

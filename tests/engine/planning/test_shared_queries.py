@@ -24,7 +24,7 @@ WINDOW = "[RANGE 5s STEP 1s]"
 @pytest.fixture
 def flying(engine, monkeypatch):
     """An engine in which queries share from the third one on."""
-    monkeypatch.setattr(query_sharing, "ALIKE", 3)
+    monkeypatch.setattr(query_sharing, "MIN_SHARED", 3)
     engine.annotate(SSL)
     return engine
 
@@ -110,7 +110,7 @@ def test_what_is_shared_is_explained(flying):
         "Aggregate by (?o)",
     ):
         assert words in told
-    assert "by itself: it came before there were 3 that differ" in flying.explain_running("q0")
+    assert "by itself: fewer than 3 queries of its form" in flying.explain_running("q0")
 
 
 def test_constants_on_which_all_agree_stay_in_the_plan(flying):
@@ -159,7 +159,7 @@ def test_what_would_cost_more_than_it_saves_is_not_shared(flying):
     ]
     made = [shares(flying, text) for text in texts]
     told = flying.queries.explain_running("q3")
-    found = re.search(r"by itself: together they are likely to cost what (\d+) cost", told)
+    found = re.search(r"by itself: sharing is estimated to cost as much as (\d+) separate", told)
     least = int(found[1])
     assert 4 < least < 20
     assert made == [i >= least - 1 for i in range(20)]
@@ -188,13 +188,13 @@ def test_queries_whose_streams_are_found_share_too(flying):
 @pytest.mark.parametrize(
     ("text", "how", "why"),
     [
-        (fast("other", 90), {"semantics": "set"}, "before there were 3"),
-        (fast("other", 90), {"origin": 1}, "before there were 3"),
+        (fast("other", 90), {"semantics": "set"}, "fewer than 3"),
+        (fast("other", 90), {"origin": 1}, "fewer than 3"),
         (fast("other", 90), {"report": "close"}, "depends on when it began"),
-        (fast("other", 90), {"since": Since.START}, "begins with the past"),
-        (fast("other", 90).replace("5s", "6s"), {}, "before there were 3"),
-        (fast("other", 90).replace("a dyknow:UAV", "a dyknow:RMAX"), {}, "before there were 3"),
-        (fast("other", 90).replace("AVG", "MAX"), {}, "before there were 3"),
+        (fast("other", 90), {"since": Since.START}, "begins with the history"),
+        (fast("other", 90).replace("5s", "6s"), {}, "fewer than 3"),
+        (fast("other", 90).replace("a dyknow:UAV", "a dyknow:RMAX"), {}, "fewer than 3"),
+        (fast("other", 90).replace("AVG", "MAX"), {}, "fewer than 3"),
         (fast("other", 90).replace("RANGE 5s STEP 1s", "TRIPLES 5"), {}, "depends on when"),
         (fast("other", 90).replace("speed ?mean", "speed ?mean ; dyknow:at []"), {}, "blank"),
         (fast("other", "90 + RAND()"), {}, "another value each time"),
@@ -315,7 +315,7 @@ def test_who_comes_when_all_windows_have_closed_waits_for_what_is_in_time(flying
     assert [flying.queries.view(f"q{i}").state for i in range(3)] == ["ended"] * 3
     assert not shares(flying, fast("q3", 100))
     told = flying.queries.explain_running("q3")
-    assert "by itself: others have closed windows for which its streams are in time" in told
+    assert "by itself: the shared windows have closed further than its streams are" in told
     fly(flying, 9, since=3, uav1=130)
     assert len(samples(flying, "q3")) == 8
     assert flying.queries.view("q2").state == "running"
@@ -323,7 +323,7 @@ def test_who_comes_when_all_windows_have_closed_waits_for_what_is_in_time(flying
 
 
 def test_late_samples_are_told_for_each(engine, monkeypatch):
-    monkeypatch.setattr(query_sharing, "ALIKE", 1)
+    monkeypatch.setattr(query_sharing, "MIN_SHARED", 1)
     fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
     for name, idle in (("slow", 5 * SECOND), ("quick", None)):
         engine.declare(StreamDeclaration(name, fields, idle=idle))
@@ -365,7 +365,7 @@ def test_late_samples_are_told_for_each(engine, monkeypatch):
 
 
 def test_they_share_again_after_a_restart(tmp_path, monkeypatch):
-    monkeypatch.setattr(query_sharing, "ALIKE", 2)
+    monkeypatch.setattr(query_sharing, "MIN_SHARED", 2)
     first = Engine(tmp_path)
     first.annotate(SSL)
     register(first, 100, 110, 120)

@@ -23,7 +23,7 @@ from dyknow.engine.model.errors import (
     UnknownStream,
 )
 from dyknow.engine.model.views import Since, StreamDeclaration
-from dyknow.engine.planning.registrations import Asked
+from dyknow.engine.planning.registrations import Submission
 from dyknow.languages.csparql import parse_query
 from dyknow.languages.csparql.ast import CountWindow, Dialect, StreamOperator
 from dyknow.languages.errors import LanguageError
@@ -503,7 +503,7 @@ def test_windows_with_names_and_graphs_with_names(flying):
         dialect=Dialect.RSP_QL,
         operator=StreamOperator.ISTREAM,
     )
-    view = flying.queries.start(query, Asked(text, Options("set"), "fast", Since.NOW))
+    view = flying.queries.start(query, Submission(text, Options("set"), "fast", Since.NOW))
     assert (view.dialect, view.reads) == ("RSP-QL", ("s5",))
     rows = [(s, {"id": "uav1", "spd": float(s), "alt": None}) for s in (1, 2, 3)]
     play(flying, rows)
@@ -591,7 +591,7 @@ def test_an_iri_is_called_by_its_local_name(flying):
 
 def test_a_query_without_a_name_gets_a_reserved_one(flying):
     query = replace(parse_query(FAST), name="")
-    asked = Asked(FAST, Options(), "fast", Since.NOW)
+    asked = Submission(FAST, Options(), "fast", Since.NOW)
     view = flying.queries.start(query, asked)
     assert view.stream == view.name == "dyknow_reserved1"
     assert flying.queries.start(query, asked).users == 2
@@ -684,7 +684,7 @@ def test_a_query_that_cannot_be_evaluated_is_told_so_beforehand(flying, monkeypa
         raise ValueError("these do not go together")
 
     monkeypatch.setattr("dyknow.engine.planning.query_units.ContinuousEvaluator", refuses)
-    monkeypatch.setattr("dyknow.engine.planning.explain.ContinuousEvaluator", refuses)
+    monkeypatch.setattr("dyknow.engine.planning.explanations.ContinuousEvaluator", refuses)
     for ask in (flying.queries.register, flying.queries.explain):
         with pytest.raises(BadArguments, match="go together"):
             ask(FAST)

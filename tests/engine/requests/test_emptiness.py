@@ -45,7 +45,7 @@ def fly(engine, speed=10.0, id="uav1", seconds=20):
             SPEED + " OPTIONAL { ?o dyknow:altitude ?a } FILTER (?a > 1)",
             "no stream that it reads is annotated with dyknow:altitude",
         ),
-        (SPEED + " FILTER (?v > 100)", "windows fulfilled the query's conditions"),
+        (SPEED + " FILTER (?v > 100)", "windows satisfied the query's conditions"),
     ],
 )
 def test_what_is_lacking(flying, where, said):
@@ -61,8 +61,7 @@ def test_no_triples(flying):
     name = registered(flying, SPEED)
     fly(flying, speed=None)
     assert flying.queries.view(name).empty == (
-        "20 samples read, 0 triples: no sample had an object that the annotation speaks of, and "
-        "a value"
+        "20 samples read, 0 triples: no sample had both an annotated object and a value"
     )
 
 
@@ -78,7 +77,7 @@ def test_nothing_is_said_of_what_has_given_something(flying, high_speed):
     id = flying.request_event(flying.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")).id
     fly(flying)
     assert flying.queries.view(name).empty is None
-    assert "windows fulfilled" in flying.event(id).empty
+    assert "windows satisfied" in flying.event(id).empty
 
 
 def test_what_a_policy_dropped(flying):

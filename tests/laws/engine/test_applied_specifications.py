@@ -175,7 +175,7 @@ def test_what_is_removed_leaves_nothing_behind(given):
     # But for what was told.
     assert without_users(state(engine))[:-1] == nothing[:-1]
     assert engine._parts.configuration._shared == {}
-    assert not engine._parts.plans.made
+    assert not engine._parts.plans.streams
 
 
 GAUGE_TWICE = text(

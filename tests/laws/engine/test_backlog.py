@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stepping import Steps, caught_up
 
-from dyknow.engine.durability.commands import ANYTIME, done
+from dyknow.engine.durability.commands import ANYTIME, execute
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 from dyknow.engine.units import windowed
@@ -46,8 +46,8 @@ def test_being_behind_changes_nothing_but_when(seed, length):
     for i, command in enumerate(life(random.Random(seed), length)):
         if not isinstance(command, ANYTIME):
             caught_up(behind.work_backlog, behind.backlog, steps)
-        told = do(lambda one: done(at_once, one), command)
-        assert do(lambda one: done(behind, one), command) == told, (i, command)
+        told = do(lambda one: execute(at_once, one), command)
+        assert do(lambda one: execute(behind, one), command) == told, (i, command)
         if pick.random() < 0.3:
             steps.allow()
             behind.work_backlog()

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import TESTS
 
-from dyknow.engine.durability.commands import done
+from dyknow.engine.durability.commands import execute
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 from dyknow.journal.durability import Durability
@@ -53,7 +53,7 @@ def check(path: Path, seed: int, length: int, cuts: set[int]) -> None:
     try:
         for i, command in enumerate(commands):
             told = do(recorded.do, command)
-            assert told == do(lambda one: done(whole, one), command), (i, command)
+            assert told == do(lambda one: execute(whole, one), command), (i, command)
             if i in cuts:
                 if pick.random() < 0.5:
                     recorded.checkpoint().write()

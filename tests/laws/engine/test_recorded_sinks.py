@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from dyknow.engine.durability.commands import (
     AddKpl,
     DeclareStream,
-    HearOfSinks,
     Publish,
+    ReportSinkFailures,
     Tick,
 )
 from dyknow.engine.durability.durable_engine import RecordedEngine
@@ -176,5 +176,5 @@ def test_what_finds_no_room_is_told_when_there_is_room(recorded, monkeypatch):
 def test_what_is_told_of_a_sink_that_is_gone_is_nothing(recorded):
     before = changes(recorded.engine)
     gone = Outcome("a sink that is gone", (Failed(1, "it failed", "it stops"),), 1)
-    recorded.do(HearOfSinks((gone,)))
+    recorded.do(ReportSinkFailures((gone,)))
     assert changes(recorded.engine) == before

@@ -168,7 +168,7 @@ class Run:
         for number in [*self.running]:
             self.remove(number)
         assert not self.engine._parts.configuration.units
-        assert not self.engine.queries._starter._alikes._kinds
+        assert not self.engine.queries._starter._sharing._by_key
 
 
 def text_of(body, given, name):
@@ -188,7 +188,7 @@ def shown(result):
 
 def run(given, least):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(query_sharing, "ALIKE", least)
+        patch.setattr(query_sharing, "MIN_SHARED", least)
         # However large what is computed together is.
         patch.setattr("dyknow.engine.planning.query_units.break_even_count", lambda *_: 1)
         run = Run(least)

@@ -1,6 +1,6 @@
-"""Explanations: each stage of a request as text for people.
+"""Explanations: the stages of a request and the plans of queries as text.
 
-The plan tree shows what runs; `request` shows how it came about, stage by stage.
+`plan_text` shows the units that run; `explain_request` shows each stage that led to them.
 """
 
 from __future__ import annotations
@@ -43,32 +43,32 @@ from ..units.base import ComputationalUnit
 
 
 def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background:
-    """The static side of queries: the ontologies with all that they entail, as they are now.
+    """Return the static side of queries: the present ontologies and their entailments.
 
-    ``named`` are the ontologies that a query names with FROM NAMED: graphs of their own, too.
+    ``named``: ontologies that a query names with FROM NAMED, which it sees as named graphs too.
     """
     if not named:
         return _background(ontology, ontology.closed_store)
-    made: list[tuple[int, Store]] = []
+    stores: list[tuple[int, Store]] = []
 
     def store() -> Store:
-        if not made or made[0][0] != ontology.version:
-            both = Store()
-            both.extend(ontology.closed_store())
+        if not stores or stores[0][0] != ontology.version:
+            store_with_graphs = Store()
+            store_with_graphs.extend(ontology.closed_store())
             for iri in named:
-                both.extend(
+                store_with_graphs.extend(
                     ontology.static_store.quads_for_pattern(None, None, None, NamedNode(iri))
                 )
-            made[:] = [(ontology.version, both)]
-        return made[0][1]
+            stores[:] = [(ontology.version, store_with_graphs)]
+        return stores[0][1]
 
     return _background(ontology, store)
 
 
 def _background(ontology: Ontology, store: Callable[[], Store]) -> Background:
     def change(source: str, target: str) -> Conversion | None:
-        known = [ontology.vocabulary.feature(iri) for iri in (source, target)]
-        units = [None if feature is None else feature.unit for feature in known]
+        features = [ontology.vocabulary.feature(iri) for iri in (source, target)]
+        units = [None if feature is None else feature.unit for feature in features]
         if units[0] is None or units[1] is None or units[0] == units[1]:
             return None
         try:
@@ -82,7 +82,7 @@ def _background(ontology: Ontology, store: Callable[[], Store]) -> Background:
 
 
 def unit_view(unit: ComputationalUnit) -> UnitView:
-    """A unit as the service shows it."""
+    """Return the view of a unit."""
     return UnitView(
         name=unit.name,
         transformation=unit.transformation,
@@ -94,7 +94,7 @@ def unit_view(unit: ComputationalUnit) -> UnitView:
 
 
 def plan_text(configuration: Configuration, unit: ComputationalUnit) -> str:
-    """The units and streams behind ``unit``, as a tree from its output down to the sources."""
+    """Draw ``unit`` and the units and streams that it depends on as a tree, output first."""
     lines = [_stream_line(configuration, unit.output.name)]
     _inputs(configuration, unit, "", lines)
     return "\n".join(lines)
@@ -102,81 +102,79 @@ def plan_text(configuration: Configuration, unit: ComputationalUnit) -> str:
 
 def match_view(
     want: Want,
-    found: Match,
+    match: Match,
     strategy: str,
     space: StreamSpace,
     is_running: Callable[[Node], bool],
 ) -> MatchView:
-    """A match as the service shows it; nothing was started."""
+    """Return the view of a match, without executing its plan."""
     plan = cost = quality = None
-    if found.supply is not None:
-        plan = PlanView(render(found), streams_of(found.supply), (), "")
-        cost = cost_of(found.supply, space, is_running)
-        quality = quality_of(found.supply, space)
-    reasons = found.missing or tuple(
+    if match.supply is not None:
+        plan = PlanView(render(match), streams_of(match.supply), (), "")
+        cost = cost_of(match.supply, space, is_running)
+        quality = quality_of(match.supply, space)
+    reasons = match.missing or tuple(
         f"{alternative.text}: {alternative.reason}"
-        for alternative in found.tree
+        for alternative in match.tree
         if alternative.outcome is Outcome.FAILED and alternative.reason
     )
     return MatchView(
         feature=shorten(want.feature),
         target=str(want),
         strategy=strategy,
-        found=found.supply is not None,
+        found=match.supply is not None,
         plan=plan,
         alternatives=tuple(
             _alternative(alternative, reasons)
-            for alternative in found.tree
+            for alternative in match.tree
             if alternative.outcome is not Outcome.CHOSEN
         ),
         reasons=reasons,
         cost=cost,
         quality=quality,
-        proven=found.proven,
+        proven=match.proven,
     )
 
 
-def template(known: Template) -> str:
-    """A template: its parameters, its windows, its text."""
-    window = known.query.window
+def explain_template(template: Template) -> str:
+    """Explain a template: parameters, window, text."""
+    window = template.query.window
     lines = [
-        f"template {shorten(known.name)}",
-        "parameters: " + ", ".join(f"?{parameter.value}" for parameter in known.parameters),
+        f"template {shorten(template.name)}",
+        "parameters: " + ", ".join(f"?{parameter.value}" for parameter in template.parameters),
     ]
     if window is not None:
         lines.append(f"window: {_window(window)}")
-    return "\n".join([*lines, "", known.source.strip()])
+    return "\n".join([*lines, "", template.source.strip()])
 
 
-def query(
+def explain_query(
     parsed: ContinuousQuery,
     ontology: Ontology,
     dictionary: TermDictionary,
     flows: Mapping[str, Flow],
 ) -> str:
-    """A continuous query that names its streams: its text as understood, then its plans.
-
-    ``flows`` is what is known of its streams, by the IRIs that it has for them.
-    """
+    """Explain a query that names its streams: the parsed text, then the plans. ``flows``: the rates
+    of its streams, by their IRIs in the query."""
     names = list(dict.fromkeys(clause.iri for clause in parsed.streams))
     background = closed_ontology(ontology, parsed.static_named)
     evaluator = ContinuousEvaluator(parsed, dictionary, background, names)
     return f"{format_query(parsed)}\n\n{evaluator.explain(flows)}"
 
 
-def inferred(
+def explain_matched_query(
     parsed: ContinuousQuery,
     wanted: Needs,
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
 ) -> str:
-    """A continuous query whose streams are found: its text, how, and its plans."""
-    stages = _found(parsed, wanted, matches, ontology, dictionary)
+    """Explain a query that names no streams: text, matching, plans."""
+    stages = _matching_stages(parsed, wanted, matches, ontology, dictionary)
     return "\n\n".join([f"registered\n{_indent(parsed.source.strip())}", *stages])
 
 
-def running_query(
+def explain_running_query(
     source: str,
     read: Sequence[StreamAnnotation],
     matches: Sequence[Match],
@@ -184,9 +182,9 @@ def running_query(
     evaluation: str,
     alone: str,
 ) -> str:
-    """A continuous query at work: its text, the streams that it names with what they contain or
-    how its streams were found, what runs, and how windows are evaluated: ``alone``, because …, or
-    ("") together with other queries, as ``evaluation`` says."""
+    """Explain a running query: text, annotations of its streams or the matches that found them,
+    units, evaluation of windows. ``alone``: why it shares no computation with other queries; empty
+    if it does."""
     parts = [f"registered\n{_indent(source)}"]
     if read:
         parts.append("streams\n" + "\n".join(_indent(each.source or each.stream) for each in read))
@@ -197,31 +195,31 @@ def running_query(
     return "\n\n".join([*parts, f"units\n{_indent(plan)}", f"evaluation\n{_indent(evaluation)}"])
 
 
-def request(
-    known: Template,
-    asked: EventRequest,
+def explain_request(
+    template: Template,
+    request: EventRequest,
     bound: ContinuousQuery,
     wanted: Needs,
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
 ) -> str:
-    """Request, template, needed features, matching, query, and the plans of its evaluation."""
+    """Explain a request: template, needed features, matching, query, plans of the evaluation."""
     parts = [
-        f"request\n  {asked.source.strip()}",
-        f"template\n{_indent(known.source.strip())}",
+        f"request\n  {request.source.strip()}",
+        f"template\n{_indent(template.source.strip())}",
     ]
-    return "\n\n".join([*parts, *_found(bound, wanted, matches, ontology, dictionary)])
+    return "\n\n".join([*parts, *_matching_stages(bound, wanted, matches, ontology, dictionary)])
 
 
-def _found(
+def _matching_stages(
     bound: ContinuousQuery,
     wanted: Needs,
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
 ) -> list[str]:
-    """What a query needs, how that is found, and the plans of its evaluation if it is."""
+    """Explain needed features and matching; if all are found, the query and its plans too."""
     parts = [
         "features needed\n" + "\n".join(f"  {want}" for want in wanted.wants),
         "semantic matching\n" + "\n".join(_indent(render(match)) for match in matches),
@@ -237,31 +235,32 @@ def _found(
 
 
 def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView:
-    """How a query that runs is answered, by ``unit``: the tree, the streams and units behind it."""
+    """Return the plan of the running query ``unit``: tree, streams and units."""
     units = configuration.upstream_units(unit)
-    made = {part.output.name for part in units}
+    outputs = {part.output.name for part in units}
     sources = [source.name for part in units for source in part.inputs]
     return PlanView(
         text=plan_text(configuration, unit),
-        streams=tuple(dict.fromkeys(name for name in sources if name not in made)),
+        streams=tuple(dict.fromkeys(name for name in sources if name not in outputs)),
         units=tuple(unit_view(part) for part in units),
         query=unit.parameters["query"],
     )
 
 
 def waits_for(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
-    """Streams behind ``unit`` that are no unit's, have not begun and are not idle."""
+    """Return the input streams from outside that ``unit`` depends on, that have no samples yet and
+    are not idle."""
     waiting = (s for part in configuration.upstream_units(unit) for s in part.waits_for)
     names = dict.fromkeys(source.name for source in waiting)
     return tuple(name for name in names if name not in configuration.units)
 
 
 def held_back_by(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
-    """Streams behind ``unit`` that are no unit's and are least far, of those that it waits for: its
-    next window closes when they go on, end or fall idle."""
+    """Return the streams from outside with the least watermark that ``unit`` depends on. Its next
+    window closes when they advance, end or become idle."""
     sources = dict.fromkeys(s for part in configuration.upstream_units(unit) for s in part.inputs)
-    going_on = [s for s in sources if not s.is_ended and not s.is_idle]
-    waiting = [s for s in going_on if s.name not in configuration.units]
+    active = [s for s in sources if not s.is_ended and not s.is_idle]
+    waiting = [s for s in active if s.name not in configuration.units]
     least = min((TIME_MIN if s.watermark is None else s.watermark for s in waiting), default=None)
     return tuple(s.name for s in waiting if s.watermark in (None, least))
 
@@ -306,7 +305,7 @@ def _window(window: Window) -> str:
             held = "the last triple" if window.size == 1 else f"the last {window.size} triples"
             step = "triple" if window.step == 1 else str(window.step)
         case LandmarkWindow():
-            since = "it began" if window.start is None else format_time(window.start)
+            since = "the beginning" if window.start is None else format_time(window.start)
             held, step = f"all since {since}", format_duration(window.step)
         case _:
             assert_never(window)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dyknow.engine.planning import explain
+from dyknow.engine.planning import explanations
 from dyknow.languages.csparql import parse_template
 
 
@@ -12,7 +12,7 @@ from dyknow.languages.csparql import parse_template
         ("[RANGE 5s STEP 1s]", "the last 5s, every 1s"),
         ("[TRIPLES 10 STEP 2]", "the last 10 triples, every 2"),
         ("[TRIPLES 1]", "the last triple, every triple"),
-        ("[LANDMARK STEP 1s]", "all since it began, every 1s"),
+        ("[LANDMARK STEP 1s]", "all since the beginning, every 1s"),
         (
             '[LANDMARK "2021-10-07T19:12:53Z"^^xsd:dateTime STEP 1s]',
             "all since 2021-10-07T19:12:53Z, every 1s",
@@ -21,4 +21,4 @@ from dyknow.languages.csparql import parse_template
 )
 def test_windows_in_words(window: str, words: str) -> None:
     text = f"REGISTER TEMPLATE dyknow:E(?o) AS SELECT ?o WHERE {{ ?o ?p ?v }} WINDOW {window}"
-    assert f"window: {words}\n" in explain.template(parse_template(text))
+    assert f"window: {words}\n" in explanations.explain_template(parse_template(text))

@@ -1,4 +1,4 @@
-"""Starting what a specification inserts, so that it can be undone ([Introspection15 §3.2])."""
+"""Starts the units of a specification, with undo ([Introspection15 §3.2])."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from ...streams.policies.policy import Policy
 from ..configuration.configuration import Configuration
 from ..configuration.policy_keys import policy_keys
 from ..model.views import Since
-from ..planning.elaboration import Elaborated
+from ..planning.elaboration import ElaboratedUnit
 from ..planning.plan_execution import Plans
-from ..planning.unit_shapes import Running, Shape
-from ..planning.wiring import bound
+from ..planning.unit_shapes import RunningShapes, Shape
+from ..planning.wiring import bind_recipe
 from ..requests.subscriptions import Subscriptions
 from ..units.base import ComputationalUnit
-from .insertions import Inserted, Insertions
-from .serialize import told
+from .insertions import Insertion, Insertions
+from .writer import element_text
 
 
-class Inserting:
-    """The insertions of one text on their way. ``units`` has a unit of each shape that runs.
+class InsertionTransaction:
+    """The insertion of one text. ``units`` has a unit of each shape that runs.
 
-    Contract: everything was checked. Whoever finds that something fails all the same calls `undo`.
+    Contract: the text was checked. If a step fails all the same, the caller calls `undo`.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Inserting:
         plans: Plans,
         subscriptions: Subscriptions,
         insertions: Insertions,
-        running: Running,
+        running: RunningShapes,
         removed: Collection[ComputationalUnit],
     ) -> None:
         self.units: dict[Shape, ComputationalUnit] = dict(running.unit_of)
@@ -44,37 +44,37 @@ class Inserting:
         self._insertions = insertions
         self._removed = tuple(removed)
         self._before = list(insertions.all)
-        self._there = set(configuration.units.values())
+        self._running_before = set(configuration.units.values())
         self._added: list[ComputationalUnit] = []
         self._aliases: list[tuple[str, str | None]] = []
-        self._further: list[UnitSpecification] = []
+        self._alias_elements: list[UnitSpecification] = []
 
     @property
     def started(self) -> tuple[ComputationalUnit, ...]:
-        """The units that were started, inputs first."""
+        """The units that it started, inputs first."""
         units = self._configuration.units.values()
-        return tuple(unit for unit in units if unit not in self._there)
+        return tuple(unit for unit in units if unit not in self._running_before)
 
     @property
     def renamed(self) -> tuple[str, ...]:
-        """The streams that were given a further name."""
+        """The streams that got an alias."""
         streams = (self._configuration.aliases[alias] for alias, _ in self._aliases)
         return tuple(dict.fromkeys(streams))
 
-    def start(self, made: Sequence[Elaborated], free: Mapping[Shape, str]) -> None:
-        """Start what does not run, inputs first, and nothing with what is removed. ``free`` are
-        names that streams can have."""
+    def start(self, elaborated: Sequence[ElaboratedUnit], free: Mapping[Shape, str]) -> None:
+        """Start the units that do not run, inputs first, without sharing removed units. ``free``:
+        the names for new streams."""
         for unit in self._removed:
             self._configuration.unshare(unit)
-        for one in made:
+        for one in elaborated:
             if one.shape not in self.units:
-                text = told(one.element)
+                text = element_text(one.element)
                 stream = self._stream(one, free.get(one.shape), text)
                 self.units[one.shape] = self._configuration.units[stream.name]
 
-    def name(self, made: Sequence[Elaborated]) -> None:
-        """Give the streams their names; those that have another one a further one."""
-        for one in made:
+    def name(self, elaborated: Sequence[ElaboratedUnit]) -> None:
+        """Name the streams; a stream with another name gets an alias."""
+        for one in elaborated:
             name = one.element.name
             stream = self.units[one.shape].output.name
             if name is None or is_reserved(name) or name == stream:
@@ -82,33 +82,33 @@ class Inserting:
             before = self._configuration.aliases.get(name)
             if before != stream:
                 if not is_reserved(stream) or self._insertions.has_alias(stream):
-                    self._further.append(one.element)
+                    self._alias_elements.append(one.element)
                 self._insertions.give_alias(name, stream)
                 self._aliases.append((name, before))
 
-    def hold(
+    def replace_insertions(
         self,
-        made: Sequence[Elaborated],
+        elaborated: Sequence[ElaboratedUnit],
         tops: Sequence[UnitSpecification],
-        left: Sequence[Inserted],
+        left: Sequence[Insertion],
     ) -> None:
-        """The insertions from now on: those that are ``left``, ``tops``, and what gave a unit a
-        further name. One that is there already, under the same name or without one, is the
-        same."""
-        shapes = {id(one.element): one.shape for one in made}
+        """Replace the insertions by those ``left``, the ``tops``, and the elements that gave an
+        alias. An element equal to an existing insertion, by unit and name, adds none; an unnamed
+        one adds none to a unit that has an insertion."""
+        shapes = {id(one.element): one.shape for one in elaborated}
         now = list(left)
-        of_unit: dict[ComputationalUnit, list[Inserted]] = {}
+        of_unit: dict[ComputationalUnit, list[Insertion]] = {}
         for one in left:
             of_unit.setdefault(one.unit, []).append(one)
-        inner = [one for one in self._further if not any(one is top for top in tops)]
+        inner = [one for one in self._alias_elements if not any(one is top for top in tops)]
         for element in (*tops, *inner):
             unit = self.units[shapes[id(element)]]
             named = element.name is not None and not is_reserved(element.name)
-            one = Inserted(element.name if named else None, unit, element)
+            one = Insertion(element.name if named else None, unit, element)
             there = of_unit.setdefault(unit, [])
-            if any(known.name == one.name for known in there) or (there and not named):
+            if any(other.name == one.name for other in there) or (there and not named):
                 continue
-            nameless = next((known for known in there if known.name is None), None)
+            nameless = next((other for other in there if other.name is None), None)
             if nameless is not None:
                 now[now.index(nameless)] = there[there.index(nameless)] = one
                 continue
@@ -119,7 +119,7 @@ class Inserting:
         self._insertions.all = now
 
     def undo(self) -> None:
-        """Everything as it was."""
+        """Restore the insertions, names and units from before."""
         self._insertions.all = self._before
         for alias, before in reversed(self._aliases):
             self._insertions.take_alias(alias, before)
@@ -129,37 +129,37 @@ class Inserting:
         for unit in self._removed:
             self._configuration.share_again(unit)
 
-    def _stream(self, one: Elaborated, name: str | None, text: str) -> StreamGenerator:
+    def _stream(self, one: ElaboratedUnit, name: str | None, text: str) -> StreamGenerator:
         recipe = one.piece.recipe
         configuration = self._configuration
         if isinstance(recipe, Policy):
             (source,) = one.shape.inputs
             with configuration.as_specified(name, text):
-                generator = self._generator(source)
+                generator = (
+                    configuration.stream(source)
+                    if isinstance(source, str)
+                    else self.units[source].output
+                )
                 keys = policy_keys(configuration, generator)
                 return self._subscriptions.obtain(generator, recipe, Since.NOW, keys).output
         assert recipe is not None
         shapes = {
             f"#{below.number}": below for below in one.shape.inputs if not isinstance(below, str)
         }
-        node = bound(recipe, lambda stand_in: self._node(stand_in, shapes))
+        node = bind_recipe(recipe, lambda stand_in: self._node(stand_in, shapes))
         if isinstance(node, Compute):
             for edge in node.inputs:
-                # What brings several inputs together has no name; it is told by the same text.
+                # The implied synchronization has no name; its start is reported with this text.
                 if isinstance(edge.node, Synchronize):
                     with configuration.as_specified(None, text):
                         self._plans.obtain(edge.node)
         with configuration.as_specified(name, text):
             return self._plans.obtain(node)
 
-    def _generator(self, source: Shape | str) -> StreamGenerator:
-        if isinstance(source, str):
-            return self._configuration.stream(source)
-        return self.units[source].output
-
     def _node(self, stand_in: UseStream, shapes: Mapping[str, Shape]) -> Node:
-        """The node of a unit that runs, which matching would have, too; of another stream, and of
-        what somebody brought together by name, the stream."""
+        """Return the node of a running unit, so that matching shares it. For an explicit
+        synchronization, and for streams without a unit, return the stream: matching makes neither.
+        """
         shape = shapes.get(stand_in.stream)
         if shape is None:
             return stand_in

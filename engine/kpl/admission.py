@@ -1,7 +1,7 @@
-"""Whether checked KPL declarations can be started in the running system.
+"""Checks KPL declarations against the running system.
 
-The language's checker knows what was declared; here stand the streams, names and code that there
-are.
+The language's checker compares them with other declarations; this module compares them with the
+existing streams, names and code.
 """
 
 from __future__ import annotations
@@ -30,12 +30,11 @@ from .network import Network, schema_text, sort_name
 
 
 class Admission:
-    """Checks declarations before anything of their text is started. Changes nothing.
+    """Checks the declarations of a text before any is started. Changes nothing.
 
-    In a ``rehearsal`` sinks need no code; ``check_name`` raises `Refused` for names that are the
-    system's own. `check` raises `UnknownFeature` for what has no implementation, `Conflict` where
-    an implementation or a stream is otherwise than declared, `AlreadyExists` for a name that
-    another stream has.
+    In a ``rehearsal`` sinks need no code; ``check_name`` raises `Refused` for reserved names.
+    `check` raises `UnknownFeature` for a process without code, `Conflict` where code or a stream
+    differs from its declaration, `AlreadyExists` for the name of another stream.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class Admission:
         self._rehearsal = rehearsal
 
     def check(self, declaration: CheckedDeclaration, signature: Signature) -> None:
-        """Whether ``declaration`` can be started beside all of ``signature``."""
+        """Raise an error unless ``declaration`` can start beside those of ``signature``."""
         match declaration:
             case SourceDeclaration(name, sort):
                 self._check_source(name, sort)
@@ -84,7 +83,7 @@ class Admission:
         if implementation is not None and sort_name(implementation.sort) != sort.name:
             raise Conflict(
                 f"source {name!r} is declared with values of sort {sort.name}, "
-                f"its code gives {implementation.sort}",
+                f"its code returns {implementation.sort}",
                 f"declare `source {sort_name(implementation.sort)} {name}`, "
                 "or change its decorator",
             )
@@ -94,7 +93,7 @@ class Admission:
             return
         if self._configuration.is_made_by_system(name):
             raise Refused(
-                f"stream {name!r} is made by the system, so it is no source",
+                f"stream {name!r} is made by the system, so it cannot be a source",
                 "a source is a stream that you publish to, or a process with @dyknow.source",
             )
         if implementation is not None and not self._rehearsal:
@@ -116,7 +115,7 @@ class Admission:
         if self._configuration.has(name):
             raise AlreadyExists(
                 f"there is a stream called {name!r} already",
-                "choose another name; a stream that is published to may be declared as a source",
+                "choose another name; a stream that you publish to may be declared as a source",
             )
         self._check_name(name)
 
@@ -132,24 +131,24 @@ class Admission:
         """The code of a sink; None in a rehearsal."""
         if self._rehearsal:
             return None
-        found = self._processes.sinks.get(declaration.name)
-        if found is None:
-            known = ", ".join(self._processes.sinks) or "none"
+        implementation = self._processes.sinks.get(declaration.name)
+        if implementation is None:
+            names = ", ".join(self._processes.sinks) or "none"
             raise UnknownFeature(
                 f"sink {declaration.name!r} has no implementation",
-                f"write it with @dyknow.sink and load its module; there are: {known}",
+                f"write it with @dyknow.sink and load its module; there are: {names}",
             )
-        if len(found.inputs) != len(declaration.terms):
+        if len(implementation.inputs) != len(declaration.terms):
             raise Conflict(
-                f"sink {found.name!r} is declared with {len(declaration.terms)} inputs, "
-                f"its code takes {len(found.inputs)}",
+                f"sink {implementation.name!r} is declared with {len(declaration.terms)} inputs, "
+                f"its code takes {len(implementation.inputs)}",
                 "make the declaration and the decorator the same",
             )
-        return found
+        return implementation
 
 
 def _check_sorts(declaration: CompunitDeclaration, implementation: UnitImplementation) -> None:
-    """What KPL says of a unit's value sorts (Def. 5.16) is what its decorator says."""
+    """Raise `Conflict` unless the value sorts in KPL (Def. 5.16) are those of the decorator."""
     declared = (declaration.sort.name, *(sort.name for sort in declaration.inputs))
     coded = tuple(map(sort_name, (implementation.output, *implementation.inputs)))
     if declared != coded:
