@@ -25,8 +25,8 @@ from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.namespaces import DYKNOW, PREFIXES
 from ..streams.generator import StreamGenerator
-from ..streams.rules import INSTANTS
 from ..streams.sample import SampleBatch
+from ..streams.stream_rules import INSTANTS
 from ..streams.time import SECOND, TIME_MIN
 from .catalog.iri_annotations import DescribedStream, DescribedTransformation
 from .catalog.name_resolution import (

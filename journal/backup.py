@@ -1,8 +1,9 @@
-"""Copies of a data directory, also of one that a service writes to, and directories out of them.
+"""Back up a data directory, also while a service writes to it, and restore one from a backup.
 
 A copy is a folder, or a tar file with the same in it: ``format.json``, the newest sound checkpoint,
-the log from it on, and ``backup.json``, that has the checksum of each. What a service appends while
-it is copied is in it or not; what it forgets meanwhile is held open, so it is in it.
+the log from it on, and ``backup.json``, that has the checksum of each. A record
+that a service appends meanwhile may be in it; a file that it removes meanwhile is held open and
+therefore copied.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _TRIES: Final = 10
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """What a backup says of itself. ``files``: size and crc32 of each, by its name in it."""
+    """The description of a backup in it. ``files``: size and crc32 of each, by its name in it."""
 
     format: int
     first: int
@@ -89,7 +90,7 @@ def back_up(path: Path, target: Path, program: str) -> Manifest:
         DISK.sync_folder(folder)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
-        with suppress(OSError):  # somebody else has put something there
+        with suppress(OSError):  # another process has put something there
             for each in missing:
                 each.rmdir()
         raise
@@ -152,7 +153,7 @@ def _copy(path: Path, part: Path) -> Manifest:
             first = max((each for each in begins if each <= newest + 1), default=newest + 1)
             needed = {each: file for each, file in log.items() if int(each.stem) >= first}
             in_use = holder is not None
-            found = judged(reading.since(first), scans_of(list(needed), needed), in_use=in_use)
+            found = judged(reading.since(first), scans_of(needed), in_use=in_use)
             fault = found.damage or found.doubt
             if fault is None:
                 return _write(part, newest, checkpoints.get(newest), found, needed)

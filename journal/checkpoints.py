@@ -1,8 +1,8 @@
-"""Checkpoints: states at positions of the log, whole or not there.
+"""Checkpoints: states at positions of the log, each complete or absent.
 
-A file is a line of JSON, that says what it is, then the state. It gets its name when all of it is
-on the disk. The newest two are kept: where one is damaged, the other and more of the log do. Which
-there are stands in ``kept.json``, so that one that is gone is missed.
+A file is a line of JSON that describes it, then the state. It gets its name when all of it is on
+the disk. The newest two are kept: if one is damaged, a start uses the other and more of the log.
+``kept.json`` lists them, so that a start notices one that is missing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LIST: Final = "kept.json"
 
 
 class Head(msgspec.Struct, frozen=True):
-    """What a checkpoint says of itself. ``position``: it is the state after this entry of the log.
+    """The description of a checkpoint in its file: the state after record ``position``.
 
     ``program`` is for which ``state`` is; ``portable`` bytes at its beginning are for any.
     ``crc32`` is of the other members in this order, as UTF-8 with blanks between, then the bytes.
@@ -69,7 +69,7 @@ class Kept:
 
 
 class Checkpoints:
-    """Those of one folder. Raises ``OSError``."""
+    """The checkpoints of one folder. Raises ``OSError``."""
 
     def __init__(self, folder: Path, disk: Disk = DISK) -> None:
         self._folder = folder
@@ -79,11 +79,11 @@ class Checkpoints:
             disk.remove(left)
 
     def positions(self) -> list[int]:
-        """Of which positions there are checkpoints, newest first."""
+        """The positions of the checkpoints, newest first."""
         return positions_in(self._folder)
 
     def gone(self) -> list[str]:
-        """Which were there and are not, for people."""
+        """The missing checkpoints, in words."""
         return gone_from(self._folder)
 
     def newest(self) -> Kept | None:
@@ -102,7 +102,7 @@ class Checkpoints:
         self.keep(checkpoint.position)
 
     def put(self, checkpoint: Checkpoint) -> None:
-        """Put ``checkpoint`` on the disk, where nobody looks for it before `keep`. May be called in
+        """Put ``checkpoint`` on the disk, where no start reads it before `keep`. May be called in
         another process, one at a time. Raises `JournalFull` and `JournalBroken`; nothing is lost
         then."""
         part = self._part(checkpoint.position)
@@ -179,12 +179,12 @@ def positions_in(folder: Path) -> list[int]:
 
 
 def write_list(folder: Path, disk: Disk, positions: list[int]) -> None:
-    """From now on checkpoints of these positions are in ``folder``. Raises ``OSError``."""
+    """List these positions in ``folder`` as its checkpoints. Raises ``OSError``."""
     write_whole(disk, folder / LIST, list_bytes(positions))
 
 
 def list_bytes(positions: list[int]) -> bytes:
-    """What kept.json says."""
+    """The content of kept.json."""
     return msgspec.json.encode(positions) + b"\n"
 
 
@@ -227,7 +227,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 
 def checkpoint_in(path: Path) -> Checkpoint:
-    """The same, of whichever position, under whichever name."""
+    """The checkpoint in a file, for any position and under any name."""
     line, _, body = path.read_bytes().partition(b"\n")
     try:
         head = msgspec.json.decode(line, type=Head)

@@ -1,4 +1,4 @@
-"""A data directory: which format it has, and that one process has it.
+"""A data directory: its format, and the lock by which one process at a time has it.
 
     DIR/format.json        {"format": 2}
     DIR/lock               held by the process that runs
@@ -6,7 +6,7 @@
     DIR/checkpoints/       states at positions of the log
     DIR/restoring          a restore has begun and not ended
     DIR/repaired           what is lost, or may be, until a start has begun new ids
-    DIR/backup.json        it is no data directory, but a backup of one
+    DIR/backup.json        marks a backup: no service starts on it
     DIR/ontology/          format 1: an Oxigraph store, read once; kept as ontology.format1
 
 docs/reference/data-directory.md says what each version of DyKnow does with each format.
@@ -31,7 +31,7 @@ REPAIRED: Final = "repaired"
 RESTORING: Final = "restoring"
 MANIFEST: Final = "backup.json"
 _PATIENCE: Final = 0.2
-"""Seconds for which a lock is tried again: who looks at a directory has it for a moment."""
+"""Seconds for which a lock is tried again: an inspection holds it for a moment."""
 
 
 class _Format(msgspec.Struct):
@@ -74,20 +74,21 @@ class DataDirectory:
         write_whole(self._disk, self.path / REPAIRED, f"{'; '.join(told)}\n".encode())
 
     def forget_loss(self) -> None:
-        """The log says now that numbers begin anew."""
+        """Remove the note, since the log now records that numbers begin anew."""
         if self.repaired is not None:
             self._disk.remove(self.path / REPAIRED)
             self._disk.sync_folder(self.path)
 
     def forget_old_store(self) -> None:
-        """What it says is in a checkpoint now. It stays for who goes back to an earlier version."""
+        """Set the old store aside: a checkpoint has its contents. An earlier version can still use
+        it."""
         if self.old_store is not None:
             self._disk.rename(self.old_store, self.path / "ontology.format1")
             self._disk.sync_folder(self.path)
             self.old_store = None
 
     def close(self) -> None:
-        """Let another process have it."""
+        """Release the lock."""
         os.close(self._lock)
 
     def __enter__(self) -> Self:
@@ -133,12 +134,12 @@ def check_restored(path: Path) -> None:
 
 
 def format_bytes() -> bytes:
-    """What format.json says."""
+    """The content of format.json."""
     return msgspec.json.encode(_Format(FORMAT)) + b"\n"
 
 
 def write_whole(disk: Disk, path: Path, data: bytes) -> None:
-    """A file that is there with all of ``data``, on the disk, or not at all."""
+    """Write ``data`` to a file that is on the disk as a whole, or not at all."""
     part = path.with_name(f"{path.name}.part")
     if part.exists():
         disk.remove(part)
@@ -213,7 +214,7 @@ def locked(path: Path) -> int:
 
 
 def holder_of(path: Path) -> str | None:
-    """The process that has the data directory ``path`` open, as it is told; None: none has."""
+    """The process that has the data directory ``path`` open, by its lock; None: none has."""
     named = path / "lock"
     if not named.exists():
         return None

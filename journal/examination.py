@@ -1,26 +1,23 @@
-"""What a log's folder holds, and what is to be believed of it. Reads only.
+"""Examine the folder of a log, by reading only: which records are good, and is something missing?
 
-After a loss of power of what was written and not synced any part may be there: the last write is
-unfinished, and is cut off. What was synced is there, or the disk or somebody has damaged it: that
-is told, and nothing is done. Which of both it is tell the records behind the place (their
-``synced``) and the high-water mark. Where that cannot tell all, nobody knows whether something is
-missing at the log's end: that is told, too.
+After a loss of power any part of a write that was not synced may be there: an unfinished write,
+which a start cuts off. If synced records are missing or changed, that is damage, which the
+examination reports and a start refuses. The ``synced`` of the records behind the place and the
+high-water mark tell the two apart. Where they cannot, the end of the log may be missing: a *doubt*.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from .high_water import Mark, Reading, read_mark
 from .segment import NUMBER, Damage, Scan, scan
 
 HINT = "dyknow check shows it; dyknow repair keeps what is good, or restore a backup"
-_NONE: Final[Mapping[Path, BinaryIO]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,35 +62,34 @@ def open_log(folder: Path, stack: ExitStack) -> tuple[Reading, dict[Path, Binary
     """The mark of the log in ``folder``, and its files in order, held open until the ``stack`` is
     left: what is forgotten meanwhile can be read nevertheless. Raises ``OSError``,
     ``FileNotFoundError`` where one was forgotten after it was listed."""
-    # First: whoever writes meanwhile, the files say more than a mark of before.
+    # First: if a process writes meanwhile, the files go further than an earlier mark.
     reading = read_mark(folder)
     return reading, {each: stack.enter_context(each.open("rb")) for each in files_of(folder)}
 
 
-def scans_of(files: Sequence[Path], contents: Mapping[Path, BinaryIO] = _NONE) -> tuple[Scan, ...]:
-    """What the ``files`` of a log hold, in their order; ``contents``: those that are open.
+def scans_of(files: Mapping[Path, BinaryIO]) -> tuple[Scan, ...]:
+    """What the open ``files`` of a log hold, in their order.
 
-    The last one is read first. A log writes to a file when all is written that goes into those
-    before it, so whoever writes meanwhile, none of them lacks what a later one goes on from.
+    The last one is read first. A log writes to a file only when those before it are complete. So no
+    file lacks records that a later one continues, even if a process writes meanwhile.
     Raises `UnknownFormat` and ``OSError``. Cost: reads all.
     """
-    found = [
-        scan(path, contents[path].read() if path in contents else None) for path in reversed(files)
-    ]
+    found = [scan(path, files[path].read()) for path in reversed(tuple(files))]
     return tuple(reversed(found))
 
 
 def examine(folder: Path, *, in_use: bool = False) -> Examination:
     """Look at the log in ``folder``; ``in_use``: a process may write to it (`judged`). Raises
     `UnknownFormat` and ``OSError``. Cost: reads all."""
-    reading = read_mark(folder)  # first, as in `open_log`
-    return judged(reading, scans_of(files_of(folder)), in_use=in_use)
+    with ExitStack() as stack:
+        reading, files = open_log(folder, stack)
+        return judged(reading, scans_of(files), in_use=in_use)
 
 
 def judged(reading: Reading, scans: tuple[Scan, ...], *, in_use: bool = False) -> Examination:
-    """What is to be believed of a log with these files, of which the mark was read before. Where a
-    process may have written ``in_use``, what follows all that was acknowledged is not looked at:
-    it may be half of a write."""
+    """Judge a log by its files and its mark, which was read before them. If a process may write
+    (``in_use``), the judgement leaves out what follows the acknowledged records: it may be half of
+    a write."""
     mark = reading.mark
     known = mark or Mark()
     if in_use:
@@ -101,8 +97,8 @@ def judged(reading: Reading, scans: tuple[Scan, ...], *, in_use: bool = False) -
     whole, torn, overlap = 0, None, None
     first = known.first
     if scans:
-        # Without a mark nobody knows whether there was more before; with one, files before it are
-        # there if they were to be forgotten and the power went.
+        # Without a mark it is unknown whether there were earlier files. With one, files before it
+        # are there if the power failed while they were being forgotten.
         first = scans[0].first if mark is None else min(first, scans[0].first)
     position = first - 1
     for each in scans:

@@ -1,13 +1,13 @@
-"""The high-water mark of a log: how far it went, told outside of its files, so that one that was
-cut or lost is missed.
+"""The high-water mark of a log: how far it went, kept outside of its files, so that a start notices
+a file that was cut or lost.
 
     thrice: "DYKNOWH3", crc32 u32 of the rest, first u64, synced u64, durable u64  (little-endian)
 
-The first copy is synced, when the log is opened, closed and shortened. The others are written over
-after each commit, never before, in one write, and are not synced: they tell more. Who is killed
-amid that write tears one of them; if the power goes, the first is true as well. All are on the disk
-before the log has a file: where that has one, a mark that is missing, has another length, or of
-which no copy is good, is damaged. Earlier versions wrote two copies that begin with "DYKNOWHW".
+The first copy is synced, when the log is opened, closed and shortened. One write replaces the rest
+after each commit, never before, and is not synced: they are newer. A process that is killed amid
+that write damages one of them; after a loss of power the first is still true. All are on the disk
+before the log has a file. So beside a file a mark is damaged if it is missing, has another length,
+or has no good copy. Earlier versions wrote two copies that begin with "DYKNOWHW".
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Reading:
     is_latest: bool = True
 
     def since(self, first: int) -> Reading:
-        """The same, of the log from record ``first`` on, where nobody asks for those before."""
+        """The same for the part of the log from record ``first`` on."""
         mark = self.mark or Mark()
         return replace(self, mark=replace(mark, first=max(mark.first, first)))
 
@@ -121,13 +121,13 @@ class HighWater:
         self._written: Mark | None = None
 
     def write(self, mark: Mark) -> None:
-        """Let it be ``mark``: no more than is true."""
+        """Write ``mark``, which claims no more than is true."""
         if mark != self._written:
             self._disk.write(self._file, 2 * mark.encoded(), _SIZE)
             self._written = mark
 
     def keep(self, mark: Mark) -> None:
-        """The same, and return when it is on the disk."""
+        """Write ``mark``, and return when it is on the disk."""
         self.write(mark)
         self._disk.sync(self._file)
         # Only now: one of them is whole at any time.

@@ -1,5 +1,5 @@
-"""What a data directory holds and what a start would make of it, found by reading only: for
-``dyknow check``."""
+"""Inspect a data directory for ``dyknow check``, by reading only: what it holds, what a start would
+do."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _KNOWN = (
 """Patterns of what may be in a data directory, and in its two folders."""
 UNFINISHED: Final = "a restore was not finished"
 TRIES: Final = 5
-"""So often what looks damaged is looked at again where a process writes meanwhile."""
+"""How often what looks damaged is read again while a process writes."""
 _PAUSE: Final = 0.02
 """Seconds before it is: a log that is being begun has its mark by then."""
 
@@ -95,7 +95,7 @@ def inspect(
 ) -> Inspection:
     """Look at the data directory ``path``, that may be in use, for a start by ``program``.
     ``begun_by`` tells which program has begun the log that has this first record. With ``is_held``
-    the caller has its lock: nobody writes meanwhile.
+    the caller holds its lock: no process writes meanwhile.
 
     Raises `JournalDamaged` where there is none, or its format cannot be read, `UnknownFormat`,
     ``OSError``. Cost: reads all of it.
@@ -114,7 +114,7 @@ def inspect(
         try:
             found = _look(path, format, program, holder, begun_by)
         except FileNotFoundError:
-            # Forgotten by the process that has it, after it was listed.
+            # The process that writes has removed it after it was listed.
             if holder is None or tries == TRIES - 1:
                 raise
         else:
@@ -138,7 +138,7 @@ def log_of(path: Path) -> Iterator[tuple[Examination, Mapping[Path, BinaryIO]]]:
                 if is_last:
                     raise
             else:
-                found = judged(reading, scans_of(list(files), files), in_use=holder is not None)
+                found = judged(reading, scans_of(files), in_use=holder is not None)
                 if is_last or not (found.damage or found.doubt):
                     yield found, files
                     return
@@ -181,7 +181,7 @@ def _look(
 
 
 def _strays(path: Path) -> tuple[str, ...]:
-    """Names of files that the program has not made, or no longer looks at."""
+    """Names of files that the program did not make, or no longer reads."""
     folders = [each for each in (path, path / "journal", path / "checkpoints") if each.is_dir()]
     return tuple(
         str(each.relative_to(path))

@@ -1,7 +1,7 @@
 """The log: payloads at positions 1, 2, 3 …, in files that are written at their ends only.
 
-A caller opens an `entry` for what it is about to do, does it, and tells of it when `commit` has
-returned; many that do so together share one commit. What fails leaves no entry.
+A caller opens an `entry` for a command, executes it, and acknowledges it when `commit` returns.
+Several callers share one commit. A command that fails leaves no entry.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from .high_water import HighWater, Mark
 from .segment import HEAD, Segment, path_of, size_of, walk
 
 SEGMENT = 64 << 20
-"""A file takes so many bytes, and the record that passes them."""
+"""Bytes after which a file is full; the record that passes them still belongs to it."""
 _RESTART = "restart the service when the disk is sound"
 
 
 @dataclass(slots=True)
 class Entry:
-    """What is about to be kept.
+    """A payload that the log is about to keep.
 
-    ``has_room(size)`` says whether another payload of so many bytes may take its place, and from
+    ``has_room(size)`` says whether another payload of ``size`` bytes may take its place, and from
     then on that is sure; it may be called in another thread, one call at a time.
     """
 
@@ -63,8 +63,8 @@ class Log:
     ) -> None:
         """Raises `JournalDamaged` where something is damaged that was kept, ``OSError``.
 
-        ``on_doubt`` is told why what was acknowledged may be gone, before anything is changed: the
-        next time nothing tells of it any more.
+        ``on_doubt`` is called with the reason if acknowledged records may be missing, before any
+        change: the next start would not see it any more.
         """
         self._folder = folder
         self._durability = durability
@@ -84,7 +84,7 @@ class Log:
         self.torn = found.torn
         """What was cut off: a write that the last run did not finish."""
         self.lost = found.lost
-        """So many records were acknowledged, by durability ``write``, and are not there."""
+        """Records that were acknowledged by durability ``write`` and are missing."""
         self.mark_fault = found.reading.fault if found.scans else None
         """What of the high-water mark was not as it was written."""
         self.doubt = found.doubt
@@ -171,7 +171,7 @@ class Log:
             self.written += size
 
     def check_room(self, size: int) -> None:
-        """Raises `JournalFull` and `JournalBroken` where `entry` would, of so many bytes."""
+        """Raise `JournalFull` or `JournalBroken` if `entry` would, for ``size`` bytes."""
         self._with_room(size)
 
     def _has_room(self, size: int) -> bool:
@@ -207,12 +207,12 @@ class Log:
         """Return when all that is appended by now is kept; gives its position.
 
         Raises `JournalFull`: then it is kept in memory, nothing more is taken, and the next commit
-        tries again. Raises `JournalBroken`: nobody knows what is kept.
+        tries again. Raises `JournalBroken`: it is unknown what is kept.
         """
         return self._commit(self._durability is Durability.FSYNC)
 
     def sync(self) -> int:
-        """As `commit`, and it is on the disk, whatever the durability."""
+        """Commit, and return when it is on the disk, for either durability."""
         return self._commit(True)
 
     def _commit(self, must_sync: bool) -> int:
@@ -257,7 +257,7 @@ class Log:
         return until
 
     def read(self, after: int = 0) -> Iterator[tuple[int, bytes]]:
-        """Position and payload of what is committed by now, from ``after`` + 1 on. Raises
+        """Yield position and payload of each committed record from ``after`` + 1 on. Raises
         `JournalDamaged` when it is not as it was written, and ``OSError``."""
         with self._lock:
             firsts, until = tuple(self._firsts), self.durable
@@ -274,7 +274,7 @@ class Log:
             raise JournalDamaged(f"record {position + 1} is not as it was written", HINT)
 
     def drop(self, until: int) -> None:
-        """Forget files of which nothing after position ``until`` is needed. The last one that is on
+        """Remove files whose records all have positions up to ``until``. The last one that is on
         the disk stays. Raises ``OSError``."""
         with self._lock:
             # One that follows and is not on the disk may not be there tomorrow.
@@ -290,7 +290,7 @@ class Log:
             self._disk.sync_folder(self._folder)
 
     def close(self) -> None:
-        """Commit what there is, and let the files go."""
+        """Commit what waits, and close the files."""
         try:
             if self._broken is None:
                 self.sync()

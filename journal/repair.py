@@ -1,22 +1,22 @@
-"""Making a damaged data directory one that starts: what is good is kept, the rest is set aside.
+"""Repair a damaged data directory: keep what is good, and set the rest aside.
 
-Of all good records, in whichever file they stand, the longest run is kept that goes on from a sound
-checkpoint, or from the first record. Nothing is deleted: a file that is changed stays as
-``NAME.damaged``. Where records are lost that were acknowledged, the file ``repaired`` says so to
-the next start: their numbers must not be given again under the same ids.
+Of all good records, in whichever file they stand, a repair keeps the longest run that goes on from
+a sound checkpoint, or from the first record. It deletes nothing: a file that it changes stays as
+``NAME.damaged``. Where acknowledged records are lost, the file ``repaired`` tells the next start,
+which must not give their numbers again under the same ids.
 
-It may be stopped at any moment, and goes on when it is called again, since there are three steps:
+A repair may be stopped at any moment and called again, since it has four steps:
 
-1. format.json says no format from here on, if it said one, so that nothing starts before the end;
-   and how far the log went, which nothing else will tell. What is kept and does not stand where it
-   should is written into new files, behind all others (`_STAGED`), that the next call reads, too.
-2. All files that are changed are set aside, format.json where it was damaged.
-3. The new files get their names, then mark, list of checkpoints and format.json are written.
+1. format.json says how far the log went, and no format, so that nothing starts before the end.
+2. Files that change are renamed to ``NAME.repairing``. The next call searches these, too.
+3. Records and checkpoints to keep that stand in no good file are written into new ones, under their
+   final names; then the mark and the list of checkpoints.
+4. ``NAME.repairing`` becomes ``NAME.damaged``, and format.json says its format again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
@@ -39,10 +39,10 @@ from .errors import JournalDamaged
 from .high_water import NAME as MARK
 from .high_water import Mark
 from .inspection import Inspection
-from .segment import HEAD, NUMBER, Found, Scan, found_in, header_of, path_of, walk
+from .segment import HEAD, Scan, found_in, header_of, path_of, walk
 
-_STAGED: Final = 10**19
-"""New files are called as if they began here, where no log comes to, until others have gone."""
+_REPAIRING: Final = ".repairing"
+"""Ends the name of a file that is set aside while the repair lasts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,54 +69,53 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
             f"{path} is a backup, no data directory: dyknow restore would take it no more",
             "use another backup, or repair a copy of the folder without backup.json",
         )
-    misplaced = _misplaced(found)
-    sound = {each.position for each in found.checkpoints if each.damage is None} | set(misplaced)
-    good = _good(found, sound)
-    first, last = _run(good, sound)
-    begun, says_format = _begun(path), not lacks_format(path)
+    begun = _begun(path)
+    unsound = _unsound(found)
+    misplaced = _misplaced(found, unsound)
+    sound = {each.position for each in found.checkpoints if each.damage is None}
+    begins = sound | set(misplaced)
+    good = _good(found, unsound, max([0, *begins, 0 if begun is None else begun.reached]))
+    first, last = _run(good, begins)
     reached = begun or _reached(found, good, last)
     whole = _whole(found.log.scans, first, last)
+    moved: dict[Path, Path] = {}
     # Step 1.
-    says_none = msgspec.json.encode(reached) + b"\n"
-    if says_format:
-        write_whole(disk, path / "format.json", says_none)
+    if begun is None:
+        named = path / "format.json"
+        if lacks_format(path) and named.exists():
+            moved[named] = _rename(disk, named, f"{named.name}{_REPAIRING}")
+        write_whole(disk, named, msgspec.json.encode(reached) + b"\n")
     disk.make_folder(journal)
     disk.make_folder(checkpoints)
-    moves = {
-        _stage(disk, path_of, journal, content): path_of(journal, begin)
-        for begin, content in _new_files(good, whole, first, last)
-    }
-    for position, named in misplaced.items():
-        staged = _stage(disk, checkpoint_path, checkpoints, named.read_bytes())
-        moves[staged] = checkpoint_path(checkpoints, position)
-    # Step 2.
-    aside = []
-    if begun is None and not says_format:
-        if (path / "format.json").exists():
-            aside.append(_set_aside(disk, path / "format.json"))
-        write_whole(disk, path / "format.json", says_none)
-    # A process that was killed, or who copied them, may have left them to the operating system.
-    for each in (*whole, *(checkpoint_path(checkpoints, n) for n in sound - set(misplaced))):
+    # A killed process or a copy may have left them in the cache of the operating system.
+    for each in (*whole, *(checkpoint_path(checkpoints, position) for position in sound)):
         _sync(disk, each)
-    new = {
+    # Step 2.
+    told = {
         journal / MARK: Mark(first, last, last).whole(),
-        checkpoints / LIST: list_bytes(sorted(sound, reverse=True)[:KEPT]),
+        checkpoints / LIST: list_bytes(sorted(begins, reverse=True)[:KEPT]),
     }
-    stay = {*whole, *moves}
-    changed = [each.path for each in found.log.scans]
+    changed = [each.path for each in found.log.scans if each.path not in whole]
     changed += [each.path for each in found.checkpoints if each.damage is not None]
-    changed += [each for each, data in new.items() if each.exists() and each.read_bytes() != data]
-    aside += [_set_aside(disk, each) for each in changed if each not in stay]
+    changed += [each for each, data in told.items() if each.exists() and each.read_bytes() != data]
+    moved |= {each: _rename(disk, each, f"{each.name}{_REPAIRING}") for each in changed}
     for folder in (journal, checkpoints):
         disk.sync_folder(folder)
     # Step 3.
-    for staged, target in moves.items():
-        disk.rename(staged, target)
-    for folder in (journal, checkpoints):
-        disk.sync_folder(folder)
-    for each, data in new.items():
+    for begin, content in _new_files(good, moved, whole, first, last):
+        write_whole(disk, path_of(journal, begin), content)
+    for position, named in misplaced.items():
+        content = moved.get(named, named).read_bytes()
+        write_whole(disk, checkpoint_path(checkpoints, position), content)
+    for each, data in told.items():
         if not each.exists():
             write_whole(disk, each, data)
+    # Step 4.
+    aside = [
+        _rename(disk, each, each.name.replace(_REPAIRING, ".damaged")) for each in _set_aside(path)
+    ]
+    for folder in (journal, checkpoints):
+        disk.sync_folder(folder)
     lost = reached.lost(last)
     if lost is not None:
         _note(disk, path / REPAIRED, f"{lost} lost")
@@ -142,18 +141,18 @@ class _Reached(msgspec.Struct, frozen=True):
     format: None = None
 
     def lost(self, last: int) -> str | None:
-        """What came after record ``last``, for people."""
+        """What came after record ``last``, in words."""
         if self.reached > last:
             many = self.reached > last + 1
             return f"records {last + 1} to {self.reached}" if many else f"record {self.reached}"
         return None if self.is_sure else f"what may have followed record {last}"
 
 
-def _misplaced(found: Inspection) -> dict[int, Path]:
+def _misplaced(found: Inspection, unsound: list[Path]) -> dict[int, Path]:
     """Good checkpoints under names of other files, by position, newest first."""
     known = {each.position for each in found.checkpoints if each.damage is None}
     there: dict[int, Path] = {}
-    for path in _unsound(found):
+    for path in unsound:
         with suppress(JournalDamaged):
             position = checkpoint_in(path).position
             if position not in known:
@@ -162,39 +161,45 @@ def _misplaced(found: Inspection) -> dict[int, Path]:
 
 
 def _unsound(found: Inspection) -> list[Path]:
-    """Files that may hold something else than their names tell."""
-    checkpoints = found.path / "checkpoints"
+    """Files that may hold something else than their names tell, in an order that stays when they
+    are set aside."""
     paths = [each.path for each in found.log.scans if each.damage is not None]
     paths += [each.path for each in found.checkpoints if each.damage is not None]
+    paths += [found.path / "checkpoints" / LIST]
     if found.log.reading.fault is not None:
         paths.append(found.path / "journal" / MARK)
     if lacks_format(found.path):
         paths.append(found.path / "format.json")
-    return [each for each in (*paths, checkpoints / LIST) if each.exists()]
+    return _in_order([*(each for each in paths if each.exists()), *_set_aside(found.path)])
 
 
-def _good(found: Inspection, sound: set[int]) -> dict[int, _Place]:
-    """All good records. Of one that is there more than once, that in its place."""
-    there: dict[int, _Place] = {}
-    for scan in found.log.scans:
-        if scan.end:
-            for each in walk(scan.path.read_bytes(), scan.first):
-                there.setdefault(each.position, _place(scan.path, each))
-    ends = {each.path: each.end for each in found.log.scans}
-    unsound = _unsound(found)
-    mark = found.log.mark
-    names = [each.first for each in found.log.scans if each.first < _STAGED]
-    # What is kept goes on from a checkpoint, or the beginning; what is lost is to be told.
-    most = max([0, *sound, *there, *names, 0 if mark is None else mark.durable])
+def _in_order(paths: Iterable[Path]) -> list[Path]:
+    return sorted(paths, key=lambda path: (path.parent.name != "journal", path))
+
+
+def _set_aside(path: Path) -> list[Path]:
+    """The files of the data directory ``path`` that this repair, or one that was stopped, has set
+    aside."""
+    return _in_order(path.glob(f"*{_REPAIRING}*")) + _in_order(path.glob(f"*/*{_REPAIRING}*"))
+
+
+def _good(found: Inspection, unsound: list[Path], most: int) -> dict[int, _Place]:
+    """All good records. Of one that is there more than once, the first in the order of files. The
+    log went at least to record ``most``."""
+    log = found.log
+    most = max(
+        [most, *(each.last for each in log.scans), 0 if log.mark is None else log.mark.durable]
+    )
     most += sum(each.stat().st_size for each in unsound) // HEAD
-    for path in unsound:
-        for each in found_in(path.read_bytes(), ends.get(path, 0), most):
-            there.setdefault(each.position, _place(path, each))
+    there: dict[int, _Place] = {}
+    for path in _in_order({*unsound, *(each.path for each in log.scans)}):
+        data = path.read_bytes()
+        known = found_in(data, 0, most) if path in unsound else walk(data, int(path.stem))
+        for each in known:
+            there.setdefault(
+                each.position, _Place(path, each.begin - HEAD, each.begin + each.length)
+            )
     return there
-
-
-def _place(path: Path, found: Found) -> _Place:
-    return _Place(path, found.begin - HEAD, found.begin + found.length)
 
 
 def _run(there: Collection[int], sound: Collection[int]) -> tuple[int, int]:
@@ -256,33 +261,23 @@ def _whole(scans: tuple[Scan, ...], first: int, last: int) -> dict[Path, range]:
 
 
 def _new_files(
-    good: dict[int, _Place], whole: dict[Path, range], first: int, last: int
+    good: dict[int, _Place],
+    moved: Mapping[Path, Path],
+    whole: dict[Path, range],
+    first: int,
+    last: int,
 ) -> Iterator[tuple[int, bytes]]:
     """What is to be kept and is in none of the files that stay, as files: first position, content.
-    What stands in one file comes into one: the next call finds it so in the new ones."""
+    What stands in one file comes into one. ``moved`` are files that have got another name."""
     taken = {position for of_file in whole.values() for position in of_file}
     missing = [position for position in range(first, last + 1) if position not in taken]
     # Consecutive ones have the same difference to their places in the list.
     runs = groupby(enumerate(missing), lambda each: (each[1] - each[0], good[each[1]].path))
     for (_, path), run in runs:
-        positions, data = [position for _, position in run], path.read_bytes()
+        positions, data = [position for _, position in run], moved.get(path, path).read_bytes()
         # Each with its head, as it was written.
         parts = [data[good[each].begin : good[each].end] for each in positions]
         yield positions[0], header_of(positions[0]) + b"".join(parts)
-
-
-def _stage(disk: Disk, name: Callable[[Path, int], Path], folder: Path, content: bytes) -> Path:
-    """A file of ``content`` that is not where it belongs yet: one that an earlier call has written,
-    or a new one."""
-    suffix = name(folder, _STAGED).suffix
-    there = sorted(folder.glob(f"{NUMBER}{suffix}"))
-    staged = [each for each in there if int(each.stem) >= _STAGED]
-    for each in staged:
-        if each.stat().st_size == len(content) and each.read_bytes() == content:
-            return each
-    path = name(folder, 1 + int(staged[-1].stem) if staged else _STAGED)
-    write_whole(disk, path, content)
-    return path
 
 
 def _sync(disk: Disk, path: Path) -> None:
@@ -293,17 +288,18 @@ def _sync(disk: Disk, path: Path) -> None:
         disk.close(file)
 
 
-def _set_aside(disk: Disk, path: Path) -> Path:
-    name, number = f"{path.name}.damaged", 1
-    while path.with_name(name).exists():
+def _rename(disk: Disk, path: Path, name: str) -> Path:
+    """Rename the file to ``name``, with a number if there is such a file."""
+    target, number = path.with_name(name), 1
+    while target.exists():
         number += 1
-        name = f"{path.name}.damaged{number}"
-    disk.rename(path, path.with_name(name))
-    return path.with_name(name)
+        target = path.with_name(f"{name}{number}")
+    disk.rename(path, target)
+    return target
 
 
 def _note(disk: Disk, path: Path, told: str) -> None:
-    """Let ``path`` say so, too: what an earlier repair has told may not have been heard yet."""
+    """Add ``told`` to ``path``: a start may not have read yet what an earlier repair wrote."""
     known = path.read_text(errors="replace").strip() if path.exists() else ""
     if told not in known.split("; "):
         write_whole(disk, path, f"{'; '.join(filter(None, (known, told)))}\n".encode())

@@ -35,9 +35,9 @@ _CHECKED: Final = struct.Struct("<IQQ")
 _POSITION: Final = 8
 """Where the position stands in a record."""
 _LOOK: Final = 1 << 20
-"""So many places at once are looked at for a record behind damage."""
+"""Bytes searched at once for a record behind damage."""
 _ROOM: Final = 4 << 20
-"""Room on the disk is made by so many bytes, if there are so many."""
+"""Bytes of room made on the disk at once, if it has them."""
 
 
 class Found(NamedTuple):
@@ -55,7 +55,7 @@ def path_of(folder: Path, first: int) -> Path:
 
 
 def header_of(first: int) -> bytes:
-    """What a file begins with."""
+    """The header of a file."""
     return _HEADER.pack(_MAGIC, FORMAT, _header_checksum(FORMAT, first), first)
 
 
@@ -65,7 +65,7 @@ def framed(position: int, payload: bytes, synced: int) -> bytes:
 
 
 def size_of(payload: bytes) -> int:
-    """How many bytes its record has."""
+    """The bytes of its record."""
     return _RECORD.size + len(payload)
 
 
@@ -120,7 +120,7 @@ class Scan:
 
 
 def scan(path: Path, data: bytes | None = None) -> Scan:
-    """Look how far a file is good; ``data``: what it holds, where that is known. Raises
+    """Find how far a file is good; ``data``: what it holds, where that is known. Raises
     `UnknownFormat` and ``OSError``. Cost: O(bytes)."""
     data = path.read_bytes() if data is None else data
     first = int(path.stem)
@@ -277,7 +277,7 @@ class Segment:
         return cls(disk, found.path, file, found.first, found.end)
 
     def make_room(self, count: int) -> None:
-        """So many bytes more can be written for sure."""
+        """Reserve room on the disk for ``count`` bytes more."""
         least = self.end + count - self._room
         if least <= 0:
             return
@@ -291,12 +291,12 @@ class Segment:
         self._room += room
 
     def add(self, position: int, payload: bytes) -> None:
-        """A record to be written next; `make_room` was called for it."""
+        """Add a record to write next. Contract: `make_room` was called for it."""
         self._waiting.append(Waiting(position, payload, zlib.crc32(payload)))
         self.end += size_of(payload)
 
     def waiting(self) -> Sequence[Waiting]:
-        """The records that are to be written by now."""
+        """The records that `write` is to write next."""
         return tuple(self._waiting)
 
     def write(self, records: Sequence[Waiting], synced: int) -> None:

@@ -8,6 +8,8 @@ exactly once, keeps history, and hands the stream on to its subscribers together
 
 Contract of a watermark ``w``: every sample that comes later has available time ≥ ``w``. So after a
 sample available at T more samples of that instant may come until the watermark is greater than T.
+
+The class is long, since each batch changes order, counters, history and promise at once.
 """
 
 from __future__ import annotations
@@ -18,28 +20,25 @@ from typing import Protocol
 
 import numpy as np
 
+from .duplicates import Duplicates
 from .history import FluentStream, Retention
-from .instants import repeated
-from .rules import Rules
 from .sample import (
-    Content,
     Field,
-    Mask,
     SampleBatch,
     SampleError,
     Schema,
     Times,
     concatenate,
-    contents,
     empty_batch,
     widened,
 )
+from .stream_rules import Rules
 from .string_pool import StringPool
 from .time import HOUR, TIME_MAX, TIME_MIN
 
 
 class Receiver(Protocol):
-    """Whoever subscribes: gets the stream's samples in order of available time."""
+    """A subscription: it receives the stream's samples in order of available time."""
 
     @property
     def knows_codes(self) -> bool:
@@ -55,15 +54,14 @@ class Receiver(Protocol):
         """``source`` has come to its end (it may be taken up again by a later sample)."""
 
     def resumed(self, source: StreamGenerator) -> None:
-        """``source`` had ended and goes on; told to everybody before its samples are."""
+        """``source`` had ended and goes on; called before its new samples come."""
 
     def idleness_changed(self, source: StreamGenerator) -> None:
-        """``source`` has fallen idle, or speaks again (told before its samples): its `is_idle`."""
+        """``source`` has become idle, or active again (before its samples come): see `is_idle`."""
 
 
 class Listener(Protocol):
-    """Whoever looks on from outside: what is made does not depend on it, and a copy of a generator
-    has none."""
+    """An observer from outside. No result depends on it, and a copy of a generator has none."""
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples continue the stream."""
@@ -93,10 +91,10 @@ class StreamGenerator:
     """The one owner of a stream: order, counters, history, subscriptions.
 
     ``lateness`` (ns): how far behind the greatest available time a sample may still arrive.
-    Samples stamped on arrival are never late. ``idle`` (ns): after how long without samples the
-    stream is not waited for, by the clock of whoever calls `fall_idle`; None: it always is.
-    ``ahead`` (ns): how far ahead of the clock a sample may be stamped that comes from outside;
-    the service judges it (`engine/configuration/ingest`), the generator takes what it is offered.
+    Samples stamped on arrival are never late. ``idle`` (ns): after this time without samples others
+    stop to wait for the stream, by the clock of the caller of `fall_idle`; None: never.
+    ``ahead`` (ns): how far ahead of the clock an outside sample may be stamped.
+    `engine/configuration/ingest` checks this limit, the generator does not.
     ``rules`` are those of all streams of an engine.
 
     Law (tests/laws): the stream, its counters and its watermark do not depend on how the offered
@@ -130,22 +128,21 @@ class StreamGenerator:
         self.stamped: bool | None = None
         """Whether the samples are stamped on arrival; None before the first one."""
         self.watermark: int | None = None
-        """None until the stream has begun: a stream that never spoke holds nobody back."""
+        """None until the stream has begun: a stream without samples holds no other one back."""
         self.is_ended = False
         self.is_idle = False
-        """Whether others wait for it no longer, until it speaks again."""
+        """Whether others stopped to wait for it, until its next sample."""
         self.late_stream: StreamGenerator | None = None
-        """Takes the late samples, if somebody asked for them."""
+        """Receives the late samples; None: no subscription asks for them."""
         self.ends_at: int | None = None
-        """What is available later (ns) is not for those who follow the object that it is of."""
+        """Samples available later (ns) do not belong to the object's life that others follow."""
         self.is_void = False
-        """Whether another stream takes its place and says all of it anew."""
+        """Whether another stream replaces it and repeats all its samples."""
         self._greatest: int | None = None
         self._pending: SampleBatch | None = None
-        self._taken: set[Content] | None = None
-        """The rows of the last instant, if that has gone on in another batch."""
+        self._duplicates = Duplicates(self.rules)
         self.on_followed: Callable[[bool], None] | None = None
-        """Told before the first subscription (True), and when the last has ended (False)."""
+        """Called before the first subscription (True) and after the last one has ended (False)."""
         self._receivers: list[Receiver] = []
         self._known_fields: dict[Receiver, tuple[str, ...]] = {}
         """The fields of receivers that subscribed before the stream got further ones."""
@@ -160,7 +157,7 @@ class StreamGenerator:
 
     @property
     def is_open(self) -> bool:
-        """Whether nobody has said yet which fields the stream has: its first samples will."""
+        """Whether the stream has no fields yet: its first samples define them."""
         return not self.stream.schema.fields
 
     def adopt(self, schema: Schema, pools: Mapping[str, StringPool]) -> None:
@@ -187,7 +184,7 @@ class StreamGenerator:
         for receiver in self._receivers:
             self._known_fields.setdefault(receiver, self.schema.names)
         self.stream.widen(schema)
-        self._taken = None
+        self._duplicates.forget()
         if self._pending is not None:
             self._pending = widened(self._pending, schema, self.stream.pools)
         if self.late_stream is not None:
@@ -204,19 +201,19 @@ class StreamGenerator:
 
     @property
     def listeners(self) -> int:
-        """How many listen from outside."""
+        """How many listeners there are."""
         return len(self._listeners)
 
     def listen(self, listener: Listener) -> None:
-        """Tell ``listener`` of what comes from now on."""
+        """Pass what comes from now on to ``listener``, too."""
         self._listeners.append(listener)
 
     def leave(self, listener: Listener) -> None:
-        """Tell ``listener`` no longer."""
+        """Remove ``listener``."""
         self._listeners.remove(listener)
 
     def subscribe(self, receiver: Receiver) -> None:
-        """Serve ``receiver`` from now on; it is told the watermark that holds already, and whether
+        """Serve ``receiver`` from now on. It receives the current watermark at once, and learns if
         the stream is idle."""
         if self.on_followed is not None and not self._receivers:
             self.on_followed(True)
@@ -251,8 +248,8 @@ class StreamGenerator:
         watermark: int | None,
         is_ended: bool,
     ) -> None:
-        """Be what another was that kept ``batch``, whose first sample has number ``first`` and of
-        which the last ``pending`` ones were held back. Contract: nobody has used this one yet."""
+        """Take over the state of another generator. It kept ``batch``, whose first sample has
+        number ``first``, and held back the last ``pending`` ones. Contract: this one is unused."""
         count = len(batch) - pending
         self.stream.go_on(batch.take(slice(0, count)), first)
         self.counters, self.stamped = counters, stamped
@@ -310,10 +307,10 @@ class StreamGenerator:
         """Promise that every later sample has available time ≥ ``watermark``.
 
         The clock does so for an idle stream that is stamped on arrival, a unit for its output.
-        A promise that says less than an earlier one changes nothing. What is pending below the
-        watermark is released first: nothing can overtake it any more.
+        A smaller watermark than an earlier one changes nothing. Pending samples below the watermark
+        are released first: no later sample can overtake them.
         """
-        watermark = min(watermark, TIME_MAX)  # whoever knows all up to it says one more
+        watermark = min(watermark, TIME_MAX)  # "known up to t" is watermark t + 1
         if self.watermark is not None and watermark <= self.watermark:
             return
         if self._pending is not None:
@@ -321,7 +318,7 @@ class StreamGenerator:
         self._announce(watermark)
 
     def end(self) -> None:
-        """The stream has come to its end: what is pending is released, subscribers are told."""
+        """End the stream: release what is pending, then notify the subscribers."""
         self._flush_until(TIME_MAX)
         self.is_ended, self.is_idle = True, False
         for receiver in tuple(self._receivers):
@@ -332,7 +329,7 @@ class StreamGenerator:
             self.late_stream.end()
 
     def resume(self) -> None:
-        """The stream goes on after its end: whoever reads it waits for it again."""
+        """Continue the stream after its end: its readers wait for it again."""
         if self.is_ended:
             self.is_ended = False
             for receiver in tuple(self._receivers):
@@ -341,17 +338,17 @@ class StreamGenerator:
                 self.late_stream.resume()
 
     def fall_idle(self) -> None:
-        """The stream says nothing: whoever reads others too does not wait for it any more.
+        """Make the stream idle: readers of several streams stop to wait for it.
 
-        What is pending is released first, so that it still comes in time; what is available before
-        that is late from now on.
+        Pending samples are released first, so that they are not late; samples available before
+        these are late from now on.
         """
         if self._greatest is not None:
             self._flush_until(self._greatest)
         self._set_idle(True)
 
     def wake(self) -> None:
-        """The stream speaks again, and is waited for."""
+        """The stream is active again: its readers wait for it."""
         self._set_idle(False)
 
     def stamps_at(self, moments: Times) -> Times:
@@ -372,13 +369,13 @@ class StreamGenerator:
         return np.maximum.accumulate(room - steps) + steps
 
     def close(self) -> None:
-        """The stream is removed: what is still pending is counted as expired."""
+        """Remove the stream: count pending samples as expired."""
         self.counters.expired += self.counters.pending
         self.counters.pending = 0
         self._pending = None
 
     def pass_late_to(self, side: StreamGenerator) -> None:
-        """From now on ``side``, which has the same fields, gets the samples that are late."""
+        """Pass late samples to ``side``, which has the same fields, from now on."""
         self.late_stream = side
         if self.watermark is not None:
             side.advance(self.watermark)
@@ -443,38 +440,10 @@ class StreamGenerator:
             batch = batch.take(~late)
         if not distinct or not len(batch):
             return batch
-        again = self._has_taken_time(batch) if self.rules.gap else self._is_duplicate(batch)
+        again = self._duplicates.among(batch, self.stream, self.pending)
         count = int(np.count_nonzero(again))
         self.counters.duplicate += count
         return batch.take(~again) if count else batch
-
-    def _is_duplicate(self, batch: SampleBatch) -> Mask:
-        """Which rows equal one of the last instant, of what is pending, or before them."""
-        last = self.stream.last_available
-        if last is None or not bool((goes_on := batch.available == last).any()):
-            return repeated(self.pending, batch)
-        if self._taken is None:
-            self._taken = set(contents(self.stream.between(last, last)))
-        found = np.zeros(len(batch), np.bool_)
-        rows = np.flatnonzero(goes_on)
-        for row, content in zip(rows.tolist(), contents(batch.take(rows)), strict=True):
-            found[row] = content in self._taken
-            self._taken.add(content)
-        if len(rows) < len(batch):
-            found[~goes_on] = repeated(self.pending, batch.take(~goes_on))
-        return found
-
-    def _has_taken_time(self, batch: SampleBatch) -> Mask:
-        """Which rows have the available time of another, by `UNIQUE_TIMES`."""
-        taken = np.ones(len(batch), np.bool_)
-        _, earliest = np.unique(batch.available, return_index=True)
-        taken[earliest] = False
-        known = [] if self._pending is None else [self._pending.available]
-        if self.stream.last_available is not None:
-            known.append(np.array([self.stream.last_available], np.int64))
-        if known:
-            taken |= np.isin(batch.available, np.concatenate(known))
-        return taken
 
     def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
         """Late samples go on with their valid times and values. Each is available when it came, in
@@ -485,7 +454,7 @@ class StreamGenerator:
         side.emit(batch.with_available(side.stamps_at(reached)))
 
     def _flush_until(self, due: int) -> None:
-        """Release the pending samples with available time ≤ ``due``, then say so."""
+        """Release the pending samples with available time ≤ ``due``, then announce ``due``."""
         if self._pending is not None:
             self._release_first(int(np.searchsorted(self._pending.available, due, "right")))
         if due != TIME_MAX:
@@ -502,7 +471,7 @@ class StreamGenerator:
 
     def _release(self, batch: SampleBatch) -> None:
         if batch.available[-1] != self.stream.last_available:
-            self._taken = None
+            self._duplicates.forget()
         self.stream.append(batch)
         self.counters.used += len(batch)
         self._greatest = (
@@ -519,8 +488,8 @@ class StreamGenerator:
         self._announce(int(batch.available[-1]))
 
     def forget_texts(self) -> None:
-        """Forget texts that nothing kept or held back has, where most are of that kind and no
-        receiver knows codes. Cost: O(receivers), and what `FluentStream.forget_texts` costs."""
+        """Forget texts that no kept or pending sample has, if most are of that kind and no receiver
+        keeps codes. Cost: O(receivers), and what `FluentStream.forget_texts` costs."""
         if any(receiver.knows_codes for receiver in self._receivers):
             return
         held = 0 if self._pending is None else len(self._pending)
@@ -528,13 +497,13 @@ class StreamGenerator:
             self._pending = self.stream.encoded(self._pending)
 
     def _announce(self, watermark: int) -> None:
-        """Tell the subscribers of a watermark that says more than the last one."""
+        """Send the subscribers a watermark that is greater than the last one."""
         if self.watermark is None or watermark > self.watermark:
             self.watermark = watermark
             for receiver in tuple(self._receivers):
                 receiver.advance(self, watermark)
             if self.late_stream is not None:
-                # What is late from now on comes when the stream has got so far.
+                # A sample that is late from now on is available at this watermark or later.
                 self.late_stream.advance(watermark)
 
 

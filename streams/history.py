@@ -6,111 +6,39 @@ tests/laws is its slow twin, straight from the paper's set notation.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
-from operator import attrgetter
-from typing import Final, Literal, NamedTuple
+from bisect import bisect_left
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .sample import (
-    TIMES_SIZE,
-    FieldType,
-    SampleBatch,
-    Times,
-    concatenate,
-    empty_batch,
-    widened,
-)
+from .runs import FIRST, Runs
+from .runs import Retention as Retention
+from .runs import Segment as Segment
+from .sample import FieldType, SampleBatch, Times, widened
 from .sample import Schema as Schema
 from .string_pool import StringPool
 from .time import TIME_MAX, TIME_MIN
 
-_FAN: Final = 32
-"""So many neighbouring runs of one size class are put together to one of the next."""
-
-
 _TEXTS: Final = 4096
-"""So many texts of a field are not worth looking for those that are gone."""
+"""Texts of a field up to which a search for forgotten ones does not pay."""
 _SHARE: Final = 2
-"""Nor are so many a kept sample."""
+"""Texts per kept sample up to which it does not pay, either."""
 _CHARACTERS: Final = 4 << 20
-"""But so many characters of them are, if these are more than `_SHARE` times as many as there were
-when texts that are gone were looked for."""
+"""Characters of texts above which a search pays, if they are more than `_SHARE` times those of the
+last search."""
 _TRIES: Final = 4
-"""Searches for texts to which the stream gets others meanwhile; then `encoded` looks for them."""
+"""How often `find_places` searches again when pools changed meanwhile."""
 
 
-@dataclass(frozen=True, slots=True)
-class Retention:
-    """How much history a stream keeps: at most ``samples``, at most ``age`` ns of available time,
-    at most so many ``bytes`` (`SampleBatch.sizes`).
-
-    None for ``age`` or ``bytes`` keeps any. Law: with *asked* the number of newest samples that no
-    limit forbids, ``max(asked, rows of the newest batch)`` samples are kept: never less than asked
-    for, and the newest batch is always there as a whole.
-    """
-
-    samples: int = 100_000
-    age: int | None = None
-    bytes: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """Consecutive samples of a stream; ``first`` is the first one's number (from 1)."""
-
-    first: int
-    batch: SampleBatch
-
-    @property
-    def last(self) -> int:
-        return self.first + len(self.batch) - 1
-
-
-class _Run(NamedTuple):
-    """Batches that were put together, with the bounds by which a search passes them over."""
-
-    first: int
-    """The number of the first sample."""
-    batch: SampleBatch
-    begin: int
-    """The first available time, and the last."""
-    end: int
-    low: int
-    """The least valid time, and the greatest."""
-    high: int
-    size: int
-    """The size class: ``_FAN ** size`` to ``_FAN ** (size + 1) - 1`` samples."""
-    place: int = 1
-    """How many runs of this class stand here in a row, up to this one."""
-    weight: int | None = None
-    """Bytes of all its samples; None: nobody has asked yet."""
-
-
-_FIRST = attrgetter("first")
-_BEGIN = attrgetter("begin")
-_END = attrgetter("end")
-
-
-class FluentStream:
+class FluentStream(Runs):
     """Samples ordered by available time, those of one instant by sequence number; the last ones
     kept.
 
     Contract: `append` takes only what continues the order (`StreamGenerator` sees to that).
     Numbers of samples are ``first``, ``first + 1`` … over the life of the stream, gap-free.
-    Batches that were appended or handed out never change.
 
-    History is a list of runs. Neighbouring runs of like size are put together as the stream grows,
-    so a history of n samples is O(log n) runs however it was cut, some hundreds at most, and a
-    sample is copied O(log n) times. A run of more than an eighth of the retention is never made;
-    one that came so is cut as soon as half of it is gone.
-
-    Cost: `append` O(columns) amortized a batch, and O(runs) where the history is as many bytes as
-    may be; `last_avail`, `prev` and `since` O(log n + answer);
-    `most_recent_at` O(runs + rows of the runs whose valid times straddle the one asked for);
-    the others O(runs + answer). Memory: `Retention`, and at most one run more.
+    Cost: `last_avail`, `prev` and `since` O(log n + answer); `most_recent_at` O(runs + rows of the
+    runs whose valid times straddle the one asked for); the others O(runs + answer).
     """
 
     def __init__(
@@ -120,78 +48,24 @@ class FluentStream:
         pools: dict[str, StringPool] | None = None,
         first: int = 1,
     ) -> None:
-        self.schema = schema
-        self._retention = retention or Retention()
-        # Its own: which pool a field has changes, and others change theirs at other times.
-        self.pools = dict(pools or {})
-        self._runs: list[_Run] = []
-        self._last_sums: tuple[int, int, NDArray[np.int64]] | None = None
+        super().__init__(schema, retention or Retention(), pools, first)
         self._looked_for: dict[str, int | None] = {}
-        """Characters of the texts of a field when those that are gone were looked for; None: they
-        have just been."""
-        self._first = first
-        self._next = first
-        self._last_available: int | None = None
-        self._gone_valid: tuple[int, int] | None = None
-        """The least and the greatest valid time of samples in runs that are gone."""
-
-    @property
-    def forgotten_valid(self) -> tuple[int, int] | None:
-        """The least and the greatest valid time of all samples that retention has forgotten; None
-        if there is none. Cost: O(samples of one run)."""
-        if self._runs and (gone := self._first - self._runs[0].first):
-            valid = self._runs[0].batch.valid[:gone]
-            return _span(self._gone_valid, int(valid.min()), int(valid.max()))
-        return self._gone_valid
+        """Characters of the texts of a field at the last search for forgotten ones; None: it has
+        just forgotten some, so the next one begins anew."""
 
     @property
     def retention(self) -> Retention:
-        """How much is kept; less from the moment on when it is told so."""
+        """How much is kept. A smaller retention forgets samples at once."""
         return self._retention
 
     @retention.setter
     def retention(self, retention: Retention) -> None:
-        self._retention = retention
         self._looked_for.clear()
-        if not self._runs:
-            return
-        self._drop(self._next - 1)
-        # Nobody knows when the rest of this run will go.
-        self._cut()
-
-    def __len__(self) -> int:
-        """How many samples are kept."""
-        return self._next - self._first
-
-    @property
-    def last_number(self) -> int:
-        """The number of the newest sample ever appended; before the first one less than its."""
-        return self._next - 1
-
-    @property
-    def first_number(self) -> int:
-        """The number of the oldest sample kept; one past the newest when none is."""
-        return self._first
-
-    @property
-    def first_available(self) -> int | None:
-        """The available time of the oldest sample kept, None when none is.
-
-        Answers about earlier times may lack what was known then: history reaches back to here.
-        """
-        if not self._runs:
-            return None
-        oldest = self._runs[0]
-        return int(oldest.batch.available[self._first - oldest.first])
-
-    @property
-    def last_available(self) -> int | None:
-        """The greatest available time ever appended, None before the first sample."""
-        return self._last_available
+        self._keep(retention)
 
     def go_on(self, batch: SampleBatch, first: int) -> None:
-        """Be as one that kept ``batch``, whose first sample has number ``first``; what is known of
-        earlier ones is nothing. Contract: nothing was appended yet."""
+        """Take over the history of another stream that kept ``batch``, whose first sample has
+        number ``first``. Contract: this one is unused."""
         if first > self._first:
             self._gone_valid = TIME_MIN, TIME_MAX
         self._first = self._next = first
@@ -212,9 +86,9 @@ class FluentStream:
             self._runs[i] = run._replace(batch=batch, weight=None)
 
     def forget_texts(self, held: int = 0) -> bool:
-        """Give text fields new pools, without the texts that no kept sample has, where most are of
-        that kind; whether there was one. ``held``: so many samples elsewhere have texts of it, too.
-        Contract: nobody has codes of this stream but in batches.
+        """Give text fields new pools without the texts that no kept sample has, if most are of that
+        kind; returns whether a field got one. ``held`` counts samples elsewhere with such texts.
+        Contract: codes of this stream exist in batches only.
 
         Cost: O(1), and O(kept samples) once for as many new texts.
         """
@@ -271,42 +145,6 @@ class FluentStream:
             if not lacking:
                 return
 
-    def append(self, batch: SampleBatch) -> Segment | None:
-        """Continue the stream; returns where the batch went, None if it was empty."""
-        if not len(batch):
-            return None
-        available = batch.available
-        if (self._last_available is not None and available[0] < self._last_available) or (
-            len(available) > 1 and not bool((available[1:] >= available[:-1]).all())
-        ):
-            raise ValueError("available times of a stream do not decrease (Def. 4.1)")
-        number = self._next
-        run = _run(number, batch)
-        self._gather(run)
-        self._next += len(batch)
-        self._last_available = run.end
-        self._drop(number)
-        return Segment(number, batch)
-
-    def since(self, number: int, limit: int | None = None) -> list[Segment]:
-        """The kept samples from ``number`` on, in order, as segments.
-
-        With ``limit`` the segments end with the one that brings it: at least so many samples, if
-        there are.
-        """
-        found: list[Segment] = []
-        number = max(number, self._first)
-        end = self._next if limit is None else number + max(1, limit)
-        for i in range(max(0, bisect_right(self._runs, number, key=_FIRST) - 1), len(self._runs)):
-            run = self._runs[i]
-            if run.first >= end:
-                break
-            cut = max(0, number - run.first)
-            if cut < len(run.batch):
-                part = run.batch if cut == 0 else run.batch.take(slice(cut, None))
-                found.append(Segment(run.first + cut, part))
-        return found
-
     def number_at(self, time: int) -> int:
         """The number of the first kept sample available at ``time`` or later; that of the next
         sample where there is none. Cost: O(log n)."""
@@ -344,7 +182,7 @@ class FluentStream:
         if end == self._first:
             return self._part(0, 0)
         # From the newest to the oldest: of equal valid times the first one met is the answer.
-        for run in reversed(self._runs[: bisect_left(self._runs, end, key=_FIRST)]):
+        for run in reversed(self._runs[: bisect_left(self._runs, end, key=FIRST)]):
             if run.low > time or (found is not None and run.high <= best):
                 continue
             start = max(0, self._first - run.first)
@@ -391,8 +229,8 @@ class FluentStream:
         self, start: int | None, end: int | None, *, most: int | None = None, newest: bool = False
     ) -> SampleBatch:
         """The kept samples with available time in the closed interval; None is unbounded. At
-        ``most`` the ``newest`` so many of them; or the oldest so many, and the rest of the last
-        instant of these, so that the next piece begins after it."""
+        ``most`` the ``newest`` of them; or the oldest and the rest of their last instant, so that
+        the next piece begins after it."""
         first = self._first if start is None else self._number(start, "left")
         after = self._next if end is None else self._number(end, "right")
         if most is not None and newest:
@@ -406,182 +244,6 @@ class FluentStream:
         """The number of the last sample available before ``time``; of one before all that are kept,
         that of the one before these."""
         return self._number(time, "left") - 1
-
-    def _number(self, time: int, side: Literal["left", "right"]) -> int:
-        """The number of the first sample available after ``time`` (``left``: at it or after)."""
-        i = (bisect_left if side == "left" else bisect_right)(self._runs, time, key=_END)
-        if i == len(self._runs):
-            return self._next
-        run = self._runs[i]
-        # Within a run the time is one of 64 bits, which is all that numpy can search for.
-        row = 0 if time < run.begin else int(run.batch.available.searchsorted(time, side))
-        return max(self._first, run.first + row)
-
-    def _part(self, start: int, end: int) -> SampleBatch:
-        """The kept samples with ``start`` ≤ number < ``end``."""
-        start = max(start, self._first)
-        parts: list[SampleBatch] = []
-        i = max(0, bisect_right(self._runs, start, key=_FIRST) - 1)
-        while start < end and i < len(self._runs):
-            run = self._runs[i]
-            rows = slice(start - run.first, end - run.first)
-            whole = rows.start == 0 and rows.stop >= len(run.batch)
-            parts.append(run.batch if whole else run.batch.take(rows))
-            start = run.first + len(run.batch)
-            i += 1
-        return concatenate(parts) if parts else empty_batch(self.schema, self.pools)
-
-    def _gather(self, run: _Run) -> None:
-        """Add a run, put together with neighbours so that the runs stay few.
-
-        Sizes fall from the oldest run to the newest, and fewer than ``_FAN`` runs in a row are of
-        one class: what is smaller than what follows goes into it, and a full row becomes one run
-        of the next class. Where that would be too much for one run (`_joining`) as many go into it
-        as may, and a row begins anew with it: so many together hold so much that they are few, too.
-        """
-        runs = self._runs
-        runs.append(run)
-        is_full = False
-        while len(runs) > 1 and not is_full:
-            before, last = runs[-2:]
-            if before.size > last.size or (before.size == last.size and before.place + 1 < _FAN):
-                break
-            most = last.size if before.size == last.size else last.size - 1
-            start, is_full = self._joining(most)
-            parts = runs[start:]
-            if len(parts) > 1:
-                weights = [part.weight for part in parts]
-                weight = None if None in weights else sum(filter(None, weights))
-                joined = _run(parts[0].first, concatenate([part.batch for part in parts]))
-                runs[start:] = [joined._replace(weight=weight)]
-        if len(runs) > 1 and runs[-2].size == runs[-1].size and not is_full:
-            runs[-1] = runs[-1]._replace(place=runs[-2].place + 1)
-
-    def _joining(self, most: int) -> tuple[int, bool]:
-        """From which run on, of a class of at most ``most``, all go into one with the last; and
-        whether more of them would be too much for one."""
-        runs = self._runs
-        start = len(runs) - 1
-        rows = len(runs[start].batch)
-        while start and runs[start - 1].size <= most:
-            rows += len(runs[start - 1].batch)
-            if rows > self._longest:
-                break
-            start -= 1
-        heaviest = self._heaviest
-        if heaviest is not None and not self._fits(rows, heaviest):
-            weight = self._weigh(len(runs) - 1)
-            for i in reversed(range(start, len(runs) - 1)):
-                weight += self._weigh(i)
-                if weight > heaviest:
-                    return i + 1, True
-        return start, rows > self._longest
-
-    @property
-    def _longest(self) -> int:
-        """No run of more samples is made here."""
-        return max(_FAN, self._retention.samples // 8)
-
-    @property
-    def _heaviest(self) -> int | None:
-        """Nor one of more bytes."""
-        most = self._retention.bytes
-        return None if most is None else most // 8
-
-    def _weigh(self, place: int) -> int:
-        """Bytes of all samples of a run. Cost: O(rows), once for each run."""
-        run = self._runs[place]
-        if run.weight is None:
-            run = self._runs[place] = run._replace(weight=int(run.batch.sizes().sum()))
-        assert run.weight is not None
-        return run.weight
-
-    def _fits(self, count: int, limit: int) -> bool:
-        """Whether so many samples surely have no more than so many bytes: as many as if each of
-        their texts were the longest there is. Cost: O(fields)."""
-        most = TIMES_SIZE
-        for field in self.schema.fields:
-            pool = self.pools.get(field.name)
-            most += field.type.size if pool is None else pool.longest
-        return count * most <= limit
-
-    def _within(self, limit: int) -> int:
-        """The least number from which on the samples have no more than so many bytes. Cost:
-        O(runs), and O(rows) once for each run."""
-        for i in reversed(range(len(self._runs))):
-            weight = self._weigh(i)
-            if weight > limit:
-                run = self._runs[i]
-                fitting = int(self._sums(run).searchsorted(limit, "right"))
-                return run.first + len(run.batch) - fitting
-            limit -= weight
-        return self._first
-
-    def _sums(self, run: _Run) -> NDArray[np.int64]:
-        """Bytes of the last samples of a run: of one, of two … Found once while it is asked for
-        the same run."""
-        known, rows = self._last_sums, len(run.batch)
-        if known is None or known[:2] != (run.first, rows):
-            known = self._last_sums = run.first, rows, np.cumsum(run.batch.sizes()[::-1])
-        return known[2]
-
-    def _drop(self, newest: int) -> None:
-        """Forget what the retention does not ask for, up to the batch that begins at ``newest``."""
-        kept, last = self._retention, self._last_available
-        first = max(self._first, self._next - kept.samples)
-        if kept.age is not None and last is not None:
-            first = max(first, self._number(last - kept.age, "left"))
-        most = kept.bytes
-        if most is not None and first < newest and not self._fits(self._next - first, most):
-            first = max(first, self._within(most))
-        self._first = first = min(first, newest)
-        gone = 0
-        while gone + 1 < len(self._runs) and self._runs[gone + 1].first <= first:
-            gone += 1
-        if gone:
-            for run in self._runs[:gone]:
-                self._gone_valid = _span(self._gone_valid, run.low, run.high)
-            del self._runs[:gone]
-        oldest = self._runs[0]
-        if 2 * (first - oldest.first) >= len(oldest.batch) and self._is_oldest_large():
-            self._cut()
-
-    def _is_oldest_large(self) -> bool:
-        """Whether the oldest run is larger than those that are made here: it came so."""
-        rows, heaviest = len(self._runs[0].batch), self._heaviest
-        if rows > self._longest or heaviest is None:
-            return rows > self._longest
-        return not self._fits(rows, heaviest) and self._weigh(0) > heaviest
-
-    def _cut(self) -> None:
-        """Leave of the oldest run what is kept."""
-        oldest = self._runs[0]
-        if gone := self._first - oldest.first:
-            self._gone_valid = self.forgotten_valid
-            kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
-            self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
-
-
-def _span(known: tuple[int, int] | None, low: int, high: int) -> tuple[int, int]:
-    return (low, high) if known is None else (min(known[0], low), max(known[1], high))
-
-
-def _run(first: int, batch: SampleBatch) -> _Run:
-    """A run of one batch; for a single sample, much cheaper than reductions over columns."""
-    count = len(batch)
-    begin = int(batch.available[0])
-    if count == 1:
-        valid = int(batch.valid[0])
-        return _Run(first, batch, begin, begin, valid, valid, 0)
-    return _Run(
-        first,
-        batch,
-        begin,
-        int(batch.available[-1]),
-        int(batch.valid.min()),
-        int(batch.valid.max()),
-        (count.bit_length() - 1) // (_FAN.bit_length() - 1),
-    )
 
 
 def join_availtimes(*streams: FluentStream) -> Times:

@@ -1,7 +1,6 @@
-"""Loops that numpy has no word for, compiled by numba.
+"""Loops that numpy cannot express, compiled by numba.
 
-With ``NUMBA_DISABLE_JIT=1`` or ``DYKNOW_JIT=off`` whoever has such a loop takes another way, with
-the same results.
+With ``NUMBA_DISABLE_JIT=1`` or ``DYKNOW_JIT=off`` each caller takes another way to the same result.
 """
 
 from __future__ import annotations
@@ -39,27 +38,27 @@ class Kernel:
         """The compiled function: made now, read from the cache, or known already."""
         with _COMPILING:
             if self._compiled is None:
-                # Imported here: numba takes half a second that who needs no loop can save.
+                # Imported here: it takes half a second, which many commands never need.
                 from numba import njit
 
                 try:
                     self._compiled = njit(self.signature(), cache=True, nogil=True)(self.py_func)
                 except RuntimeError:
-                    # No directory to cache in (a read-only root, no home): compile each start.
+                    # No directory for the cache (a read-only root, no home): compile at each start.
                     self._compiled = njit(self.signature(), nogil=True)(self.py_func)
             return self._compiled
 
 
-def _untold(_done: int, _count: int) -> None:
-    """Nobody waits for it."""
+def _ignore(_done: int, _count: int) -> None:
+    """Report no progress."""
 
 
-def compile_all(tell: Callable[[int, int], None] = _untold) -> None:
-    """Compile every loop of the modules that are imported, one after the other; ``tell`` hears how
-    many are done, and of how many.
+def compile_all(tell: Callable[[int, int], None] = _ignore) -> None:
+    """Compile every loop of the imported modules, one after the other; call ``tell`` with the
+    number done and the number of all.
 
-    The very first time this takes half a minute; later, 30 ms a loop to read it. For a thread
-    beside a service that is starting: whoever needs a loop before waits for that one at most.
+    The first time this takes half a minute, later 30 ms a loop to read the cache. A thread does it
+    while a service starts; a caller that needs a loop earlier waits for that one only.
     """
     if JIT:
         for done, kernel in enumerate(_KERNELS, start=1):

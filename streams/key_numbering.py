@@ -14,11 +14,11 @@ Keys: TypeAlias = NDArray[np.int64]
 Numbers: TypeAlias = NDArray[np.int64]
 
 _FEW: Final = 32
-"""So many keys are looked up faster one by one."""
+"""Up to this number of keys a look-up one by one is faster."""
 _SPARSE: Final = 16
-"""The table may have so many places a key; whose keys lie apart more are looked up in a dict."""
+"""Places of the table per key at most; keys that lie further apart are looked up in a dict."""
 _ROOM: Final = 2**16
-"""The table may have so many places in any case."""
+"""Places that the table may have in any case."""
 
 
 class Numbering:

@@ -12,7 +12,7 @@ from .sample import Column, Mask, SampleBatch
 from .string_pool import StringPool
 
 _LEAST = 16
-"""Room is made for so many objects at first."""
+"""Objects for which there is room at first."""
 
 
 class Latest:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Codes = NDArray[np.int32]
 _FEW: Final = 16
-"""So many strings are put in their place with each that is encoded alone."""
+"""Strings put in their place with each one that is encoded alone."""
 _MANY: Final = 8192
 """And with those that are encoded together; these are some milliseconds of work."""
 OVERHEAD: Final = 128

@@ -19,8 +19,8 @@ from ...languages.ssl.annotation import StreamAnnotation
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import StreamGenerator
 from ...streams.history import Retention
-from ...streams.rules import Rules
 from ...streams.sample import FieldType, Schema
+from ...streams.stream_rules import Rules
 from ...streams.string_pool import StringPool
 from ...streams.time import HOUR
 from ..model.beginning import Beginning

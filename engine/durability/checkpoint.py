@@ -41,7 +41,7 @@ from .process_state import REMEMBERING, Unkept, kept_of
 
 T = TypeVar("T")
 
-_ROOT = Path(__file__).parent.parent
+_ROOT = Path(__file__).parents[2]
 _DEEP = 100_000
 """Frames: units that read each other's streams are a chain of objects as long as their chain."""
 _STACK = 512 << 20

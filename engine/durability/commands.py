@@ -32,9 +32,9 @@ from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
 from ...streams.history import FluentStream
-from ...streams.recall import Forgotten
-from ...streams.rules import UNIQUE_TIMES
+from ...streams.past_queries import Forgotten
 from ...streams.sample import Schema
+from ...streams.stream_rules import UNIQUE_TIMES
 from ...streams.string_pool import StringPool
 from ...streams.time import SECOND, TIME_MAX, format_duration, format_time
 from ..catalog.iri_annotations import DescribedStream, DescribedTransformation

@@ -16,7 +16,6 @@ import numpy as np
 
 from ...ontology.ontology import Ontology
 from ...streams.generator import Counters, StreamGenerator
-from ...streams.rules import UNIQUE_TIMES
 from ...streams.sample import (
     Column,
     Field,
@@ -25,6 +24,7 @@ from ...streams.sample import (
     Schema,
     concatenate,
 )
+from ...streams.stream_rules import UNIQUE_TIMES
 from ...streams.string_pool import StringPool
 from ..configuration.configuration import after_reserved
 from ..configuration.ingest import UsedKey

@@ -19,7 +19,7 @@ from ...journal.directory import DataDirectory
 from ...journal.errors import JournalDamaged
 from ...journal.log import Log
 from ...ontology.ontology import Ontology
-from ...streams.rules import INSTANTS
+from ...streams.stream_rules import INSTANTS
 from ..configuration.configuration import after_reserved
 from ..engine import Engine
 from ..processes.external_io import Tape

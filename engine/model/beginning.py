@@ -14,7 +14,7 @@ from typing import TypeAlias, TypeVar
 
 from ...matching.plan import Supply, UseStream, nodes_of_supply
 from ...streams.history import FluentStream
-from ...streams.recall import Forgotten, Moment
+from ...streams.past_queries import Forgotten, Moment
 from ...streams.time import TIME_MIN
 from .errors import BadArguments
 from .views import Since

@@ -38,7 +38,7 @@ from ...ontology.ontology import Ontology
 from ...rdf.dictionary import Named, TermDictionary
 from ...rdf.namespaces import DYKNOW, shorten
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MIN

@@ -16,8 +16,8 @@ from ...languages.ssl.annotation import TransformationAnnotation
 from ...matching.plan import Compute, Edge, SelectObject, Synchronize
 from ...rdf.namespaces import shorten
 from ...streams.generator import StreamGenerator
+from ...streams.past_queries import Moment
 from ...streams.policies.policy import Policy
-from ...streams.recall import Moment
 from ..catalog.transformation_library import Transformation
 from ..configuration.configuration import (
     POLICY,

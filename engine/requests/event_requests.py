@@ -23,7 +23,7 @@ from ...matching.strategy import Kind
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import XSD, shorten
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...templates.instantiate import ArgumentError, instantiate
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError

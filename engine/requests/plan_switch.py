@@ -9,7 +9,7 @@ from ...matching.plan import Node, Supply
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Forgotten
+from ...streams.past_queries import Forgotten
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.string_pool import StringPool
 from ..configuration.configuration import MERGE, Configuration

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..model.beginning import Beginning, last_before

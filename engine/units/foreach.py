@@ -9,7 +9,7 @@ from typing import Final, Protocol
 
 from ...languages.kpl import ForeachDeclaration, GeneratorDeclaration, instantiate
 from ...streams.generator import StreamGenerator
-from ...streams.inputs import NOTHING_KNOWN
+from ...streams.input_queues import NOTHING_KNOWN
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..model.object_sets import sets_of

@@ -18,7 +18,7 @@ from ...ontology.units import Conversion
 from ...rdf.dictionary import TermDictionary, TermTable
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...streams.sample import (
     Column,
     FieldType,

@@ -26,7 +26,7 @@ from ...journal.errors import JournalError, JournalFull
 from ...languages.errors import LanguageError
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.units import UnitError
-from ...streams.recall import Forgotten
+from ...streams.past_queries import Forgotten
 from ...streams.sample import SampleError
 from ...streams.time import format_time
 from ..config.defaults import AHEAD

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ...engine.model.errors import UnknownStream
-from ...streams import recall
+from ...streams import past_queries
 from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX
@@ -113,12 +113,12 @@ def _question(asked: Asked, limit: int) -> Callable[[FluentStream], SampleBatch]
     by = TIME_MAX if known is None else known
     if times:
         kinds: dict[str, Callable[[FluentStream, int], SampleBatch]] = {
-            "at": partial(recall.most_recent_at, known=by),
-            "before": partial(recall.before, known=by, most=limit),
-            "prev": recall.prev,
-            "last_avail": recall.last_avail,
+            "at": partial(past_queries.most_recent_at, known=by),
+            "before": partial(past_queries.before, known=by, most=limit),
+            "prev": past_queries.prev,
+            "last_avail": past_queries.last_avail,
         }
         key, time = next(iter(times.items()))
         return lambda stream: kinds[key](stream, time)
     start, end, valid_from, valid_to = bounds.values()
-    return lambda stream: recall.between(stream, start, end, valid_from, valid_to, most=limit)
+    return lambda stream: past_queries.between(stream, start, end, valid_from, valid_to, most=limit)

@@ -24,9 +24,9 @@ from fastapi.responses import Response
 from ...engine.engine import Engine
 from ...engine.model.errors import UnknownStream
 from ...engine.requests.adaptive_subscription import Rematch
-from ...streams import recall
+from ...streams import past_queries
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...streams.sample import SampleBatch
 from ...streams.time import format_time
 from ..admission.gate import CALLER
@@ -329,7 +329,7 @@ class Feeds:
             return Start(stream.first_number, seen=stream.last_number)
         moment = Moment.parse(since)
         if moment is not None:
-            return Start(recall.number_since(stream, moment), seen=stream.last_number)
+            return Start(past_queries.number_since(stream, moment), seen=stream.last_number)
         epoch, _, digits = since.rpartition("-")
         if not 0 < len(epoch) <= LONGEST_EPOCH or not is_number(digits):
             raise bad_id(since)

@@ -15,7 +15,7 @@ from fastapi import Request
 from fastapi.responses import Response
 
 from ...engine.model.errors import UnknownStream
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ..config.media_types import EVENT_STREAM
 from ..http.negotiation import accepted
 from ..http.problems import Problem

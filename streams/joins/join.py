@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN, Input, known_of
+from ..input_queues import NOTHING_KNOWN, Input, known_of
 from ..sample import SampleBatch, Times, concatenate
 from ..time import TIME_MAX
 from ..tuples import Rows, TupleBatch
@@ -33,7 +33,7 @@ class Joining(ABC):
         return known_of(self._inputs)
 
     def advance(self, input: int, watermark: int) -> TupleBatch | None:
-        """Every later sample of ``input`` is available at ``watermark`` or later."""
+        """Promise that later samples of ``input`` are available at ``watermark`` or later."""
         self._inputs[input].advance(watermark)
         return self._proceed()
 
@@ -43,11 +43,11 @@ class Joining(ABC):
         return max(self._inputs[input].known, self._done)
 
     def resume(self, input: int) -> None:
-        """``input`` had ended and goes on: it is waited for again."""
+        """Continue ``input`` after its end: tuples wait for it again."""
         self._inputs[input].resume()
 
     def end(self, input: int) -> TupleBatch | None:
-        """``input`` has no more samples: what it said last stands from here on."""
+        """End ``input``: its last sample stays the latest from here on."""
         self._inputs[input].end()
         return self._proceed()
 
@@ -69,7 +69,7 @@ class Joining(ABC):
 class Join(Joining):
     """Def. 5.11 online: a tuple at each available time of any input, as soon as all are known.
 
-    Law: whatever the batches, watermarks and interleaving, the tuples given up to `known` are
+    Law: for any batches, watermarks and interleaving the tuples given up to `known` are
     those of the definition. An input that has not begun (no sample, watermark or end) holds back
     the others. After an end a push continues the input, if it comes after what was given.
 
@@ -83,7 +83,7 @@ class Join(Joining):
 
     @property
     def retained(self) -> int:
-        """How many samples are kept: those that wait, and the last of each input."""
+        """Number of kept samples: those that wait, and the last of each input."""
         lasts = sum(last is not None for last in self._last)
         return lasts + sum(input.waiting for input in self._inputs)
 

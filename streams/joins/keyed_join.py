@@ -1,8 +1,8 @@
 """join object by object: tuples of the latest samples of several streams about the same object.
 
-What [DyKnow10 Def. 5.11] says of streams, said of the samples of each object apart: it feeds a
-transformation whose inputs stand in several streams ([Introspection15 §4.3]), by
-engine/units/synchronization.py. tests/support/keyed_join_definition.py is its slow twin.
+[DyKnow10 Def. 5.11] for the samples of each object by themselves. engine/units/synchronization.py
+feeds with it a transformation whose inputs stand in several streams ([Introspection15 §4.3]).
+tests/support/keyed_join_definition.py is its slow twin.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN
+from ..input_queues import NOTHING_KNOWN
 from ..key_numbering import Numbering, Numbers
 from ..latest_by_key import Latest
-from ..rules import Rules
 from ..sample import Column, SampleBatch, Times, concatenate
-from ..saturating_time import leaving
+from ..stream_rules import Rules
+from ..time_arithmetic import leaving
 from ..tuples import Rows, TupleBatch
 from .join import Joining
 
@@ -27,7 +27,7 @@ KEY: Final = "#key"
 
 
 class KeyedJoin(Joining):
-    """A tuple for an object whenever a sample of it comes and all inputs have something to say.
+    """A tuple for an object at each of its samples, once every input has one for it.
 
     An input is *keyed* (a key says which object a sample is of) or *constant* (about one object
     for all). For each object o, at each available time t at which a keyed input has a sample of
@@ -40,7 +40,7 @@ class KeyedJoin(Joining):
     tuple is available at t (by `UNIQUE_TIMES` at the least free time from t on); it is valid at the
     greatest of its samples' valid times.
 
-    Law: whatever the batches, watermarks and interleaving, the tuples given are those of the
+    Law: for any batches, watermarks and interleaving the tuples given are those of the
     definition with t ≤ `known`. An input that has not begun (no sample, watermark or end) holds
     back the others. After an end a push continues the input, if it comes after what was given.
 
@@ -64,12 +64,12 @@ class KeyedJoin(Joining):
 
     @property
     def reached(self) -> int:
-        """What comes is available later; tuples may have been moved beyond what is known."""
+        """All later tuples are available after it; a move may have put it beyond what is known."""
         return max(self._done, self._left)
 
     @property
     def retained(self) -> int:
-        """How many samples are kept: those that wait, and the latest of each object and input."""
+        """Number of kept samples: those that wait, and the latest of each object and input."""
         return sum(map(len, self._latest)) + sum(input.waiting for input in self._inputs)
 
     def push(self, input: int, batch: SampleBatch, keys: Column | None = None) -> TupleBatch | None:

@@ -1,4 +1,4 @@
-"""Mediating the streams of a changing set of objects into one ([DyKnow10 Def. 4.7]).
+"""Mediate the streams of a changing set of objects into one ([DyKnow10 Def. 4.7]).
 
 A stream of label sets says which objects there are: the set that became available last holds
 (Def. 5.5's last_avail). A sample of an object's stream is passed on if the object was in the set
@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN, Input
-from ..rules import Rules
+from ..input_queues import NOTHING_KNOWN, Input
 from ..sample import Column, FieldType, SampleBatch, SampleError, Times
+from ..stream_rules import Rules
 from ..string_pool import StringPool
 from ..time import TIME_MAX, TIME_MIN
 
@@ -69,7 +69,7 @@ class Mediation:
 
     @property
     def members(self) -> frozenset[str]:
-        """The set that was told last."""
+        """The last set of objects."""
         return self._sets[-1]
 
     @property
@@ -105,16 +105,16 @@ class Mediation:
                 self.wanted |= self._sets[-1]
 
     def advance_members(self, watermark: int) -> None:
-        """Every later label set is available at ``watermark`` or after it."""
+        """Promise that later label sets are available at ``watermark`` or after it."""
         self._members_known = max(self._members_known, watermark - 1)
 
     def end_members(self) -> None:
-        """The set does not change any more."""
+        """End the sets: the last one stays."""
         self._members_ended = True
         self._members_known = max(self._members_known, self._members_last)
 
     def resume_members(self) -> None:
-        """The set had ended, and goes on: it is waited for again."""
+        """Continue the sets after their end: samples wait for them again."""
         self._members_ended = False
 
     def attach(self, label: str) -> None:
@@ -132,15 +132,15 @@ class Mediation:
             input.push(batch)
 
     def advance(self, label: str, watermark: int) -> None:
-        """Every later sample of ``label`` is available at ``watermark`` or after it."""
+        """Promise that later samples of ``label`` are available at ``watermark`` or after it."""
         self._current(label).advance(watermark)
 
     def end(self, label: str) -> None:
-        """No more samples of ``label``."""
+        """End the stream of ``label``."""
         self._current(label).end()
 
     def resume(self, label: str) -> None:
-        """The stream of ``label`` had ended, and goes on."""
+        """Continue the stream of ``label`` after its end."""
         self._current(label).resume()
 
     def end_at(self, label: str, until: int) -> None:
@@ -191,7 +191,7 @@ class Mediation:
 
     def _known(self) -> int:
         """Up to when everything is decided."""
-        # Whoever held everybody back the last time mostly does so still: that is a quick answer.
+        # The stream that held the others back last time mostly still does: a quick answer.
         if self._blocker in self.wanted and self._known_of(self._blocker) <= self.done:
             return self.done
         known, self._blocker = TIME_MAX if self._members_ended else self._members_known, None

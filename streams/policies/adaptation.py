@@ -1,17 +1,17 @@
-"""Adapting a stream to a policy, online ([DyKnow10 §5.3.4, Def. 5.35-5.37], SPEC §1).
+"""Adapt a stream to a policy, online ([DyKnow10 §5.3.4, Def. 5.35-5.37], SPEC §1).
 
 The output is a maximal substream of ``extend(f, p)`` that satisfies p: samples are dropped or
 delayed, and invented only by ``use most recent``. Each sample of the input is used at most once.
-`satisfaction` is the definition; tests/laws sets the two against each other.
+`satisfaction` is the definition; tests/laws compares the two.
 
 Four ways to adapt, by what a policy asks for:
 - `Filtering`: every sample is decided when it arrives;
 - `Reordering` (reordering.py): monotone or strict order with a finite delay holds samples back;
-- `Chain` (chain.py): ``sample every`` passes on the samples of one grid, in order;
+- `Chain` (sample_chain.py): ``sample every`` passes on the samples of one grid, in order;
 - `Approximating` (approximation.py): ``use most recent`` makes the samples of a grid.
 
-What is decided when: after a batch whose last available time is T all is *known* up to T - 1, since
-more samples of that instant may come, after a watermark w up to w - 1, after the end everything.
+When a decision falls: after a batch whose last available time is T all is *known* up to T - 1,
+since more samples of that instant may come; after a watermark w up to w - 1; after the end all.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rules import Rules
 from ..sample import FieldType, Mask, SampleBatch, Times, concatenate
-from ..saturating_time import earlier
+from ..stream_rules import Rules
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import earlier
 from .constraints import differs
 from .policy import AnyChange, ChangeBy, Constraint, Order, Policy, PolicyCounters
 
@@ -72,15 +72,15 @@ class Adaptation(ABC):
 
     @abstractmethod
     def push(self, batch: SampleBatch) -> list[SampleBatch]:
-        """Take samples; gives those that can be sent by now."""
+        """Take samples; returns those that can be sent now."""
 
     @abstractmethod
     def advance(self, watermark: int) -> list[SampleBatch]:
-        """Every later sample has available time ≥ ``watermark``; gives what can be sent."""
+        """Promise that later samples have available time ≥ ``watermark``; returns those to send."""
 
     @abstractmethod
     def end(self) -> list[SampleBatch]:
-        """No more samples (a later `push` takes the stream up again); gives what is left."""
+        """End the stream (a later `push` continues it); returns the rest."""
 
     def _inadmissible(self, batch: SampleBatch) -> Reasons:
         """`KEPT`, or why a sample can never be part of the output: duration, then delay."""

@@ -9,15 +9,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recent import rows_in_use
+from ..most_recent import rows_in_use
 from ..sample import SampleBatch
-from ..saturating_time import earlier, since
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import earlier, since
 from .adaptation import CODES, KEPT, Adaptation, OnDrop, joined
 from .policy import GRID_LIMIT, Constraint, Policy, PolicyError
 
 CHUNK: Final = 65_536
-"""So many samples of the grid are made at a time."""
+"""The greatest number of grid samples made at a time."""
 
 
 class Approximating(Adaptation):

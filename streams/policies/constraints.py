@@ -1,6 +1,6 @@
-"""What one sample, or two consecutive ones, may break of a policy ([DyKnow10 Def. 5.37]).
+"""Constraints of a policy that one sample or two consecutive ones break ([DyKnow10 Def. 5.37]).
 
-Plain Python on one sample at a time, for what proves and not for what makes streams.
+Plain Python on one sample at a time: for proofs, not for streams.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from .policy import AnyChange, ChangeBy, Constraint, Order, Policy
 
 
 def alone(available: int, valid: int, policy: Policy) -> tuple[Constraint, str] | None:
-    """What a sample breaks whatever stands beside it."""
+    """The constraints that a sample breaks by itself."""
     duration = policy.duration
     if not duration.first <= valid <= duration.last:
         return Constraint.DURATION, f"valid at {valid}, outside the duration"
@@ -25,7 +25,7 @@ def alone(available: int, valid: int, policy: Policy) -> tuple[Constraint, str] 
 def after(
     available: int, content: Content, next_available: int, then: Content, policy: Policy
 ) -> tuple[Constraint, str] | None:
-    """What two consecutive samples break."""
+    """The constraints that two consecutive samples break."""
     if next_available < available:
         return Constraint.AVAILABLE, f"available at {next_available}, before {available}"
     step = then[0] - content[0]

@@ -1,4 +1,4 @@
-"""Adapting a stream of many objects to a policy, each object by itself (SPEC §1, Policies).
+"""Adapt a stream of many objects to a policy, each object by itself (SPEC §1, Policies).
 
 Change, order and approximation then compare a sample with others of its object only, as if each
 object had a stream of its own. Used for streams whose annotation has an id field, as
@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..key_numbering import Numbering, Numbers, TextNumbering, paired
-from ..rules import Rules
 from ..sample import Column, SampleBatch
+from ..stream_rules import Rules
 from ..tuples import Rows
 from .adaptation import Adaptation, Filtering, OnDrop, joined
 from .policy import Policy, PolicyCounters
@@ -83,7 +83,7 @@ class KeyedAdapting:
         return total
 
     def push(self, batch: SampleBatch) -> list[SampleBatch]:
-        """Take samples; gives those that can be sent by now."""
+        """Take samples; returns those that can be sent now."""
         if not len(batch):
             return []
         numbers = self._numbers(batch)
@@ -104,11 +104,11 @@ class KeyedAdapting:
         return _in_order(sent + self._asked(lambda each: each.advance(int(batch.available[-1]))))
 
     def advance(self, watermark: int) -> list[SampleBatch]:
-        """Every later sample has available time ≥ ``watermark``; gives what can be sent."""
+        """Promise that later samples have available time ≥ ``watermark``; returns those to send."""
         return self._of_all(lambda each: each.advance(watermark)) if self._waits else []
 
     def end(self) -> list[SampleBatch]:
-        """No more samples (a later `push` takes the stream up again); gives what is left."""
+        """End the stream (a later `push` continues it); returns the rest."""
         return self._of_all(lambda each: each.end())
 
     def _of_all(self, ask: Callable[[Adaptation], list[SampleBatch]]) -> list[SampleBatch]:

@@ -1,4 +1,4 @@
-"""What could still be added to a substream ([DyKnow10 Def. 5.35, 5.36]).
+"""Samples that could still be added to a substream ([DyKnow10 Def. 5.35, 5.36]).
 
 Def. 5.36 is read with each sample used at most once: else a sample could be repeated for ever, and
 nothing would be maximal. So a stream comes from another by a correspondence, and where samples are
@@ -8,8 +8,9 @@ one that uses the oldest of equal samples leaves the least to add.
 Under ``any change`` a delayed copy of a kept sample is no news. So copies count only undelayed, at
 their own available time, whichever of equal samples the kept ones are taken to be. Where samples
 wait for others (an order with a max delay), a copy that came before the last one like it was sent
-is no news either: who waits cannot know that there will be room before it. Under ``change by d``
-every sample counts only undelayed: delayed enough, nearly each would differ from its neighbours.
+is no news either: a sample that waits cannot know that there will be room before it. Under
+``change by d`` every sample counts only undelayed: delayed enough, nearly each would differ from
+its neighbours.
 
 Whether something can be added is decided one sample at a time, which is enough: a part of what
 satisfies an order, a delay or a duration satisfies it, and a chain of ``sample every`` grows by its

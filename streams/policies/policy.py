@@ -1,8 +1,8 @@
 """Fluent stream policies as frozen data ([DyKnow10 Def. 5.21-5.26], SPEC §1).
 
-A policy says what a stream must be like; it holds no state and knows no text. `adaptation` makes
-a stream satisfy one online, `satisfaction` is what the definitions say, `languages/kpl` reads and
-prints them. Times and durations are ns; intervals are closed (Def. 5.37).
+A policy constrains a stream; it holds no state and knows no text. `adaptation` makes a stream
+satisfy one online, `satisfaction` has the definitions, `languages/kpl` reads and prints policies.
+Times and durations are ns; intervals are closed (Def. 5.37).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ GRID_LIMIT: Final = 10_000_000
 
 
 class PolicyError(ValueError):
-    """Constraints that make no policy; ``hint`` says what to do next."""
+    """Constraints that make no policy; ``hint`` says how to correct them."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -168,7 +168,7 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class SynchronizationPolicy:
-    """What the states of several streams must be like ([DyKnow10 §5.4, §7.4], SPEC §1).
+    """Constraints on the states of several streams ([DyKnow10 §5.4, §7.4], SPEC §1).
 
     ``change``: a state every period, or (anything else) whenever some input has a sample.
     ``max_delay`` None waits for ever; otherwise a state leaves at the latest that long after its
@@ -189,7 +189,7 @@ class SynchronizationPolicy:
 
 
 class Constraint(StrEnum):
-    """Why a sample was not passed on, or what of a policy a stream breaks."""
+    """The constraint that a sample or a stream breaks."""
 
     CHANGE = "any change"
     PERIOD = "sample every"
@@ -203,7 +203,7 @@ class Constraint(StrEnum):
 
 @dataclass(slots=True)
 class PolicyCounters:
-    """What became of the samples of one subscription.
+    """Counts of the samples of one subscription.
 
     Law: received = kept + the sum of ``dropped`` + pending, where without approximation ``kept``
     samples are those sent, and ``delayed`` of them were sent later than they came. With ``use most
@@ -221,6 +221,6 @@ class PolicyCounters:
     dropped: dict[Constraint, int] = field(default_factory=dict)
 
     def drop(self, constraint: Constraint, count: int) -> None:
-        """``count`` samples were not passed on because of ``constraint``."""
+        """Count ``count`` samples that ``constraint`` dropped."""
         if count:
             self.dropped[constraint] = self.dropped.get(constraint, 0) + count

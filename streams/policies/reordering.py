@@ -11,10 +11,10 @@ from bisect import insort
 
 import numpy as np
 
-from ..rules import Rules
 from ..sample import SampleBatch, Times
-from ..saturating_time import later
+from ..stream_rules import Rules
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import later
 from .adaptation import (
     CODES,
     KEPT,

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rules import Rules
 from ..sample import Mask, SampleBatch, Times
-from ..saturating_time import later, leaving, since
+from ..stream_rules import Rules
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import later, leaving, since
 from .adaptation import CODES, KEPT, Adaptation, OnDrop, Reasons, joined, own
 from .policy import Constraint, Policy
 

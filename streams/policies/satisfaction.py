@@ -1,4 +1,4 @@
-"""What the definitions say of streams and policies ([DyKnow10 Def. 5.35-5.37], SPEC §1).
+"""The definitions of streams and policies ([DyKnow10 Def. 5.35-5.37], SPEC §1).
 
 `prove` decides whether one stream is in eval_fsterm of another under a policy, and gives the first
 counterexample where it is not. It shares nothing with `adaptation`, which makes such streams.
@@ -14,10 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recent import most_recent_rows
+from ..most_recent import most_recent_rows
 from ..sample import Content, SampleBatch, contents
-from ..saturating_time import earlier
 from ..time import TIME_MAX
+from ..time_arithmetic import earlier
 from .constraints import after, alone
 from .maximality import addable, unused
 from .policy import GRID_LIMIT, Approximation, Constraint, Policy, PolicyError

@@ -1,8 +1,8 @@
-"""Which way of adapting a policy asks for."""
+"""Choose the way to adapt a stream to a policy."""
 
 from __future__ import annotations
 
-from ..rules import Rules
+from ..stream_rules import Rules
 from .adaptation import Adaptation, Filtering, OnDrop
 from .approximation import Approximating
 from .policy import GRID_LIMIT, Approximation, ChangeBy, Order, Policy
@@ -17,7 +17,7 @@ def adapt(
     limit: int = GRID_LIMIT,
     rules: Rules | None = None,
 ) -> Adaptation:
-    """Adapts one stream to ``policy``, from now on; ``on_drop`` is told what is not passed on.
+    """Adapt one stream to ``policy``, from now on; it passes what it drops to ``on_drop``.
 
     ``limit``: how many samples ``use most recent`` may make at once before it raises
     `PolicyError`. ``rules`` are those of the stream that it makes.

@@ -1,271 +1,118 @@
-"""When and of what states are made at the inputs' own valid times (SPEC §1).
-
-An exact simulation, event by event: what a late sample does depends on what has left. Many samples
-at once are simulated by the compiled loop of `change_kernel`. Where no input's valid times decrease
-`MonotoneStates` computes the same without a simulation.
-"""
+"""States at the inputs' own valid times, in order of these times (SPEC §1)."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right, insort
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN
-from ..jit import JIT
-from ..policies.policy import Approximation, Constraint, SynchronizationPolicy
-from ..sample import SampleBatch
+from ..joins.join import distinct
+from ..policies.policy import Constraint, SynchronizationPolicy
+from ..sample import Mask, Times
 from ..time import TIME_MAX, TIME_MIN
-from .change_kernel import (
-    AFTER_STATE,
-    HAS_LEFT,
-    LAST,
-    LEFT,
-    NOW,
-    OVER_DELAY,
-    Events,
-    clock_of,
-    lay_out,
-    simulate,
-)
-from .grid_states import CHUNK, LateRows, Made
-
-COMPILED: Final = 512
-"""From so many samples at once on the compiled loop is worth its preparation."""
+from ..time_arithmetic import later
+from .states import NONE, InputSamples, LateRows, Made, News, OrderedStates, up_to, within
 
 
-class ChangeStates:
-    """States at every distinct valid time, under a finite delay; see `Synchronization` for the
-    rules. `CompleteStates` are those of ``max delay oo``.
+class ChangeStates(OrderedStates):
+    """A state at every distinct valid time of a sample that comes within the delay; see
+    `Synchronization`. Without a delay all inputs are monotone.
 
-    Cost: some microseconds of Python a sample and input; where `COMPILED` samples come at once and
-    loops are compiled, O(n log n) numpy and a fraction of a microsecond. Memory: the pending times.
+    Where no valid times decrease, what is valid earlier has come before, so that every such time
+    gets its state. In any order a state may begin too late: see `timely_states`.
+    Memory: the times of the states that wait.
     """
 
-    def __init__(self, policy: SynchronizationPolicy, monotone: Sequence[bool]) -> None:
-        assert policy.max_delay is not None
-        self._delay, self._duration = policy.max_delay, policy.duration
-        self._exact = policy.approximation is Approximation.NONE
-        self._monotone = list(monotone)
-        self._waiting: list[int] = []
-        self._left = self._last = self._now = self._done = NOTHING_KNOWN
-        self._reach = [NOTHING_KNOWN] * len(self._monotone)
-        self._valid: list[list[int]] = [[] for _ in monotone]
-        self._rows: list[list[int]] = [[] for _ in monotone]
-        self._excused: Sequence[int | None] = ()
-        self._out: list[tuple[int, int, bool, list[int]]] = []
+    def __init__(self, policy: SynchronizationPolicy) -> None:
+        super().__init__(policy)
+        self._waiting: Times = NONE
+        """The times of the states that wait, which increase."""
 
     @property
     def floor(self) -> int:
-        """No state to come is for an earlier time."""
-        least = self._waiting[0] if self._waiting else TIME_MAX
-        return max(self._last, self._duration.first, min(least, self._done + 1 - self._delay))
+        first = max(self._last, self._duration.first)
+        if self._delay is None:
+            return first
+        least = int(self._waiting[0]) if len(self._waiting) else TIME_MAX
+        return max(first, min(least, self._done + 1 - self._delay))
 
     @property
     def pending(self) -> int:
-        """States that wait."""
         return len(self._waiting)
 
-    def run(
-        self,
-        tables: Sequence[SampleBatch],
-        fresh: Sequence[int],
-        until: int,
-        excused: Sequence[int | None],
-    ) -> tuple[list[Made], list[LateRows]]:
-        """All states that leave by ``until``; rows of table i from ``fresh[i]`` are new."""
-        self._excused = excused
-        if JIT and sum(map(len, tables)) - sum(fresh) >= COMPILED:
-            return self._run_compiled(tables, fresh, until)
-        self._load(tables, fresh)
-        events: list[tuple[int, int, int, int]] = []
-        for i, (table, row) in enumerate(zip(tables, fresh, strict=True)):
-            times = zip(table.available[row:].tolist(), table.valid[row:].tolist(), strict=True)
-            events += [(at, i, row + k, valid) for k, (at, valid) in enumerate(times)]
-        events += [(at, i, -1, 0) for at, i in self._excuses(until)]
-        events.sort()
-        late: dict[tuple[int, Constraint], list[int]] = {}
-        for at, i, row, valid in events:
-            if at > self._now:
-                self._release(at - 1)
-                self._now = at
-            if row < 0:
-                continue
-            why = self._arrive(at, i, row, valid)
-            if why is not None:
-                late.setdefault((i, why), []).append(row)
-        self._release(until)
+    def run(self, inputs: Sequence[InputSamples], until: int) -> tuple[list[Made], list[LateRows]]:
+        last, news = self._last, News(inputs)
+        inside = within(self._duration, news.valid)
+        over = self._over(news, inside)
+        begins = self._begin(inputs, news, inside if over is None else inside & ~over)
+        count = self._reached(inputs, until)
+        if begins is not None:
+            begins = begins[:count]
+        made, waiting = self._leave(self._waiting[:count], inputs, until, begins)
+        self._waiting = np.concatenate([waiting, self._waiting[count:]])
         self._done = max(self._done, until)
-        told = [(i, np.array(rows, np.int64), why) for (i, why), rows in late.items()]
-        return self._made(), told
+        late: list[LateRows] = []
+        if over is not None:
+            late += news.of_inputs(np.flatnonzero(over), Constraint.DELAY)
+        after = self._after(news, last, made)
+        if after is not None:
+            if over is not None:
+                after &= ~over
+            if self._exact:
+                after &= inside
+            late += news.of_inputs(np.flatnonzero(after), Constraint.AVAILABLE)
+        return made, late
 
-    def _run_compiled(
-        self, tables: Sequence[SampleBatch], fresh: Sequence[int], until: int
-    ) -> tuple[list[Made], list[LateRows]]:
-        """The same by `change_kernel`."""
-        arity = len(tables)
-        events = self._events(tables, fresh, until)
-        layout = lay_out(tables, fresh, events, self._duration, self._waiting)
-        has_reached = np.array([reach >= TIME_MIN for reach in self._reach])
-        reach = np.array([max(reach, TIME_MIN) for reach in self._reach], np.int64)
-        # An excuse at the end of 64 bits or later begins never.
-        excused = [None if e is None or e > TIME_MAX else e for e in self._excused]
-        clock = clock_of(self._now, self._left, self._last)
-        count = len(layout.times)
-        leaves, state = np.empty(count, np.int64), np.empty(count, np.int64)
-        complete = np.empty(count, np.bool_)
-        picked = np.empty((count, arity), np.int64)
-        why = np.zeros(len(layout.at), np.int64)
-        made = simulate(
-            *layout.arrays,
-            *(np.array(self._monotone), reach, has_reached),
-            np.array([0 if e is None else e for e in excused], np.int64),
-            np.array([e is not None for e in excused]),
-            *(until, self._delay, self._exact, clock),
-            *(leaves, state, complete, picked, why),
-        )
-        self._waiting = layout.times[layout.waiting].tolist()
-        self._reach = [
-            int(r) if has else NOTHING_KNOWN for r, has in zip(reach, has_reached, strict=True)
-        ]
-        self._now = int(clock[NOW])
-        if clock[HAS_LEFT]:
-            self._left, self._last = int(clock[LEFT]), int(clock[LAST])
-        self._done = max(self._done, until)
-        parts: list[Made] = []
-        for start in range(0, made, CHUNK):
-            # Copies: a view would keep the arrays of all that wait in memory.
-            part = slice(start, min(start + CHUNK, made))
-            chosen = tuple(picked[part, i].copy() for i in range(arity))
-            times = layout.times[state[part]]
-            parts.append((leaves[part].copy(), times, chosen, complete[part].copy()))
-        told: list[LateRows] = []
-        for code, reason in ((OVER_DELAY, Constraint.DELAY), (AFTER_STATE, Constraint.AVAILABLE)):
-            late = why == code
-            if bool(late.any()):
-                told += [
-                    (i, layout.row_of[late & (layout.input_of == i)], reason) for i in range(arity)
-                ]
-        return parts, told
+    def finish(self, inputs: Sequence[InputSamples]) -> tuple[list[Made], int]:
+        made, waiting = self._leave(self._waiting, inputs, TIME_MAX)
+        self._waiting = NONE
+        return made, len(waiting)
 
-    def _events(self, tables: Sequence[SampleBatch], fresh: Sequence[int], until: int) -> Events:
-        """When, of which input, which row (-1: its excuse begins) and valid at what time: in order
-        of moment, input, row."""
-        parts: list[Events] = []
-        for i, (table, row) in enumerate(zip(tables, fresh, strict=True)):
-            rows = np.arange(row, len(table))
-            parts.append((table.available[row:], np.full(len(rows), i), rows, table.valid[row:]))
-        for event in self._excuses(until):
-            begins, of, none, zero = (np.array([x], np.int64) for x in (*event, -1, 0))
-            parts.append((begins, of, none, zero))
-        at, input_of, row_of, valid = (np.concatenate(each) for each in zip(*parts, strict=True))
-        order = np.lexsort((row_of, input_of, at))
-        return at[order], input_of[order], row_of[order], valid[order]
+    def _over(self, news: News, inside: Mask) -> Mask | None:
+        """Which new samples in the duration came after the deadline of their state; None for
+        none."""
+        if self._delay is None:
+            return None
+        over: Mask = news.available > later(news.valid, self._delay)
+        if not over.any():
+            return None
+        over &= inside
+        return over
 
-    def _excuses(self, until: int) -> list[tuple[int, int]]:
-        """Which inputs end in what is run now, and when."""
-        return [
-            (at, i)
-            for i, at in enumerate(self._excused)
-            if at is not None and self._done < at <= until
-        ]
+    def _begin(self, inputs: Sequence[InputSamples], news: News, timely: Mask) -> Times | None:
+        """Add the states that ``timely`` new samples begin to those that wait. If inputs are in any
+        order: the moment at which each begins, `TIME_MIN` for an earlier one."""
+        timely = timely & (news.valid > self._last)
+        times = np.concatenate([self._waiting, news.valid[timely]])
+        if all(one.is_monotone for one in inputs):
+            self._waiting = distinct(times)
+            return None
+        earlier = np.full(len(self._waiting), TIME_MIN)
+        begins = np.concatenate([earlier, news.available[timely]])
+        order = np.lexsort((begins, times))
+        times = times[order]
+        first = np.ones(len(times), np.bool_)
+        np.not_equal(times[1:], times[:-1], out=first[1:])
+        self._waiting = times[first]
+        return begins[order[first]]
 
-    def finish(
-        self,
-        tables: Sequence[SampleBatch],
-        excused: Sequence[int | None],
-        news: tuple[int, int] | None,
-    ) -> tuple[list[Made], int]:
-        """The states that leave after the end, and how many never leave."""
-        self._excused = excused
-        self._load(tables, [len(table) for table in tables])
-        self._release(TIME_MAX)
-        never = len(self._waiting)
-        self._waiting.clear()
-        return self._made(), never
+    def _reached(self, inputs: Sequence[InputSamples], until: int) -> int:
+        """How many of the waiting states may leave by ``until``: not one whose deadline is later
+        and whose time an input has not reached."""
+        least = min((one.newest for one in inputs if one.ended is None), default=TIME_MAX)
+        if self._delay is not None:
+            # Sums of times stop at the end of 64 bits.
+            least = TIME_MAX if until >= TIME_MAX else max(least, until - self._delay)
+        return up_to(self._waiting, least)
 
-    def _load(self, tables: Sequence[SampleBatch], fresh: Sequence[int]) -> None:
-        """What is kept, by valid time; of equal ones the last."""
-        for i, (table, count) in enumerate(zip(tables, fresh, strict=True)):
-            kept = dict(zip(table.valid[:count].tolist(), range(count), strict=True))
-            self._valid[i] = sorted(kept)
-            self._rows[i] = [kept[valid] for valid in self._valid[i]]
-
-    def _arrive(self, at: int, i: int, row: int, valid: int) -> Constraint | None:
-        """Take in a sample; why it is late, if it is."""
-        self._reach[i] = max(self._reach[i], valid)
-        values, rows = self._valid[i], self._rows[i]
-        place = bisect_left(values, valid)
-        if place < len(values) and values[place] == valid:
-            rows[place] = row
-        else:
-            values.insert(place, valid)
-            rows.insert(place, row)
-        within = self._duration.first <= valid <= self._duration.last
-        if within and at > valid + self._delay:
-            return Constraint.DELAY
-        if valid <= self._last and (within or not self._exact):
-            return Constraint.AVAILABLE
-        if within:
-            place = bisect_left(self._waiting, valid)
-            if place == len(self._waiting) or self._waiting[place] != valid:
-                insort(self._waiting, valid)
-        return None
-
-    def _release(self, until: int) -> None:
-        """Let states leave in order of their times, as far as they leave by ``until``."""
-        gone = 0
-        for valid in self._waiting:
-            complete = self._is_complete(valid)
-            due = min(valid + self._delay, TIME_MAX)
-            if complete:
-                due = min(due, self._now)
-            leaves = max(due, self._left + 1)
-            if leaves > until:
-                break
-            self._left, self._last = leaves, valid
-            gone += 1
-            self._out.append((leaves, valid, complete, self._pick(valid)))
-        if gone:
-            del self._waiting[:gone]
-
-    def _is_complete(self, valid: int) -> bool:
-        for i, monotone in enumerate(self._monotone):
-            excuse = self._excused[i]
-            if excuse is not None and excuse <= self._now:
-                continue
-            if monotone:
-                if self._reach[i] < valid:
-                    return False
-                continue
-            values = self._valid[i]
-            place = bisect_left(values, valid)
-            if place == len(values) or values[place] != valid:
-                return False
-        return True
-
-    def _pick(self, valid: int) -> list[int]:
-        picked = []
-        for values, rows in zip(self._valid, self._rows, strict=True):
-            place = bisect_right(values, valid) - 1
-            none = place < 0 or (self._exact and values[place] != valid)
-            picked.append(-1 if none else rows[place])
-        return picked
-
-    def _made(self) -> list[Made]:
-        made: list[Made] = []
-        for start in range(0, len(self._out), CHUNK):
-            part = self._out[start : start + CHUNK]
-            rows = np.array([row for *_, row in part], np.int64)
-            made.append(
-                (
-                    np.array([row[0] for row in part], np.int64),
-                    np.array([row[1] for row in part], np.int64),
-                    tuple(rows[:, i] for i in range(rows.shape[1])),
-                    np.array([row[2] for row in part], np.bool_),
-                )
-            )
-        self._out.clear()
-        return made
+    def _after(self, news: News, last: int, made: Sequence[Made]) -> Mask | None:
+        """Which new samples came after a state for their time or a later one had left; None for
+        none. The last state before ``made`` was for ``last``."""
+        valid = news.valid
+        if not len(valid) or valid.min() > self._last:
+            return None
+        after: Mask = valid <= last if last >= TIME_MIN else np.zeros(len(valid), np.bool_)
+        for leaves, times, _, _ in made:
+            gone = np.searchsorted(leaves, news.available, "left")
+            after |= (gone > 0) & (valid <= times[gone - 1])
+        return after

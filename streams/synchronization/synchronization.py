@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN, Input, known_of
+from ..input_queues import NOTHING_KNOWN, Input, known_of
 from ..policies.policy import GRID_LIMIT, Constraint, Order, SynchronizationPolicy
 from ..sample import Mask, SampleBatch, Times, concatenate
-from ..time import TIME_MAX, TIME_MIN
 from ..tuples import TupleBatch
 from .change_states import ChangeStates
 from .complete_states import CompleteStates
-from .grid_states import GridStates, LateRows, Made
-from .monotone_states import MonotoneStates
+from .grid_states import GridStates
+from .states import InputSamples, LateRows, Made, States
+
+PRUNED: Final = 8
+"""New samples of an input after which a search for those that no state can use pays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Late:
-    """Samples of one input that came too late for a state, or in no order; ``at`` says when."""
+    """Samples of one input that came too late for a state or broke the order, at times ``at``."""
 
     input: int
     batch: SampleBatch
@@ -30,7 +33,7 @@ class Late:
 
 @dataclass(slots=True)
 class StateCounters:
-    """What became of the samples and states.
+    """Counts of samples and states.
 
     ``complete`` of the ``states`` had every input that had not ended. ``approximated`` values are
     of another valid time than the state's, ``unknown`` ones are no_value. ``late`` samples came
@@ -86,17 +89,15 @@ class Synchronization:
         self._inputs = [Input() for _ in monotone]
         self._kept: list[SampleBatch | None] = [None] * len(monotone)
         self._reach = [NOTHING_KNOWN] * len(monotone)
-        self._news: list[tuple[int, int] | None] = [None] * len(monotone)
+        self._pruned = [0] * len(monotone)
         self._on_late = on_late
-        self._states: GridStates | ChangeStates | MonotoneStates | CompleteStates
+        self._states: States
         if policy.period is not None:
-            self._states = GridStates(policy, self._monotone, limit)
-        elif all(self._monotone):
-            self._states = MonotoneStates(policy, len(monotone))
-        elif policy.max_delay is None:
-            self._states = CompleteStates(policy, self._monotone)
+            self._states = GridStates(policy, limit)
+        elif policy.max_delay is None and not all(self._monotone):
+            self._states = CompleteStates(policy)
         else:
-            self._states = ChangeStates(policy, self._monotone)
+            self._states = ChangeStates(policy)
         self._done = NOTHING_KNOWN
         self._finished = False
         self.counters = StateCounters()
@@ -108,47 +109,48 @@ class Synchronization:
 
     @property
     def policy(self) -> SynchronizationPolicy:
-        """What the states are like."""
+        """The policy that the states follow."""
         return self._policy
 
     @property
     def monotone(self) -> Sequence[bool]:
-        """Of which inputs the valid times do not decrease."""
+        """Which inputs have valid times that do not decrease."""
         return self._monotone
 
     @property
     def ends(self) -> Sequence[int | None]:
-        """The moment from which on each input is not waited for; None of one that goes on."""
+        """The moment from which on states do not wait for each input; None: it goes on."""
         return [input.ended_at for input in self._inputs]
 
     @property
     def retained(self) -> int:
-        """How many samples are kept."""
+        """Number of kept samples."""
         kept = sum(len(batch) for batch in self._kept if batch is not None)
         return kept + sum(input.waiting for input in self._inputs)
 
     def push(self, input: int, batch: SampleBatch) -> list[TupleBatch]:
-        """Samples of ``input`` in order; the states that leave, at most 65,536 a batch."""
+        """Take samples of ``input`` in order; returns the states that leave, in batches of at
+        most 65,536."""
         self._inputs[input].push(batch, self._done)
         self.counters.received += len(batch)
         return self._proceed()
 
     def advance(self, input: int, watermark: int) -> list[TupleBatch]:
-        """Every later sample of ``input`` is available at ``watermark`` or later."""
+        """Promise that later samples of ``input`` are available at ``watermark`` or later."""
         self._inputs[input].advance(watermark)
         return self._proceed()
 
     def decided(self, input: int) -> int:
-        """A sample of ``input`` that is available by then comes too late: states were given
-        without it, or it was promised not to come."""
+        """The time up to which samples of ``input`` come too late: states left without them, or a
+        watermark excluded them."""
         return max(self._inputs[input].known, self._done)
 
     def resume(self, input: int) -> None:
-        """``input`` had ended and goes on: it is waited for again."""
+        """Continue ``input`` after its end: states wait for it again."""
         self._inputs[input].resume()
 
     def end(self, input: int) -> list[TupleBatch]:
-        """``input`` has no more samples."""
+        """End ``input``."""
         self._inputs[input].end()
         return self._proceed()
 
@@ -156,62 +158,60 @@ class Synchronization:
         known = known_of(self._inputs)
         if known is None:
             return []
-        excused = [input.ended_at for input in self._inputs]
-        finishing = all(moment is not None for moment in excused)
+        finishing = all(input.ended_at is not None for input in self._inputs)
         if finishing:
             known = max(input.known for input in self._inputs)
-            # With the last input's end there is no input left that could complete a state.
-            excused = [None if moment == known + 1 else moment for moment in excused]
+            if self._finished:
+                return []
         elif known <= self._done:
             return []
-        if finishing and self._finished:
-            return []
         self._finished = finishing
-        tables, fresh, dropped = self._collect(known)
-        made, late = self._states.run(tables, fresh, known, excused)
+        inputs, dropped = self._collect(known)
+        made, late = self._states.run(inputs, known)
         self._done = max(self._done, known)
         if finishing:
-            news = [each for each in self._news if each is not None]
-            last = (max(v for v, _ in news), max(a for _, a in news)) if news else None
-            tail, self.counters.incomplete = self._states.finish(tables, excused, last)
+            inputs = [one.without_news() for one in inputs]
+            tail, self.counters.incomplete = self._states.finish(inputs)
             made += tail
+        tables = [one.table for one in inputs]
         self._tell(tables, late, dropped)
-        self._prune(tables)
+        for i, one in enumerate(inputs):
+            # At each push the search would cost more than the push itself.
+            table = one.table
+            if len(table) >= self._pruned[i] + PRUNED:
+                table = self._states.of_use(one)
+                self._pruned[i] = len(table)
+            self._kept[i] = table
         self.counters.pending = 0 if finishing else self._states.pending
         return [self._state_batch(part, tables) for part in made]
 
-    def _collect(self, known: int) -> tuple[list[SampleBatch], list[int], list[Late]]:
-        """Kept and new samples of each input, where the new begin, and what broke the order."""
-        tables: list[SampleBatch] = []
-        fresh: list[int] = []
+    def _collect(self, known: int) -> tuple[list[InputSamples], list[Late]]:
+        """Kept and new samples of each input, and what broke the order."""
+        inputs: list[InputSamples] = []
         dropped: list[Late] = []
         for i, input in enumerate(self._inputs):
+            kept, reached = self._kept[i], self._reach[i]
+            table = kept if kept is not None and len(kept) else input.empty()
+            first_new = len(table)
             parts = input.take(known)
-            kept = self._kept[i]
-            fresh.append(0 if kept is None else len(kept))
-            if not parts:
-                tables.append(input.empty() if kept is None else kept)
-                continue
-            new = concatenate(parts)
-            if self._monotone[i]:
-                falls = falling(new.valid, self._reach[i])
-                if falls is not None:
-                    lost = new.take(falls)
-                    dropped.append(Late(i, lost, Constraint.ORDER, lost.available))
-                    new = new.take(~falls)
-            if len(new):
-                newest, at = self._newest(i, new)
-                self._reach[i] = max(self._reach[i], newest)
-                self._news[i] = max((newest, at), self._news[i] or (newest, at))
-            tables.append(new if kept is None else concatenate([kept, new]))
-        return tables, fresh, dropped
-
-    def _newest(self, input: int, batch: SampleBatch) -> tuple[int, int]:
-        """The greatest valid time, and the last available time of a sample with it."""
-        if self._monotone[input]:
-            return int(batch.valid[-1]), int(batch.available[-1])
-        newest = int(batch.valid.max())
-        return newest, int(batch.available[np.flatnonzero(batch.valid == newest)[-1]])
+            if parts:
+                new = concatenate(parts)
+                if self._monotone[i]:
+                    falls = falling(new.valid, reached)
+                    if falls is not None:
+                        lost = new.take(falls)
+                        dropped.append(Late(i, lost, Constraint.ORDER, lost.available))
+                        new = new.take(~falls)
+                if len(new):
+                    newest = new.valid[-1] if self._monotone[i] else new.valid.max()
+                    self._reach[i] = max(reached, int(newest))
+                table = concatenate([table, new]) if first_new else new
+            # With the last input's end there is no input left that could complete a state.
+            ended = None if input.ended_at is None or input.ended_at > known else input.ended_at
+            inputs.append(
+                InputSamples(table, first_new, reached, self._reach[i], self._monotone[i], ended)
+            )
+        return inputs, dropped
 
     def _tell(
         self, tables: Sequence[SampleBatch], late: Sequence[LateRows], dropped: Sequence[Late]
@@ -237,19 +237,6 @@ class Synchronization:
             batch = each.batch.take(rows)
             self._on_late(Late(each.input, batch, each.constraint, batch.available))
 
-    def _prune(self, tables: Sequence[SampleBatch]) -> None:
-        """Keep what a state to come may use: later samples, and the most recent before them."""
-        if isinstance(self._states, CompleteStates):
-            for i, table in enumerate(tables):
-                of_use = table.take(self._states.of_use(table))
-                self._kept[i] = of_use_in_any_order(of_use, NOTHING_KNOWN, TIME_MAX)
-            return
-        floor, last = self._states.floor, self._policy.duration.last
-        for i, table in enumerate(tables):
-            if len(table):
-                prune = of_use_in_order if self._monotone[i] else of_use_in_any_order
-                self._kept[i] = prune(table, floor, last)
-
     def _state_batch(self, part: Made, tables: Sequence[SampleBatch]) -> TupleBatch:
         available, valid, rows, complete = part
         counters = self.counters
@@ -273,32 +260,3 @@ def falling(valid: Times, reach: int) -> Mask | None:
     if reach > highest[0]:
         highest = np.maximum(highest, reach)
     return valid < highest
-
-
-def of_use_in_order(table: SampleBatch, floor: int, last: int) -> SampleBatch:
-    """The last sample of each valid time up to ``last``, from the last one valid at ``floor`` or
-    before on; valid times do not decrease."""
-    valid = table.valid
-    start, stop = 0, len(valid)
-    if floor >= TIME_MIN:
-        start = max(0, int(valid.searchsorted(floor, "right")) - 1)
-    if valid[-1] > last:
-        stop = max(start, int(valid.searchsorted(last, "right")))
-    if stop - start > 1:
-        repeated = valid[start + 1 : stop] == valid[start : stop - 1]
-        if bool(repeated.any()):
-            return table.take(np.append(np.flatnonzero(~repeated) + start, stop - 1))
-    # Indices, not a slice: a view would keep the whole table in memory.
-    return table if stop - start == len(valid) else table.take(np.arange(start, stop))
-
-
-def of_use_in_any_order(table: SampleBatch, floor: int, last: int) -> SampleBatch:
-    """The same where valid times may decrease; in order of available time."""
-    rows = np.lexsort((table.available, table.valid))
-    valid = table.valid[rows]
-    final = np.ones(len(valid), np.bool_)
-    final[:-1] = valid[1:] != valid[:-1]
-    past = int(np.searchsorted(valid, floor, "right")) if floor >= TIME_MIN else 0
-    final[: max(0, past - 1)] = False
-    final &= valid <= last
-    return table if bool(final.all()) else table.take(np.sort(rows[final]))

@@ -1,8 +1,8 @@
-"""What the definitions say of tuples: `join` and state synchronization ([DyKnow10 Def. 5.11, §5.4],
+"""The definitions of tuples: `join` and state synchronization ([DyKnow10 Def. 5.11, §5.4],
 SPEC §1).
 
 `prove_join` and `prove_states` hold a stream of tuples against its inputs and give the first
-counterexample. They share nothing with `join` and `synchronization`, which make such streams.
+counterexample. They share no code with `join` and `synchronization`, which make such streams.
 Plain Python on one tuple at a time; `engine.kpl.verification` calls them.
 """
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dyknow.streams import history
+from dyknow.streams import runs
 from dyknow.streams.generator import StreamGenerator
 from dyknow.streams.history import FluentStream, Retention, join_availtimes
 from dyknow.streams.sample import (
@@ -202,7 +202,7 @@ def test_histories_of_a_number_of_bytes_are_few_runs(monkeypatch, weights, size)
         copied.append(sum(map(len, batches)))
         return concatenate(batches)
 
-    monkeypatch.setattr(history, "concatenate", counted)
+    monkeypatch.setattr(runs, "concatenate", counted)
     kept = Retention(bytes=1_000_000)
     made, at = FluentStream(SCHEMA, kept, {"v": StringPool()}), 0
     texts = []

@@ -11,7 +11,7 @@ from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.languages.errors import LanguageError
 from dyknow.ontology.errors import OntologyError
 from dyknow.streams.history import Retention
-from dyknow.streams.recall import Forgotten
+from dyknow.streams.past_queries import Forgotten
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 

@@ -16,8 +16,8 @@ from ....converters.recordings.many_streams import in_order
 from ....converters.recordings.recording import Recording
 from ....converters.wire import Incoming
 from ....streams.sample import SampleBatch
-from ....streams.saturating_time import earlier, later
 from ....streams.time import MILLISECOND, SECOND, TIME_MAX
+from ....streams.time_arithmetic import earlier, later
 
 ROWS = 5_000
 """A part has at most so many samples: a few hundred kB on the wire."""

@@ -10,8 +10,8 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.languages.specification import parse_specification
 from dyknow.ontology.ontology import Ontology
-from dyknow.streams.rules import UNIQUE_TIMES
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
+from dyknow.streams.stream_rules import UNIQUE_TIMES
 
 SSL = "stream s contains speed(UAV) = spd [km.h-1] for every UAV = id"
 FIELDS = (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT))

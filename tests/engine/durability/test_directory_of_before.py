@@ -24,8 +24,8 @@ from dyknow.engine.durability.commands import (
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.journal.durability import Durability
-from dyknow.streams.rules import UNIQUE_TIMES
 from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.stream_rules import UNIQUE_TIMES
 from dyknow.streams.time import SECOND
 
 ARCHIVE = TESTS / "fixtures" / "before_instants.tar.xz"

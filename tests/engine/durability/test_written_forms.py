@@ -34,8 +34,8 @@ from dyknow.journal.log import Log
 from dyknow.journal.segment import walk
 from dyknow.streams.generator import Counters
 from dyknow.streams.history import Retention
-from dyknow.streams.rules import INSTANTS
 from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.stream_rules import INSTANTS
 from dyknow.streams.time import FOREVER, HOUR
 
 CASES = TESTS / "cases" / "journal"

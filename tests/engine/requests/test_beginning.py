@@ -20,7 +20,7 @@ from dyknow.engine.model.errors import BadArguments
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.journal.durability import Durability
 from dyknow.streams.history import Retention
-from dyknow.streams.recall import Forgotten
+from dyknow.streams.past_queries import Forgotten
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 

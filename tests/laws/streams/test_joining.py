@@ -29,7 +29,7 @@ from dyknow.streams.sample import (
     Schema,
     batch_from_rows,
 )
-from dyknow.streams.synchronization import change_kernel, change_states
+from dyknow.streams.synchronization import states as state_making
 from dyknow.streams.synchronization.synchronization import Synchronization
 from dyknow.streams.synchronization.tuple_definition import (
     TupleInput,
@@ -195,14 +195,10 @@ def test_synchronization_is_the_definition(data):
 
 @pytest.fixture(params=["compiled", "plain"])
 def loop(request, monkeypatch):
-    """States of inputs in any order are simulated by the loop of arrays, however few there are."""
+    """The compiled loop or plain Python finds the late states, however few there are."""
     if request.param == "compiled" and not JIT:
         pytest.skip("loops are not compiled: DYKNOW_JIT=off or NUMBA_DISABLE_JIT")
-    if request.param == "plain":
-        monkeypatch.setattr(change_states, "simulate", change_kernel.simulate.py_func)
-        monkeypatch.setattr(change_kernel, "_BLOCK", 2)  # compiled in, so only here
-    monkeypatch.setattr(change_states, "JIT", True)
-    monkeypatch.setattr(change_states, "COMPILED", 1)
+    monkeypatch.setattr(state_making, "COMPILED", 1 if request.param == "compiled" else 10**9)
 
 
 ANY_ORDER = settings(LIMITS, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -214,7 +210,7 @@ def test_the_compiled_loop_is_the_definition(loop, data, is_at_the_end):
     far = st.integers(LEAST, LEAST + 9) | st.integers(GREATEST - 9, GREATEST)
     times = far if is_at_the_end else SMALL
     inputs, monotone, policy, twin = data.draw(synchronizations(times, st.just(1)))
-    delay = 3 if policy.max_delay is None else policy.max_delay  # without one nothing is simulated
+    delay = 3 if policy.max_delay is None else policy.max_delay  # without one no state is too late
     policy = replace(policy, change=AnyChange(), order=Order.ANY, max_delay=delay)
     twin = (monotone, None, delay, *twin[3:])
     if is_at_the_end:  # near one of the two ends
@@ -238,35 +234,6 @@ def shaped(shape, random, count):
             raise AssertionError(shape)
 
 
-@pytest.mark.parametrize("delay", [None, 20, 10**6])
-@pytest.mark.parametrize("shape", ["mixed", "offline", "ahead"])
-def test_many_samples_at_once_give_the_states_of_few(shape, delay):
-    """The arrays' blocks matter only with many; the list simulation is held to the definition."""
-    policy = SynchronizationPolicy(AnyChange(), delay, approximation=Approximation.MOST_RECENT)
-    inputs = [
-        SampleBatch(a.astype(np.int64), v.astype(np.int64), {})
-        for a, v in shaped(shape, np.random.default_rng(5), 4000)
-    ]
-
-    def states(size):
-        process = Synchronization(policy, [False, False])
-        made, cuts = [], range(0, 4000, size)
-        for start in cuts:
-            for i, samples in enumerate(inputs):
-                made += process.push(i, samples.take(slice(start, start + size)))
-        for i in range(2):
-            made += process.end(i)
-        values = [
-            [None if row is None else (one.inputs[i].available[row]) for i, row in enumerate(rows)]
-            for one in made
-            for _, _, rows in one.tuples()
-        ]
-        times = [(a, v) for one in made for a, v, _ in one.tuples()]
-        return times, values, process.counters
-
-    assert states(4000) == states(100)
-
-
 @LIMITS
 @given(st.data())
 def test_synchronization_at_the_ends_of_time(data):
@@ -287,6 +254,56 @@ def flat(tuples, streams):
 def numbered(stream):
     schema = Schema((Field("x", FieldType.INTEGER),))
     return batch_from_rows(schema, [(a, v, {"x": k}) for k, (a, v) in enumerate(stream)])
+
+
+@pytest.mark.parametrize("delay", [None, 20, 10**6])
+@pytest.mark.parametrize("shape", ["mixed", "offline", "ahead"])
+@pytest.mark.parametrize("monotone", [False, True])
+def test_many_samples_at_once_give_the_states_of_few(shape, delay, monotone):
+    """Long streams, with some hundred samples that are late, in three cuts and by their proof."""
+    policy = SynchronizationPolicy(AnyChange(), delay, approximation=Approximation.MOST_RECENT)
+    streams = [
+        list(zip(a.tolist(), v.tolist(), strict=True))
+        for a, v in shaped(shape, np.random.default_rng(5), 4000)
+    ]
+    inputs = [numbered(stream) for stream in streams]
+
+    def states(size):
+        told = []
+        process = Synchronization(policy, [monotone] * 2, told.append)
+        made = []
+        for start in range(0, 4000, size):
+            for i, samples in enumerate(inputs):
+                made += process.push(i, samples.take(slice(start, start + size)))
+        for i in range(2):
+            made += process.end(i)
+        late = [
+            (one.input, one.constraint, at)
+            for one in told
+            for at in one.batch.columns["x"].values.tolist()
+        ]
+        places = [
+            (
+                a,
+                v,
+                tuple(
+                    None if k is None else int(b.inputs[i].columns["x"].values[k])
+                    for i, k in enumerate(rows)
+                ),
+            )
+            for b in made
+            for a, v, rows in b.tuples()
+        ]
+        return places, sorted(late), process.counters
+
+    found = states(4000)
+    assert found == states(100) == states(3)
+    ends = [stream[-1][0] for stream in streams]
+    known = [
+        TupleInput(samples, [f"x{i}"], monotone, None if ends[i] == max(ends) else ends[i] + 1)
+        for i, samples in enumerate(inputs)
+    ]
+    assert prove_states(flat(found[0], inputs), known, policy) is None
 
 
 @LIMITS

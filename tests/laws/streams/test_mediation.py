@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from mediation_definition import held, merged
 
 from dyknow.streams.joins.mediation import Mediation
-from dyknow.streams.rules import UNIQUE_TIMES, Rules
 from dyknow.streams.sample import Column, FieldType, SampleBatch, SampleError
+from dyknow.streams.stream_rules import UNIQUE_TIMES, Rules
 from dyknow.streams.string_pool import StringPool
 
 LIMITS = settings(deadline=None, max_examples=200)

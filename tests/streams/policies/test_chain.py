@@ -5,8 +5,8 @@ import pytest
 
 from dyknow.streams.policies.policy import Constraint, Policy, SampleEvery
 from dyknow.streams.policies.select_adaptation import adapt
-from dyknow.streams.rules import UNIQUE_TIMES, Rules
 from dyknow.streams.sample import SampleBatch
+from dyknow.streams.stream_rules import UNIQUE_TIMES, Rules
 
 
 def run(policy, available, valid, size):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dyknow.streams.most_recent import most_recent_rows
 from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
@@ -12,11 +13,10 @@ from dyknow.streams.policies.policy import (
     SampleEvery,
     SynchronizationPolicy,
 )
-from dyknow.streams.recent import most_recent_rows
-from dyknow.streams.sample import SampleBatch
-from dyknow.streams.synchronization.change_states import ChangeStates
-from dyknow.streams.synchronization.monotone_states import MonotoneStates
+from dyknow.streams.sample import Column, FieldType, SampleBatch, concatenate
 from dyknow.streams.synchronization.synchronization import Synchronization
+from dyknow.streams.synchronization.tuple_definition import TupleInput, prove_states
+from dyknow.streams.time import TIME_MIN
 
 RECENT = Approximation.MOST_RECENT
 
@@ -91,6 +91,28 @@ def test_waiting_for_ever_is_counted_at_the_end():
     assert (counters.states + counters.incomplete, counters.pending) == (2, 0)
 
 
+@pytest.mark.parametrize("approximation", Approximation)
+def test_an_input_may_bring_its_first_sample_after_others_have_gone_on(approximation):
+    policy = SynchronizationPolicy(AnyChange(), None, approximation=approximation)
+    sync = Synchronization(policy, [False, False])
+    number = {"k": Column(FieldType.INTEGER, np.array([7]))}
+    one = SampleBatch(np.array([3]), np.array([3]), number)
+    sync.advance(0, 9)
+    sync.push(1, one)
+    sync.advance(1, 9)
+    late = SampleBatch(np.array([9]), np.array([3]), number)
+    assert shown([*sync.push(0, late), *sync.end(0), *sync.end(1)]) == [(9, 3, (3, 3))]
+
+
+def test_a_state_may_leave_at_the_least_time_there_is():
+    """What comes the moment after it is late."""
+    sync = Synchronization(SynchronizationPolicy(AnyChange(), 3), [False, False])
+    sync.push(0, make((TIME_MIN, TIME_MIN + 9), (TIME_MIN + 1, TIME_MIN + 8)))
+    states = [*sync.end(0), *sync.end(1)]  # both samples in one run
+    assert shown(states) == [(TIME_MIN, TIME_MIN + 9, (TIME_MIN + 9, None))]
+    assert sync.counters.late == 1
+
+
 def test_a_grid_does_not_begin_before_what_is_known():
     """Without `from` the first state is one that the first sample came in time for."""
     for delay, states in ((0, [(20, 20, (None,))]), (5, []), (None, [])):
@@ -100,6 +122,12 @@ def test_a_grid_does_not_begin_before_what_is_known():
         assert shown([*sync.push(0, make((20, 3))), *sync.advance(0, 21)]) == states
     sync = Synchronization(SynchronizationPolicy(SampleEvery(2), 5), [False])
     assert shown([*sync.push(0, make((20, 3))), *sync.advance(0, 23)]) == [(21, 16, (None,))]
+
+
+def test_a_grid_begins_with_the_earliest_sample_of_the_first_instant():
+    sync = Synchronization(SynchronizationPolicy(SampleEvery(1), None), [False])
+    states = [*sync.push(0, make((0, 0), (0, -1))), *sync.end(0)]
+    assert shown(states) == [(0, -1, (-1,)), (1, 0, (0,))]
 
 
 def test_a_very_old_first_sample_makes_no_flood_of_states():
@@ -150,8 +178,8 @@ def test_most_recent_rows_by_hand():
 
 @pytest.mark.parametrize("approximation", Approximation)
 @pytest.mark.parametrize("delay", [3, 40])
-def test_states_of_monotone_inputs_are_those_of_the_simulation(approximation, delay):
-    """Computed at once or event by event: long streams with gaps, repeated times and late ones."""
+def test_long_monotone_streams_have_the_states_of_the_definition(approximation, delay):
+    """Streams with gaps, repeated times and late samples, in two cuts."""
     random = np.random.default_rng(5)
     policy = SynchronizationPolicy(
         AnyChange(), delay, Duration(100, 3_000), approximation=approximation
@@ -160,23 +188,29 @@ def test_states_of_monotone_inputs_are_those_of_the_simulation(approximation, de
     for _ in range(3):
         available = np.cumsum(random.choice([1, 2, 5, 60], 400, p=[0.5, 0.3, 0.15, 0.05]))
         valid = np.maximum.accumulate(available - random.integers(0, 9, 400))
-        inputs.append(SampleBatch(available, valid, {}))
+        number = Column(FieldType.INTEGER, np.arange(400))
+        inputs.append(SampleBatch(available, valid, {"k": number}))
     results = []
-    for states in (MonotoneStates(policy, 3), ChangeStates(policy, [True] * 3)):
+    for size in (50, 1):
         told = []
-        sync = Synchronization(
-            policy,
-            [True] * 3,
-            lambda late, told=told: told.append((late.input, late.constraint, late.at.tolist())),
-        )
-        sync._states = states
+        sync = Synchronization(policy, [True] * 3, told.append)
         made = []
-        for start in range(0, 400, 50):
+        for start in range(0, 400, size):
             for i, batch in enumerate(inputs):
-                made += shown(sync.push(i, batch.take(slice(start, start + 50))))
+                made += sync.push(i, batch.take(slice(start, start + size)))
         for i in (1, 0, 2):
-            made += shown(sync.end(i))
-        results.append((made, told, sync.counters, sync.retained))
+            made += sync.end(i)
+        late = sorted((one.input, one.constraint, at) for one in told for at in one.at.tolist())
+        results.append((shown(made), late, sync.counters))
     assert results[0] == results[1]
     assert results[0][2].states > 300
     assert results[0][2].late > 10 or delay != 3
+    names = [["a"], ["b"], ["c"]]
+    states = concatenate([one.flatten(names, False) for one in made])
+    last = max(batch.available[-1] for batch in inputs)
+    known = [
+        TupleInput(batch, own, True, None if batch.available[-1] == last else at + 1)
+        for batch, own in zip(inputs, names, strict=True)
+        for at in [int(batch.available[-1])]
+    ]
+    assert prove_states(states, known, policy) is None

@@ -11,7 +11,9 @@ from .sample import Times
 from .tuples import Rows
 
 
-def most_recent_rows(available: Times, valid: Times, points: Times, known: Times) -> Rows:
+def most_recent_rows(
+    available: Times, valid: Times, points: Times, known: Times, order: Rows | None = None
+) -> Rows:
     """For each k the row of most_recent_at(f, points[k], known[k]), -1 for no_sample; shape (K,).
 
     f is given by its times, shape (n,), ``available`` increasing. Contract: ``points`` and
@@ -23,11 +25,15 @@ def most_recent_rows(available: Times, valid: Times, points: Times, known: Times
     begins = np.maximum(
         np.searchsorted(points, valid, "left"), np.searchsorted(known, available, "left")
     )
-    return rows_in_use(available, valid, begins, np.arange(len(points)))
+    return rows_in_use(available, valid, begins, np.arange(len(points)), order)
 
 
 def rows_in_use(
-    available: Times, valid: Times, begins: NDArray[Any], queries: NDArray[Any]
+    available: Times,
+    valid: Times,
+    begins: NDArray[Any],
+    queries: NDArray[Any],
+    order: Rows | None = None,
 ) -> Rows:
     """For each query the row with the greatest (valid, available) among those with
     ``begins`` ≤ query, -1 for none; ``queries`` are nondecreasing, ``available`` increases."""
@@ -35,7 +41,7 @@ def rows_in_use(
         return np.full(len(queries), -1, np.int64)
     if bool(np.all(valid[1:] >= valid[:-1])) and bool(np.all(begins[1:] >= begins[:-1])):
         return np.searchsorted(begins, queries, "right").astype(np.int64) - 1
-    by_news = np.lexsort((available, valid))
+    by_news = np.lexsort((available, valid)) if order is None else order
     rank = np.empty(len(valid), np.int64)
     rank[by_news] = np.arange(len(valid))
     by_begin = np.argsort(begins, kind="stable")

@@ -1,10 +1,9 @@
-"""What a process with several inputs knows of each: samples that wait, and up to when it knows all.
+"""The inputs of a process with several: samples that wait, and the time up to which all is known.
 
-Every online process sees, per input, batches in order of available time, watermarks and the end.
-After a batch everything is known up to before its last available time, at which more may come,
-after a watermark ``w`` up to ``w - 1``, after the end for ever. `Join` and `Synchronization`
-proceed to the least of what their inputs know, so how pushes to different inputs interleave changes
-nothing.
+Each input brings batches in order of available time, watermarks and the end. After a batch all is
+known up to before its last available time, at which more may come; after a watermark ``w`` up to
+``w - 1``; after the end for ever. `Join` and `Synchronization` proceed to the least of these times.
+So their results do not depend on how pushes to different inputs interleave.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ NOTHING_KNOWN = TIME_MIN - 1
 
 
 class Input:
-    """One input: what has come and may not be used yet, as other inputs are behind.
+    """One input: samples that came and wait until the other inputs have got as far.
 
-    ``known`` is up to when all is known; it stays where it was at the end, and ``ended_at`` is the
-    first moment after it. A push after the end continues the input. Cost: O(1) a push; `take`
+    All is known up to ``known``. The end leaves it as it was, and ``ended_at`` is the first moment
+    after it. A push after the end continues the input. Cost: O(1) a push; `take`
     O(batches taken). Memory: what waits.
     """
 
@@ -45,7 +44,7 @@ class Input:
         return sum(len(batch) for batch in self._waiting)
 
     def push(self, batch: SampleBatch, after: int = NOTHING_KNOWN) -> None:
-        """The next samples. An empty batch only tells the fields.
+        """Take the next samples. An empty batch only brings the fields.
 
         Raises `ValueError`, and takes nothing, where a sample is available at or before what is
         known of this input or at or before ``after``, up to which the process has given its output.
@@ -74,7 +73,7 @@ class Input:
             self.known = max(self.known, watermark - 1)
 
     def resume(self) -> None:
-        """It had ended, and goes on: it is waited for again."""
+        """Continue after the end: other inputs wait for it again."""
         self.ended_at = None
 
     def end(self) -> None:
@@ -85,7 +84,7 @@ class Input:
             self.ended_at = self.known + 1
 
     def take(self, known: int) -> list[SampleBatch]:
-        """The waiting samples available by ``known``, in order; they wait no longer."""
+        """Remove and return the waiting samples available by ``known``, in order."""
         waiting = self._waiting
         taken: list[SampleBatch] = []
         while waiting:
@@ -101,7 +100,7 @@ class Input:
         return taken
 
     def empty(self) -> SampleBatch:
-        """No samples, with this input's fields as far as a batch has told them."""
+        """An empty batch with the input's fields, if a batch has brought them."""
         if self.like is None:
             none = np.empty(0, np.int64)
             return SampleBatch(none, none, {})

@@ -1,9 +1,9 @@
 """Questions about a stream's past that retention may have made unanswerable
 ([DyKnow10 Def. 5.5-5.7], SPEC §1).
 
-Each function gives what the definition gives over all samples that the stream ever had, or raises
-`Forgotten`: an answer that depends on forgotten samples is never guessed. Called by
-service/routes/samples; tests/laws/streams/test_recall.py compares with the definitions.
+Each function returns the answer of the definition over all samples that the stream ever had, or
+raises `Forgotten` where the answer depends on forgotten samples. Called by
+service/routes/samples; tests/laws/streams/test_past_queries.py compares with the definitions.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def before(
     stream: FluentStream, time: int, known: int = TIME_MAX, *, most: int | None = None
 ) -> SampleBatch:
     """Def. 5.6: the samples available by ``known`` that are valid at or before ``time``; at
-    ``most`` so many, the newest."""
+    ``most`` the newest of them."""
     _need_valid(stream, TIME_MIN, time)
     found = stream.before(time, known)
     return found if most is None else found.take(slice(max(0, len(found) - most), None))
@@ -119,7 +119,7 @@ def between(
     """The samples available from ``start`` to ``end`` and valid from ``valid_from`` to
     ``valid_to``, bounds included. None is unbounded: without ``start`` from the oldest sample kept.
 
-    At ``most`` so many: the newest; with ``start`` or ``valid_from`` the oldest.
+    At ``most`` the newest of them; with ``start`` or ``valid_from`` the oldest.
     """
     newest = start is None and valid_from is None
     if start is not None or end is not None:

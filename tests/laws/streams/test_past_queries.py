@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dyknow.streams import recall
+from dyknow.streams import past_queries
 from dyknow.streams.history import FluentStream, Retention
-from dyknow.streams.recall import Forgotten
+from dyknow.streams.past_queries import Forgotten
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -63,18 +63,18 @@ def test_what_is_not_refused_is_the_definition(
     most_recent = [s for s in before if s[1] == max(other[1] for other in before)]
     in_time = [s for s in samples if low <= s[0] <= high]
     cases: list[tuple[Callable[[], SampleBatch], list[tuple[int, int, int]]]] = [
-        (lambda: recall.most_recent_at(stream, time, known), most_recent[-1:]),
-        (lambda: recall.before(stream, time, known), before),
-        (lambda: recall.before(stream, time, known, most=2), before[-2:]),
-        (lambda: recall.prev(stream, known), [s for s in samples if s[0] < known][-1:]),
-        (lambda: recall.last_avail(stream, known), avail[-1:]),
-        (lambda: recall.between(stream, low, high), in_time),
+        (lambda: past_queries.most_recent_at(stream, time, known), most_recent[-1:]),
+        (lambda: past_queries.before(stream, time, known), before),
+        (lambda: past_queries.before(stream, time, known, most=2), before[-2:]),
+        (lambda: past_queries.prev(stream, known), [s for s in samples if s[0] < known][-1:]),
+        (lambda: past_queries.last_avail(stream, known), avail[-1:]),
+        (lambda: past_queries.between(stream, low, high), in_time),
         (
-            lambda: recall.between(stream, None, None, low, high),
+            lambda: past_queries.between(stream, None, None, low, high),
             [s for s in samples if low <= s[1] <= high],
         ),
         (
-            lambda: recall.between(stream, low, high, time, None, most=2),
+            lambda: past_queries.between(stream, low, high, time, None, most=2),
             [s for s in in_time if s[1] >= time][:2],
         ),
     ]
@@ -106,15 +106,15 @@ def test_what_the_kept_samples_decide_is_answered(life: Life, time: int, known: 
         return
     kept = told(stream.all())
     if known >= kept[0][0]:
-        assert told(recall.last_avail(stream, known))
-        recall.between(stream, known, None)
+        assert told(past_queries.last_avail(stream, known))
+        past_queries.between(stream, known, None)
     if known > kept[0][0]:
-        assert told(recall.prev(stream, known))
+        assert told(past_queries.prev(stream, known))
     gone = samples[: len(samples) - len(kept)]
     if all(s[1] <= kept[0][1] for s in gone) and time >= kept[0][1]:
-        assert told(recall.most_recent_at(stream, time))
+        assert told(past_queries.most_recent_at(stream, time))
     if all(s[1] > time for s in gone):
-        assert told(recall.before(stream, time)) == [s for s in samples if s[1] <= time]
+        assert told(past_queries.before(stream, time)) == [s for s in samples if s[1] <= time]
 
 
 def test_another_sample_than_the_definition_is_refused() -> None:
@@ -124,16 +124,16 @@ def test_another_sample_than_the_definition_is_refused() -> None:
         stream.append(make([sample]))
     assert told(stream.most_recent_at(6, 20)) == [(11, 3, 2)]
     with pytest.raises(Forgotten, match=r"1970-01-01T00:00:00\.000000011Z"):
-        recall.most_recent_at(stream, 6, 20)
-    assert told(recall.most_recent_at(stream, 3, 20)) == [(11, 3, 2)]
+        past_queries.most_recent_at(stream, 6, 20)
+    assert told(past_queries.most_recent_at(stream, 3, 20)) == [(11, 3, 2)]
 
 
 def test_a_stream_that_goes_on_knows_nothing_of_forgotten_valid_times() -> None:
     stream = FluentStream(SCHEMA)
     stream.go_on(make([(10, 10, 1)]), 5)
     with pytest.raises(Forgotten):
-        recall.most_recent_at(stream, 20)
-    assert told(recall.last_avail(stream, 20)) == [(10, 10, 1)]
+        past_queries.most_recent_at(stream, 20)
+    assert told(past_queries.last_avail(stream, 20)) == [(10, 10, 1)]
     whole = FluentStream(SCHEMA)
     whole.go_on(make([(10, 10, 1)]), 1)
-    assert told(recall.most_recent_at(whole, 20)) == [(10, 10, 1)]
+    assert told(past_queries.most_recent_at(whole, 20)) == [(10, 10, 1)]
