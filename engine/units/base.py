@@ -152,10 +152,10 @@ class ComputationalUnit(ABC):
             return
         self._ended.discard(source)
         self._before = self.seen
-        known = self._watermarks.get(source)
-        if known is not None and batch.available[0] < known and self.waits_for_all:
-            # It was not waited for, and what it says now was due before.
-            batch = self.in_time(source, batch, known - 1)
+        decided = self.decided(source) if self.waits_for_all else None
+        if decided is not None:
+            # The unit did not wait for the input, or the input had ended.
+            batch = self.in_time(source, batch, decided)
             if not len(batch):
                 return
         self.seen = max(self.seen, int(batch.available[-1]))
@@ -338,6 +338,11 @@ class ComputationalUnit(ABC):
             side.advance(known)
         if source in self._ended:
             side.end()
+
+    def decided(self, source: StreamGenerator) -> int | None:
+        """The time up to which samples of an input come too late; None: none does."""
+        known = self._watermarks.get(source)
+        return None if known is None else known - 1
 
     def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
         """The samples available after ``decided``; the others are late, and counted.
