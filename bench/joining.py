@@ -80,7 +80,8 @@ def joined_by_hand(rounds: Iterable[Round]) -> Iterator[Arrays]:
         held = held or [Held() for _ in samples]
         for one, more in zip(held, samples, strict=True):
             one.add(more)
-        known = min(int(one.samples[0][-1]) for one in held)
+        # More samples of the last instant may come.
+        known = min(int(one.samples[0][-1]) for one in held) - 1
         times = np.sort(np.concatenate([one.samples[0] for one in held]), kind="stable")
         times = times[
             np.searchsorted(times, done, "right") : np.searchsorted(times, known, "right")
@@ -104,7 +105,7 @@ def states_by_hand(period: int | None, monotone: bool = True) -> Program:
             held = held or [Held() for _ in samples]
             for one, more in zip(held, samples, strict=True):
                 one.add(more)
-            known = min(int(one.samples[0][-1]) for one in held)
+            known = min(int(one.samples[0][-1]) for one in held) - 1
             end = max(known - DELAY, min(int(one.samples[1][-1]) for one in held))
             if period is None:
                 times = np.sort(np.concatenate([one.samples[1] for one in held]), kind="stable")

@@ -27,7 +27,7 @@ _CHARACTERS: Final = 4 << 20
 """Characters of texts above which a search pays, if they are more than `_SHARE` times those of the
 last search."""
 _TRIES: Final = 4
-"""Searches for texts to which the stream gets others meanwhile; then `encoded` looks for them."""
+"""How often `find_places` searches again when pools changed meanwhile."""
 
 
 class FluentStream(Runs):

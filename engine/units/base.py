@@ -153,10 +153,10 @@ class ComputationalUnit(ABC):
             return
         self._ended.discard(source)
         self._processed_before = self.last_processed
-        watermark = self._watermarks.get(source)
-        if watermark is not None and batch.available[0] < watermark and self.waits_for_all:
-            # While the input was idle, the unit moved its watermark past these samples.
-            batch = self.in_time(source, batch, watermark - 1)
+        decided = self.decided(source) if self.waits_for_all else None
+        if decided is not None:
+            # The unit did not wait for the input, or the input had ended.
+            batch = self.in_time(source, batch, decided)
             if not len(batch):
                 return
         self.last_processed = max(self.last_processed, int(batch.available[-1]))
@@ -343,6 +343,11 @@ class ComputationalUnit(ABC):
             side.advance(watermark)
         if source in self._ended:
             side.end()
+
+    def decided(self, source: StreamGenerator) -> int | None:
+        """Return the time up to which samples of an input are late; None: none are."""
+        known = self._watermarks.get(source)
+        return None if known is None else known - 1
 
     def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
         """Return the samples available after ``decided``; count the others as late.

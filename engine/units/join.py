@@ -85,10 +85,11 @@ class FunctionProcess(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         input = self._index[source]
-        batch = self.in_time(source, batch, self._join.decided(input))
-        if len(batch):
-            self._apply(self._join.push(input, batch))
-            self._apply(self._join.advance(input, source.promise_after(batch)))
+        self._apply(self._join.push(input, batch))
+        self._apply(self._join.advance(input, source.promise_after(batch)))
+
+    def decided(self, source: StreamGenerator) -> int:
+        return self._join.decided(self._index[source])
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)

@@ -157,10 +157,12 @@ class TupleUnit(PolicyUnit):
                     f"stream {source.name!r} has fields now, but it had ended without any, and "
                     f"{self.output.name} has gone on without them: declare them in its sort"
                 )
-            timely = self.in_time(source, batch, self._kernel.decided(place))
-            if len(timely):
-                self._offer(self._kernel.push(place, timely))
-                self._offer(self._kernel.advance(place, source.promise_after(timely)))
+            self._offer(self._kernel.push(place, batch))
+            self._offer(self._kernel.advance(place, source.promise_after(batch)))
+
+    def decided(self, source: StreamGenerator) -> int:
+        # Equal for all places of one stream, which get the same calls.
+        return self._kernel.decided(self._places(source)[0])
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)

@@ -91,18 +91,17 @@ class SynchronizationUnit(ComputationalUnit):
         return self._join.retained
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        places = self._places(source)
-        # `decided` is equal for all places of one stream: they get the same samples and times.
-        batch = self.in_time(source, batch, self._join.decided(places[0]))
-        if not len(batch):
-            return
-        for place in places:
+        for place in self._places(source):
             samples, keys = self._samples(place, batch)
             if len(samples):
                 self._offer(self._join.push(place, samples, keys))
             # Dropped samples advance the input, too.
             self._offer(self._join.advance(place, source.promise_after(batch)))
         self._promise()
+
+    def decided(self, source: StreamGenerator) -> int:
+        # Equal for all places of one stream, which get the same calls.
+        return self._join.decided(self._places(source)[0])
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)

@@ -129,11 +129,6 @@ class WindowUnit(ComputationalUnit):
             super().idleness_changed(source)
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        limit = self.evaluator.limit(source.name)
-        if limit is not None:
-            batch = self.in_time(source, batch, limit)
-        if not len(batch):
-            return
         self.samples += len(batch)
         converters, names = self._converters[source.name], None
         if any(converter.makes_nodes for converter in converters):
@@ -143,6 +138,9 @@ class WindowUnit(ComputationalUnit):
             converted = converter.convert(batch, names)
             self.triples += len(converted)
             self.evaluator.push(source.name, converted)
+
+    def decided(self, source: StreamGenerator) -> int | None:
+        return self.evaluator.limit(source.name)
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self.emit(self.evaluator.advance(source.name, watermark))

@@ -50,7 +50,8 @@ class Mediation:
         self._rules = Rules() if rules is None else rules
         self._tag = tag
         self._pools = {} if pools is None else pools
-        # The sets that may still hold for a sample to come, and since when each does.
+        # The sets that may still hold for a sample to come, and since when each does. Of two with
+        # one time the second holds, and the first has the objects of all that it replaced.
         self._since: list[int] = [TIME_MIN]
         self._sets: list[frozenset[str]] = [frozenset()]
         self._members_known = self._members_last = NOTHING_KNOWN
@@ -93,16 +94,21 @@ class Mediation:
         holds.
         """
         self._members_ended = False
-        for time, labels in zip(available, sets, strict=True):
+        for time, members in zip(available, sets, strict=True):
             self._members_last = time
             self._members_known = max(self._members_known, time - 1)
-            if self._since[-1] == time:
-                self._sets[-1] = frozenset(labels)
-                self.wanted = frozenset[str]().union(*self._sets)
-            elif frozenset(labels) != self._sets[-1]:
-                self._since.append(time)
-                self._sets.append(frozenset(labels))
-                self.wanted |= self._sets[-1]
+            labels = frozenset(members)
+            if labels == self._sets[-1]:
+                continue
+            if self._since[-2:] == [time, time]:
+                # The instant may still end with a set of the objects of those before: keep them.
+                self._since.pop()
+                replaced = self._sets.pop()
+                self._sets[-1] |= replaced
+            self._blocker = None
+            self._since.append(time)
+            self._sets.append(labels)
+            self.wanted |= labels
 
     def advance_members(self, watermark: int) -> None:
         """Promise that later label sets are available at ``watermark`` or after it."""
@@ -199,8 +205,12 @@ class Mediation:
             own = self._known_of(label)
             if own >= known:
                 continue
-            own = max(own, self._entered(label) - 1)
-            if own < known and (label in self.members or own < self._left(label) - 1):
+            stays = self._stays(label)
+            if not stays:
+                continue
+            entered, left = stays[0][0], stays[-1][1]
+            own = max(own, entered - 1)
+            if own < min(known, left - 1):
                 known, self._blocker = own, label
         if known == TIME_MAX:
             # All that is there has ended. It may be taken up again, and others may come.
@@ -208,16 +218,14 @@ class Mediation:
             known = max(self.done, self._members_known, *ends)
         return known
 
-    def _entered(self, label: str) -> int:
-        """Since when the samples of an object may be needed."""
-        return next(
-            since for since, labels in zip(self._since, self._sets, strict=True) if label in labels
-        )
-
-    def _left(self, label: str) -> int:
-        """When an object that is not in the set any more left it."""
-        place = max(i for i, labels in enumerate(self._sets) if label in labels)
-        return self._since[place + 1]
+    def _stays(self, label: str) -> list[tuple[int, int]]:
+        """When an object is in a set that holds: since when, and the first moment after it."""
+        ends = [*self._since[1:], TIME_MAX + 1]
+        return [
+            (since, end)
+            for since, end, labels in zip(self._since, ends, self._sets, strict=True)
+            if label in labels and since < end
+        ]
 
     def _known_of(self, label: str | None) -> int:
         lives = self._inputs.get(label or "")

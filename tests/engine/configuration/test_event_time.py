@@ -269,6 +269,44 @@ def test_all_streams_idle(engine):
     assert engine.queries.view("n").held_back_by == ()
 
 
+@pytest.mark.parametrize("made", ["query", "join"])
+def test_late_samples_of_one_moment_are_available_at_one_time(engine, made):
+    """Behind the watermark that an idle stream was moved to, or behind what was given at the end:
+    the unit was as far for both."""
+    declare(engine, "s", idle=2)
+    declare(engine, "t")
+    if made == "query":
+        count(engine, "s", "t")
+    else:
+        engine.add_kpl(
+            "sort fix = (id string, spd float)\nsource fix s\nsource fix t\n"
+            "strmgen of_s = s\nstrmgen of_t = t\nstrmgen n = join(of_s, of_t)"
+        )
+    engine.stream("n_late_s")
+    say(engine, "t", 3, 5)
+    engine.tick(2 * SECOND)
+    engine.end("s")
+    engine.end("t")
+    say(engine, "s", 2, 5, 8)
+    late = engine.generator("n_late_s").stream.all()
+    assert late.valid.tolist() == [2 * SECOND, 5 * SECOND]
+    assert late.available.tolist() == [5 * SECOND + 1] * 2
+
+
+def test_a_late_sample_of_a_stream_that_is_joined_with_itself_counts_once(engine):
+    declare(engine, "s")
+    engine.add_kpl(
+        "sort fix = (id string, spd float)\nsource fix s\nstrmgen of_s = s\n"
+        "strmgen n = join(of_s, of_s)"
+    )
+    engine.stream("n_late_s")
+    say(engine, "s", 1, 5)
+    engine.end("s")
+    feed(engine, "s", [(5, {"id": "uav2", "spd": 5.0})])
+    assert engine.stream("s").counters.used == 3
+    assert len(times(engine, "n_late_s")) == 1
+
+
 def test_idleness_passes_through_units(engine):
     declare(engine, "s")
     declare(engine, "t", idle=2)

@@ -219,6 +219,22 @@ def test_mediation_of_declared_streams(engine):
     assert content(engine, "both")[-1] == (9, "three", 7.0)
 
 
+@pytest.mark.parametrize("policy", ["", " with any change"])
+def test_an_object_that_leaves_and_enters_in_an_instant_has_never_left(engine, policy):
+    """Of an instant the last set holds, however the sets came."""
+    engine.add_kpl(
+        "source float a\nsource object who\nstrmgen p[one] = a\nstrmgen members = who\n"
+        f"strmgen all = aggregate(p[x]{policy} foreach x in members)"
+    )
+    publish(engine, "a", (1, 1.0), (1, 2.0))
+    for members in ("one", None, "one,", "two", "one two"):
+        publish(engine, "who", (1, members))
+    publish(engine, "who", (2, None))
+    for name in ("a", "who"):
+        engine.end(name)
+    assert content(engine, "all") == [(1, "one", 1.0), (1, "one", 2.0)]
+
+
 def test_what_waits_for_an_input_starts_when_it_is_there(engine):
     engine.add_kpl(
         "source float a\nsource object who\nstrmgen p[one] = a\nstrmgen members = who\n"

@@ -156,6 +156,7 @@ def defined(declarations, steps, range, step):
 
 @given(worlds)
 @example(([(0, 2), (0, None)], [("b", [5], []), 2, ("b", [20], []), ("a", [3, 25], [1])], 5, 5))
+@example(([(0, 1), (0, None)], [("b", [1], []), 1, "a", "b", ("a", [0], [])], 1, 1))
 @settings(deadline=None, max_examples=60)
 def test_windows_and_late_samples_equal_the_definition_however_input_is_cut(world) -> None:
     declarations, steps, range, step = world

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mediation_definition import held, merged
 
@@ -129,21 +129,44 @@ def run(steps):
     return given, stages
 
 
+@st.composite
+def fed_worlds(draw):
+    """(members, streams, feeding)"""
+    members, streams = draw(worlds())
+    return members, streams, draw(feedings(members, streams))
+
+
+SETS = [(0, {"a", "b"}), (0, set()), (0, {"a", "b"}), (1, set()), (1, set())]
+"""An object that leaves and enters again within an instant."""
+BEFORE = [(1, {"b"}), (1, set()), (1, {"b"})]
+"""An object whose samples are available before it enters."""
+
+
+def told(sets, size):
+    """A world whose sets come after the samples, ``size`` at once."""
+    samples = [(0, "x")] * 3
+    steps = [("members", sets[i : i + size]) for i in range(0, len(sets), size)]
+    ends = [(name, None) for name in (*LABELS, "members")]
+    return sets, {"a": [], "b": samples, "c": []}, [("b", samples), *steps, *ends]
+
+
 @LIMITS
-@given(st.data(), worlds())
-def test_it_gives_the_definition(data, world):
-    members, streams = world
-    given, _ = run(data.draw(feedings(members, streams)))
+@given(fed_worlds())
+@example(told(SETS, 1))
+@example(told(BEFORE, 3))
+def test_it_gives_the_definition(world):
+    members, streams, steps = world
+    given, _ = run(steps)
     assert given == definition(members, streams)
 
 
 @LIMITS
-@given(st.data(), worlds())
-def test_what_is_given_by_a_moment_is_all_there_is_by_then(data, world):
-    members, streams = world
-    steps = data.draw(feedings(members, streams))
-    steps.sort(key=lambda step: step[0] != "members")
-    given, stages = run(steps)
+@given(fed_worlds())
+@example(told(SETS, 1))
+@example(told(BEFORE, 3))
+def test_what_is_given_by_a_moment_is_all_there_is_by_then(world):
+    _, _, steps = world
+    given, stages = run(sorted(steps, key=lambda step: step[0] != "members"))
     for done, count in stages:
         assert all(time <= done for _, time, _, _ in given[:count])
         assert all(time > done for _, time, _, _ in given[count:])
