@@ -69,7 +69,7 @@ class Synchronization:
     Monotone inputs (``monotone[i]``, or all by the policy's order) lose samples that decrease.
 
     Law: what is given does not depend on how inputs were cut or interleaved, and everything that
-    leaves by `known` has been given. Cost: `GridStates`, `MonotoneStates`, `ChangeStates`,
+    leaves by `known` has been given. Cost: see `GridStates`, `ChangeStates` and
     `CompleteStates`; each push that moves `known` copies what is kept. Memory: the samples that a
     state to come may use.
     """
