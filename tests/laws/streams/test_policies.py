@@ -180,6 +180,16 @@ def test_state_does_not_grow_with_history() -> None:
         assert held <= 101
 
 
+def test_no_sample_can_be_added_after_the_end_of_time() -> None:
+    """The delay reaches beyond it, and its last moment is taken."""
+    policy = Policy(max_delay=50, order=Order.MONOTONE)
+    samples = [(TIME_MAX - 45, TIME_MAX - 45, (1, "a")), (TIME_MAX - 45, TIME_MAX - 44, (1, "a"))]
+    part = [(TIME_MAX, *samples[0][1:])]
+    assert addable(part, samples, policy) is None
+    pool = StringPool()
+    assert prove(batch_of(part, pool), batch_of(samples, pool), policy) is None
+
+
 @LAWS
 @given(st.data(), st.sampled_from([0, TIME_MIN + 50, TIME_MAX - 45]))
 def test_proof_agrees_with_the_definition(data: st.DataObject, base: int) -> None:
