@@ -163,7 +163,8 @@ def engine_from(
     engine.intake.restore_keys(each for each in portable.keys if each.stream in there)
     restarted = set(_query_streams(engine))
     for kept in portable.results:
-        # A stream that has samples already is one whose query gave results as it started.
+        # A query over the streams of the engine itself may have given results at the start; samples
+        # of before cannot follow those.
         if kept.name in restarted and not engine.generator(kept.name).stream.last_number:
             lost += _restore_stream(engine.generator(kept.name), kept)
     for text in lost:

@@ -1,1 +1,1 @@
-"""What people ask for: events, queries, subscriptions, and the matching that follows changes."""
+"""Requests: events, queries, subscriptions, and the matching that follows changes."""

@@ -1,7 +1,7 @@
 """Policies by their definition ([DyKnow10 Def. 5.35-5.37]): sets, quantifiers, brute force.
 
 Samples are tuples ``(available, valid, value)``; everything is Python integers. It shares nothing
-with the product but the names of the constraints in a `Policy`.
+with the product but the last moment of time and the names of the constraints in a `Policy`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dyknow.streams.policies.policy import (
     Order,
     Policy,
 )
+from dyknow.streams.time import TIME_MAX
 
 Sample = tuple[int, int, object]
 
@@ -170,17 +171,15 @@ def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample |
             continue
         times = {sample[0]} | {s[0] + step for s in part for step in (-1, 0, 1)}
         if policy.max_delay is not None:
-            times.add(sample[1] + policy.max_delay)
+            times.add(min(sample[1] + policy.max_delay, TIME_MAX))
         for time in times:
+            if not sample[0] <= time <= TIME_MAX:
+                continue
             added = (time, *sample[1:])
             first = own(row) if time == sample[0] else 0
             for at in range(first, len(part) + 1):
                 more = [*part[:at], added, *part[at:]]
-                if (
-                    time >= sample[0]
-                    and satisfies(more, policy)
-                    and origins(more, whole) is not None
-                ):
+                if satisfies(more, policy) and origins(more, whole) is not None:
                     return added
     if not repeats:
         return None

@@ -82,8 +82,8 @@ class Traffic:
                     lacking[f"no triple of {shorten(predicate.value)}"] = None
             elif isinstance(object, NamedNode) and not self._has_member(store, object):
                 lacking[f"no member of {shorten(object.value)} seen"] = None
-        said = f"{self.triples:,} triples read"
-        return f"{said}: {'; '.join(lacking) or 'no window fulfilled the conditions of the query'}"
+        reason = "; ".join(lacking) or "no window satisfied the query's conditions"
+        return f"{self.triples:,} triples read: {reason}"
 
     def _has_triple(self, store: Store, predicate: NamedNode) -> bool:
         """Whether some triple has the predicate, or one that may entail it."""

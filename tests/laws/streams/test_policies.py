@@ -181,6 +181,17 @@ def test_state_does_not_grow_with_history() -> None:
         assert held <= 101
 
 
+def test_the_last_instant_has_room_and_no_later_one_exists() -> None:
+    """The delay reaches beyond the end of time."""
+    policy, start, pool = Policy(max_delay=50, order=Order.MONOTONE), TIME_MAX - 45, StringPool()
+    samples = [(start, start, (1, "a")), (start, start + 1, (1, "a"))]
+    part = [(TIME_MAX, *samples[0][1:])]
+    assert addable(part, samples, policy) == (TIME_MAX, *samples[1][1:])
+    found = prove(batch_of(part, pool), batch_of(samples, pool), policy)
+    assert found is not None
+    assert f"valid at {start + 1} could be sent at {TIME_MAX}" in found.message
+
+
 @LAWS
 @given(st.data(), st.sampled_from([0, TIME_MIN + 50, TIME_MAX - 45]))
 def test_proof_agrees_with_the_definition(data: st.DataObject, base: int) -> None:

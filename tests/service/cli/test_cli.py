@@ -460,7 +460,7 @@ def test_run_leaves_empty_windows_out(table: Path, tmp_path: Path) -> None:
     arguments = ["run", str(path), "--stream", f"{STREAM}={table}", "--ssl", SSL]
     people = CliRunner().invoke(app, arguments)
     assert people.stdout.strip() == "(0 windows with a result)"
-    said = "nothing came: 40 triples read: no window fulfilled the conditions of the query"
+    said = "nothing came: 40 triples read: no window satisfied the query's conditions"
     assert people.stderr.strip() == said
     silent = CliRunner().invoke(app, [*arguments, "--json"])
     assert (silent.stdout, silent.stderr) == ("", "")
@@ -490,7 +490,7 @@ def test_run_says_why_no_window_has_a_result(table: Path, tmp_path: Path) -> Non
         "nothing came: 40 triples read: no member of dyknow:Car seen; no triple of dyknow:altitude"
     )
     assert said("?o a dyknow:Craft . ?o dyknow:motion ?v", *samples) == ""
-    assert "no window fulfilled" in said("?o a dyknow:Craft ; dyknow:motion -1", *samples)
+    assert "no window satisfied" in said("?o a dyknow:Craft ; dyknow:motion -1", *samples)
     for lateness in ([], ["--lateness", "1s"]):
         found = said("?o dyknow:track ?v", "--stream", f"{STREAM}={triples}", *lateness)
         assert found == "nothing came: 5 triples read: no triple of dyknow:track"
