@@ -119,7 +119,7 @@ def test_options_are_parameters(flying: httpx.Client) -> None:
         (FAST.replace("s5", "status"), {}, 422, "POST /annotations"),
         (FAST.replace("FROM ST", "FROM <http://x.org/> FROM ST"), {}, 422, "ontology.rdf"),
         (FAST.replace("STREAM fast", "STREAM s5"), {}, 409, "another name"),
-        (FAST.replace("STREAM fast", "STREAM dyknow_x"), {}, 403, "own name"),
+        (FAST.replace("STREAM fast", "STREAM dyknow_x"), {}, 403, "the system uses the name"),
         (MEANS.replace("SELECT ?o (AVG(?v) AS ?mean)", "DESCRIBE ?o"), {}, 400, "write CONSTRUCT"),
         (FAST, {"semantics": "list"}, 422, "semantics"),
         (FAST, {"bounds": "[]"}, 422, "bounds"),
@@ -334,7 +334,7 @@ def test_on_the_command_line(dyknow: Any, flying: httpx.Client, tmp_path: Path) 
     assert "dyknow follow means" in added
     assert "shared by 2" in dyknow("query", "add", MEANS).stdout
     assert "waits for s5" in dyknow("query", "results", "means", status=1).stderr
-    assert "waits for s5" in dyknow("query", "show", "means").stdout
+    assert "no sample read yet from s5" in dyknow("query", "show", "means").stdout
     dyknow("query", "add", FAST, "--bounds", "[)", "--origin", "500000000", "--report", "close")
     play(flying)
     listed = dyknow("query", "list").stdout
