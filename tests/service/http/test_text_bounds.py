@@ -141,7 +141,7 @@ def test_specifications_are_read_by_another_process(
     def never(text: object) -> None:
         raise AssertionError("it is read here")
 
-    for module in ("engine.engine", "engine.specification.apply", "service.workers.jobs"):
+    for module in ("engine.engine", "engine.specification.specifications", "service.workers.jobs"):
         monkeypatch.setattr(f"dyknow.{module}.parse_specification", never)
     http.put("/streams/s", json=FIELDS).raise_for_status()
     answer = http.post("/specifications", content=specification(POLICY.format(7)), headers=XML)

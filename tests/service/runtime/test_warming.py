@@ -116,7 +116,7 @@ def test_what_is_there_at_the_start_is_not_collected_again(
 def test_workers_that_cannot_be_started_are_tried_again(
     engine: Engine, settings: Settings, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(services, "_AGAIN", 0.05)
+    monkeypatch.setattr(services, "_RETRY_INTERVAL", 0.05)
     app = create_app(engine, settings, clock)
     service: Service = app.state.service
     service.warming = WarmUp()
