@@ -205,7 +205,7 @@ def play(options: ReplayOptions) -> None:
     if not options.as_json:
         _show_losses(opened)
     for each in failed:
-        whom = ", ".join(each["options"]) or f"what makes stream {each['stream']}"
+        whom = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
         err().print(f"failed: {whom}: {each['failure']}", markup=False, highlight=False)
     if failed:
         raise typer.Exit(1)

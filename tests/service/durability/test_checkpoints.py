@@ -112,7 +112,7 @@ def test_one_that_fails_as_nobody_expects_is_not_tried_with_every_tick(
     async def work() -> None:
         declare(commands, "s")
         with monkeypatch.context() as patched:
-            patched.setattr(RecordedEngine, "_found", odd)
+            patched.setattr(RecordedEngine, "_capture", odd)
             await commands.maintain(often)
             while commands._checkpoint_task is not None:
                 await asyncio.sleep(0.001)

@@ -229,4 +229,4 @@ def test_names_that_are_none_of_its_own_are_told_and_are_no_damage(data):
     (data / "journal" / "x.log").write_text("x")
     (data / "note").write_text("x")
     assert checked(data, status=0)["strays"] == ["note", "journal/x.log"]
-    assert "not looked at: journal/x.log" in run("check", data).stdout
+    assert "unknown, not checked: journal/x.log" in run("check", data).stdout

@@ -172,7 +172,7 @@ def test_what_cannot_be_met_waits(http: httpx.Client) -> None:
         (WANT | {"strategy": "cheap"}, 400, "fast, cost, quality, weighted"),
         (WANT | {"staleness": "-1s"}, 422, "no duration"),
         (WANT | {"staleness": -1}, 422, "greater than or equal to 0"),
-        (WANT | {"staleness": "0s"}, 400, "longer than nothing"),
+        (WANT | {"staleness": "0s"}, 400, "staleness must be greater than 0"),
         (WANT | {"hold_off": "soon"}, 422, "no duration"),
         (WANT | {"hold_off": 2**63}, 422, "less than"),
         (WANT | {"min_quality": 2}, 422, "less than or equal to 1"),

@@ -374,13 +374,13 @@ def test_a_unit_that_cannot_keep_up_with_a_live_stream_is_cut_off() -> None:
     pausing = WindowTurns(5, 0.3)
     engine = engine_with(QUERIES[1], pausing)
     (unit,) = engine.units()
-    closed = unit.evaluator._closed  # type: ignore[attr-defined]
+    closed = unit.evaluator._close_window  # type: ignore[attr-defined]
 
     def slow(end: int, reports: bool) -> bool:
         work()
         return bool(closed(end, reports))
 
-    unit.evaluator._closed = slow  # type: ignore[attr-defined]
+    unit.evaluator._close_window = slow  # type: ignore[attr-defined]
     for second in range(1, 400):
         Publish("s", "ndjson", batch(second, 1), second * SECOND).apply(engine)
         pausing.allow(0)
@@ -403,7 +403,7 @@ def test_what_fails_while_the_unit_is_changed_is_told_in_its_turn() -> None:
         pausing.pause()
         raise ArithmeticError("no")
 
-    unit.evaluator._closed = fails  # type: ignore[attr-defined]
+    unit.evaluator._close_window = fails  # type: ignore[attr-defined]
     for second in range(1, 3):
         Publish("s", "ndjson", batch(second, 1), second * SECOND).apply(engine)
     pausing.allow(0)
