@@ -78,7 +78,8 @@ def show() -> None:
     console = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 100)
     began = time.perf_counter()
     # Only for this machine and process: ignore the environment's settings of a service.
-    settings = Settings(host="127.0.0.1", port=0)
+    # The first run compiles loops meanwhile: its requests are slow, and that is no warning.
+    settings = Settings(host="127.0.0.1", port=0, slow_request=60)
     with (
         demo_files() as (path, annotation, template),
         running(_application(settings), settings) as url,
