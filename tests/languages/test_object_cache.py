@@ -9,7 +9,7 @@ from pyoxigraph import Literal
 
 from dyknow.continuous.algebra.expressions import Call, Const, Var
 from dyknow.continuous.columns.expression_evaluation import (
-    _parted_call,
+    _split_foreign_call,
     foreign_calls,
 )
 from dyknow.converters.ndjson_lines import _decoder
@@ -78,9 +78,9 @@ def test_what_is_read_off_an_expression_or_a_schema_does_not_hold_it() -> None:
     assert foreign_calls(strange) == (strange,)
     schema = Schema((Field("v", FieldType.FLOAT),))
     assert _decoder(schema) is not None
-    known = len(_parted_call), len(_decoder)
+    known = len(_split_foreign_call), len(_decoder)
     gone = weakref.ref(expression), weakref.ref(schema)
     del expression, schema
     gc.collect()
     assert [each() for each in gone] == [None, None]
-    assert (len(_parted_call), len(_decoder)) == (known[0] - 1, known[1] - 1)
+    assert (len(_split_foreign_call), len(_decoder)) == (known[0] - 1, known[1] - 1)

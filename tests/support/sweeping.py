@@ -45,7 +45,7 @@ def at_every_chance(way: str) -> Iterator[None]:
             _patched(TripleReader, name, _then_sweeps(lambda one: one.dictionary))
             for name in ("triples", "graphs")
         ]
-        patches += [_patched(TermValues, n, _checked) for n in ("canonical", "encoded", "typed")]
+        patches += [_patched(TermValues, n, _checked) for n in ("canonical", "encode", "typed")]
         with _all(patches), texts_at_every_chance():
             yield
 
