@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from functools import cache
@@ -126,6 +127,22 @@ def span_of(thing: Tree[Token] | Token) -> Span:
     assert start is not None
     assert end is not None
     return Span(start, end)
+
+
+def unquoted(token: Token, source: str) -> str:
+    """Return the text of a token in quotes, with the escapes of JSON. Raises `LanguageError`."""
+    try:
+        text: str = json.loads(token, strict=False)
+        # JSON allows half a surrogate pair, which is no text.
+        text.encode()
+    except ValueError:
+        raise LanguageError(
+            f"{token} is not a text",
+            source,
+            span_of(token),
+            'escapes are those of JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
+        ) from None
+    return text
 
 
 def _word_at(source: str, start: int) -> str:

@@ -5,7 +5,6 @@ Names are not resolved here; `check` does that.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from typing import Final
@@ -26,6 +25,7 @@ from ..syntax import (
     syntax_error,
     tokens,
     trees,
+    unquoted,
 )
 from ..text_cache import TextCache
 from . import ast
@@ -155,18 +155,7 @@ class _Reader:
             if token in ast.KEYWORDS:
                 raise _keyword_error(token, self._source, quoted=True)
             return ast.Name(str(token), span)
-        try:
-            text = json.loads(token, strict=False)
-            # JSON allows half a surrogate pair, which is no text.
-            text.encode()
-        except ValueError:
-            raise LanguageError(
-                f"{token} is not a text",
-                self._source,
-                span,
-                'escapes are those of JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
-            ) from None
-        return ast.Name(text, span)
+        return ast.Name(unquoted(token, self._source), span)
 
     def symbol(self, tree: Tree[Token]) -> ast.Name:
         return self.name(tokens(tree)[0])

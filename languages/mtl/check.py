@@ -14,6 +14,7 @@ from typing import Final, assert_never
 
 from ...ontology.units import Unit, UnitError, conversion, dimension, format_unit
 from ...ontology.vocabulary import Vocabulary
+from ...rdf.datatypes import NUMBERS
 from ...rdf.namespaces import XSD
 from ..errors import LanguageError, Span
 from ..ontology_names import OntologyNames
@@ -45,14 +46,6 @@ _KINDS: Final = {
     XSD + "string": Kind.TEXT,
     XSD + "dateTime": Kind.TIME,
 }
-_NUMBERS: Final = frozenset(
-    XSD + name
-    for name in (
-        *("double", "float", "decimal", "integer", "long", "int", "short", "byte"),
-        *("nonNegativeInteger", "positiveInteger", "nonPositiveInteger", "negativeInteger"),
-        *("unsignedLong", "unsignedInt", "unsignedShort", "unsignedByte"),
-    )
-)
 _ORDERED: Final = frozenset({"<", "<=", ">", ">="})
 
 
@@ -344,7 +337,7 @@ def _as(found: _Typed, kind: Kind) -> _Typed:
 
 
 def _kind_of(range: str) -> Kind | None:
-    if range in _NUMBERS:
+    if range in NUMBERS:
         return Kind.NUMBER
     return _KINDS.get(range, None if range.startswith(XSD) else Kind.OBJECT)
 

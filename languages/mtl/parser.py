@@ -5,7 +5,6 @@ Names are not resolved here, and truth is not told from number; `check` does tha
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Set as AbstractSet
 from functools import reduce
@@ -22,7 +21,16 @@ from ..kpl.constraints import to_synchronization
 from ..kpl.parser import read_constraint
 from ..kpl.printer import DEFAULT_UNIT
 from ..ssl.parser import read_units
-from ..syntax import check_names, expected_hint, grammar, span_of, syntax_error, tokens, trees
+from ..syntax import (
+    check_names,
+    expected_hint,
+    grammar,
+    span_of,
+    syntax_error,
+    tokens,
+    trees,
+    unquoted,
+)
 from ..text_cache import TextCache
 from . import ast
 
@@ -254,18 +262,7 @@ class _Reader:
         return ast.Variable(str(token)[1:], span_of(token))
 
     def text(self, token: Token) -> ast.Text:
-        try:
-            value = json.loads(token, strict=False)
-            # JSON allows half a surrogate pair, which is no text.
-            value.encode()
-        except ValueError:
-            raise LanguageError(
-                f"{token} is not a text",
-                self._source,
-                span_of(token),
-                'escapes are those of JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
-            ) from None
-        return ast.Text(value, span_of(token))
+        return ast.Text(unquoted(token, self._source), span_of(token))
 
     def quantity(self, tree: Tree[Token]) -> ast.Number:
         number = float(tokens(tree, "DECIMAL")[0])

@@ -125,15 +125,14 @@ class MonitorEvaluator:
         """The states kept, and the new ones after them."""
         count = len(new.valid)
         shape = tuple(new.present[self._sorts[name]].shape[1] for name in self._axes)
-        undecided = np.zeros((count, *shape), np.bool_)
-        if self._monitor.once and self._kept is not None:
-            undecided[:] = True
-        elif self._monitor.once:
-            undecided[1:] = True
+        is_decided = np.zeros((count, *shape), np.bool_)
+        if self._monitor.once:
+            # The first state is the only start.
+            is_decided[1 if self._kept is None else 0 :] = True
         if self._kept is None:
             horizon = np.maximum.accumulate(new.horizon)
             return _Rows(
-                States(new.valid, horizon, new.objects, new.present, new.values), undecided
+                States(new.valid, horizon, new.objects, new.present, new.values), is_decided
             )
         rows, kept = self._kept, self._kept.states
         if len(kept.valid) + count > self._limit:
@@ -152,7 +151,7 @@ class MonitorEvaluator:
         horizon = np.maximum.accumulate(np.concatenate([kept.horizon, new.horizon]))
         valid = np.concatenate([kept.valid, new.valid])
         states = States(valid, horizon, new.objects, present, values)
-        return _Rows(states, _extended(rows.is_decided, undecided), rows.first)
+        return _Rows(states, _extended(rows.is_decided, is_decided), rows.first)
 
     def _decide(self) -> Verdicts:
         rows = self._kept

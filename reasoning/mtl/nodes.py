@@ -225,13 +225,8 @@ class Pass:
 
     def _atom(self, atom: Atom) -> tuple[Axes, Mask, Mask]:
         """Whether the atom holds, and whether that is known."""
-        left, right = self._value(atom.left), self._value(atom.right)
-        axes = _union(left[0], right[0])
-        (a, a_known), (b, b_known) = (
-            (_spread(part[1], part[0], axes), _spread(part[2], part[0], axes))
-            for part in (left, right)
-        )
-        holds, known = np.broadcast_arrays(_OPERATORS[atom.operator](a, b), a_known & b_known)
+        axes, a, b, known = self._operands(atom.left, atom.right)
+        holds, known = np.broadcast_arrays(_OPERATORS[atom.operator](a, b), known)
         # An atom over objects and constants alone has one row.
         shape = (self.rows, *holds.shape[1:])
         holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
@@ -249,7 +244,7 @@ class Pass:
             case ObjectConstant(iri):
                 return (), np.array([iri], object), np.ones(1, np.bool_)
             case Calculation(operator, left, right):
-                return self._calculation(operator, self._value(left), self._value(right))
+                return self._calculation(operator, left, right)
             case Reading():
                 return self._reading(value)
             case _:
@@ -268,15 +263,17 @@ class Pass:
             values = values.reshape(-1)[places]
         return axes, values, known
 
+    def _operands(self, left: Value, right: Value) -> tuple[Axes, NDArray[Any], NDArray[Any], Mask]:
+        """The values of both sides over the union of their axes, and where both are known."""
+        (a_axes, a, a_known), (b_axes, b, b_known) = self._value(left), self._value(right)
+        axes = _union(a_axes, b_axes)
+        known = _spread(a_known, a_axes, axes) & _spread(b_known, b_axes, axes)
+        return axes, _spread(a, a_axes, axes), _spread(b, b_axes, axes), known
+
     def _calculation(
-        self,
-        operator: str,
-        left: tuple[Axes, NDArray[Any], Mask],
-        right: tuple[Axes, NDArray[Any], Mask],
+        self, operator: str, left: Value, right: Value
     ) -> tuple[Axes, NDArray[Any], Mask]:
-        axes = _union(left[0], right[0])
-        a, b = (_spread(part[1], part[0], axes) for part in (left, right))
-        known = _spread(left[2], left[0], axes) & _spread(right[2], right[0], axes)
+        axes, a, b, known = self._operands(left, right)
         with np.errstate(all="ignore"):
             match operator:
                 case "+":
