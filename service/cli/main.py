@@ -6,21 +6,17 @@ service, do not load the engine (tests/service/cli/test_starting.py).
 
 from __future__ import annotations
 
-import gc
 import sys
-from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import typer
 from typer.core import TyperGroup
 
+from ...matching.gc_pause import gc_paused
 from ..config.version import __version__
 from .output import JSON_WANTED, fail
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 RECURSION_LIMIT = 20_000
 """The limit on nested calls: enough for chains of some two thousand units."""
@@ -129,7 +125,8 @@ def command(name: str) -> Any:
     """Import the module of command ``name``, and return it as a click command."""
     from .token_option import add_token_option
 
-    with _without_collections():
+    # Imports make no garbage; scanning their objects again and again takes a sixth of the time.
+    with gc_paused():
         found = getattr(import_module(f".{COMMANDS[name][0]}", __package__), name)
     if isinstance(found, typer.Typer):
         add_token_option(found)
@@ -141,19 +138,6 @@ def command(name: str) -> Any:
         runnable = typer.main.get_command(alone)
     runnable.name = name
     return runnable
-
-
-@contextmanager
-def _without_collections() -> Iterator[None]:
-    """Pause the garbage collector during imports: they make no garbage, and scanning their objects
-    again and again takes a sixth of the time."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 class Commands(TyperGroup):
