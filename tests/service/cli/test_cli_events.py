@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -146,8 +147,13 @@ def test_silence_has_a_reason_at_ctrl_c(
     def interrupted(*_: object) -> int:
         raise KeyboardInterrupt
 
-    for module in ("events", "follow"):
-        monkeypatch.setattr(f"dyknow.service.cli.{module}.show_events", interrupted)
+    # Imported before either is patched: `follow` takes the function from `events`, and the commands
+    # are loaded when they are first used.
+    modules = [
+        importlib.import_module(f"dyknow.service.cli.{name}") for name in ("events", "follow")
+    ]
+    for module in modules:
+        monkeypatch.setattr(module, "show_events", interrupted)
     asked = speeds.request_event(REQUEST)
     publish(speeds, range(1, 2))
     nothing = dyknow("events", REQUEST.replace("100", "1000")).stderr

@@ -447,9 +447,11 @@ def test_the_command(http: httpx.Client, url: str, client: Client, as_json: bool
     annotate(http, "s1", "s2")
     publish(http, "s1", 1)
 
+    is_over = threading.Event()
+
     def switch() -> None:
         with httpx.Client(base_url=url, trust_env=False) as other:
-            while not other.get("/subscriptions").json():
+            while not is_over.is_set() and not other.get("/subscriptions").json():
                 pass
             quality(other, "s1", 0.25)
             publish(other, "s2", 2)
@@ -460,6 +462,7 @@ def test_the_command(http: httpx.Client, url: str, client: Client, as_json: bool
     thread = threading.Thread(target=switch)
     thread.start()
     said = CliRunner().invoke(commands, [*arguments, *(["--json"] if as_json else [])])
+    is_over.set()  # a command that ended early leaves no subscription to wait for
     thread.join()
     assert said.exit_code == 0, said.output
     if as_json:
