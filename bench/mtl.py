@@ -26,7 +26,7 @@ from dyknow.languages.mtl.checked import (
     Within,
 )
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
-from dyknow.reasoning.mtl.nodes import States, Values
+from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
 
 SORT, SPEED = "urn:Car", "urn:speed"

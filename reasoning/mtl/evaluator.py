@@ -22,20 +22,16 @@ from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Interval
 from ...languages.mtl.checked import (
-    And,
-    Atom,
-    Calculation,
     CheckedMonitor,
-    Not,
-    Or,
     Previous,
-    Quantified,
-    Reading,
     Until,
     Within,
 )
+from ...streams.sample import Mask, Times
 from ...streams.time_arithmetic import earlier
-from .nodes import END, Mask, Pass, States, Term, Times, Values, spread_node, term_of
+from ..states.states import States, Term, Values
+from .formulas import bound_sorts, parts_of, readings_of
+from .nodes import END, Pass, spread_node, term_of
 from .windows import NEVER
 
 
@@ -89,20 +85,35 @@ class MonitorEvaluator:
     def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
         self._monitor = monitor
         self._limit = limit
-        self._sorts = {**dict(monitor.parameters), **_bound(monitor.formula)}
+        self._sorts = {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
         self._kept: _Rows | None = None
 
     @property
     def terms(self) -> frozenset[Term]:
         """The terms whose values `push` needs."""
-        found = _readings(self._monitor.formula)
+        found = readings_of(self._monitor.formula)
         return frozenset(term_of(reading, self._sorts) for reading in found)
 
     @property
     def pending(self) -> int:
         """The states kept."""
         return 0 if self._kept is None else len(self._kept.states.valid)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a start seen by now has no verdict yet."""
+        return self._kept is not None and not bool(self._kept.is_decided.all())
+
+    def settled(self) -> NDArray[np.int64]:
+        """For each binding the valid time before which each start has its verdict, shape
+        ``(objects of each parameter in order)``."""
+        assert self._kept is not None
+        is_open = ~self._kept.is_decided
+        first = np.argmax(is_open, axis=0)
+        valid = self._kept.states.valid
+        found = np.asarray(np.where(is_open.any(axis=0), valid[first], valid[-1] + 1))
+        return found.transpose([self._axes.index(name) for name, _ in self._monitor.parameters])
 
     def push(self, states: States) -> Verdicts:
         """Take states; return the verdicts that they determine. Raises `TooManyStates`."""
@@ -220,34 +231,6 @@ class MonitorEvaluator:
         rows.first += keep
 
 
-def _parts(node: Any) -> tuple[Any, ...]:
-    match node:
-        case Not(operand) | Previous(operand):
-            return (operand,)
-        case Within(_, _, operand) | Quantified(_, _, _, operand):
-            return (operand,)
-        case And(left, right) | Or(left, right):
-            return left, right
-        case Until(_, _, left, right) | Atom(_, left, right) | Calculation(_, left, right):
-            return left, right
-        case _:
-            return ()
-
-
-def _readings(node: Any) -> list[Reading]:
-    if isinstance(node, Reading):
-        return [node]
-    return [found for part in _parts(node) for found in _readings(part)]
-
-
-def _bound(formula: Any) -> dict[str, str]:
-    """The sorts of the variables that quantifiers bind."""
-    own = {formula.variable: formula.sort} if isinstance(formula, Quantified) else {}
-    for part in _parts(formula):
-        own |= _bound(part)
-    return own
-
-
 def _earliest(formula: Any, row: int, valid: Times) -> int:
     """The first row that the formula looks at from ``row`` or later ones."""
     match formula:
@@ -259,7 +242,7 @@ def _earliest(formula: Any, row: int, valid: Times) -> int:
             row = _rows_back(interval, row, valid)
         case _:
             pass
-    return min([row, *(_earliest(part, row, valid) for part in _parts(formula))])
+    return min([row, *(_earliest(part, row, valid) for part in parts_of(formula))])
 
 
 def _rows_back(interval: Interval, row: int, valid: Times) -> int:

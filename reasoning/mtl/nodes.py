@@ -29,18 +29,15 @@ from ...languages.mtl.checked import (
     Value,
     Within,
 )
+from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX
 from ...streams.time_arithmetic import earlier, later
+from ..states.states import States, Term
 from . import windows
 from .windows import NEVER, Moments
 
-Times: TypeAlias = NDArray[np.int64]
-Mask: TypeAlias = NDArray[np.bool_]
 Axes: TypeAlias = tuple[str, ...]
 """The variables that the axes of a table behind the first stand for, in order of their names."""
-Term: TypeAlias = tuple[str, tuple[str, ...]]
-"""A feature, and for each argument the IRI of its sort, or of the object in angle brackets."""
-
 END: Final = TIME_MAX
 """The horizon when no further state comes."""
 _OPERATORS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
@@ -51,32 +48,6 @@ _OPERATORS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
     "=": np.equal,
     "!=": np.not_equal,
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Values:
-    """The values of a term at n states: shape ``(n, objects of each sort in order)``. ``known`` is
-    false where there is none; the value there means nothing."""
-
-    values: NDArray[Any]
-    known: Mask
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class States:
-    """Some states, in order of time.
-
-    ``valid``: their valid times (ns), which increase strictly. ``horizon``: after the state comes,
-    every later state is known to be valid after it; not less than ``valid``. ``objects``: the IRIs
-    of each sort's objects; ``present``: whether each is there, shape ``(n, objects)``. Objects keep
-    their places from batch to batch; new ones are added at the end.
-    """
-
-    valid: Times
-    horizon: Times
-    objects: Mapping[str, Sequence[str]]
-    present: Mapping[str, Mask]
-    values: Mapping[Term, Values]
 
 
 @dataclass(frozen=True, slots=True)

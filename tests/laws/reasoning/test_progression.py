@@ -29,7 +29,7 @@ from dyknow.languages.mtl.checked import (
     Within,
 )
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates
-from dyknow.reasoning.mtl.nodes import States, Values
+from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
 
 SORT = "urn:S"

@@ -1,0 +1,63 @@
+"""Parts of a checked formula: what it reads, and how far it looks ahead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...languages.mtl.checked import (
+    And,
+    Atom,
+    Calculation,
+    Not,
+    Or,
+    Previous,
+    Quantified,
+    Reading,
+    Until,
+    Within,
+)
+
+
+def parts_of(node: Any) -> tuple[Any, ...]:
+    """Return the operands of a formula or value."""
+    match node:
+        case Not(operand) | Previous(operand):
+            return (operand,)
+        case Within(_, _, operand) | Quantified(_, _, _, operand):
+            return (operand,)
+        case And(left, right) | Or(left, right):
+            return left, right
+        case Until(_, _, left, right) | Atom(_, left, right) | Calculation(_, left, right):
+            return left, right
+        case _:
+            return ()
+
+
+def readings_of(node: Any) -> list[Reading]:
+    """Return the features that a formula or value reads, with repetitions."""
+    if isinstance(node, Reading):
+        return [node]
+    return [found for part in parts_of(node) for found in readings_of(part)]
+
+
+def bound_sorts(formula: Any) -> dict[str, str]:
+    """Return the sorts of the variables that quantifiers bind."""
+    own = {formula.variable: formula.sort} if isinstance(formula, Quantified) else {}
+    for part in parts_of(formula):
+        own |= bound_sorts(part)
+    return own
+
+
+def reach_of(formula: Any) -> int | None:
+    """Return how long after its start (ns) a verdict is decided at the latest; None: no bound."""
+    below = [reach_of(part) for part in parts_of(formula)]
+    if None in below:
+        return None
+    inner = max((each for each in below if each is not None), default=0)
+    match formula:
+        case Within(operator, interval) if not operator.is_past:
+            return None if interval.end is None else interval.end + inner
+        case Until(False, interval):
+            return None if interval.end is None else interval.end + inner
+        case _:
+            return inner

@@ -1,0 +1,338 @@
+"""A monitor over samples: its states, their verdicts, and what is reported of them (SPEC §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...languages.mtl.ast import Report
+from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Quantified
+from ...streams.sample import Times
+from ...streams.time import TIME_MIN
+from ..states.departures import Departures, Steps
+from ..states.state_maker import MadeStates, Rows, StateMaker
+from ..states.states import Term
+from .evaluator import MonitorEvaluator, Verdicts
+from .formulas import parts_of, readings_of
+
+WORDS: Final = {1: "true", 0: "false", -1: "unknown"}
+"""The word for each verdict."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reported:
+    """Verdicts to report, in order of available time, then of objects, then of start.
+
+    Shape ``(n,)``: ``valid`` is the valid time of the start (of a run: of its first), ``decided``
+    that of the deciding state, ``last`` that of the last start of a run. ``objects``: the IRIs of
+    each parameter's objects, shape ``(parameters, n)``.
+    """
+
+    available: Times
+    valid: Times
+    decided: Times
+    last: Times
+    value: NDArray[np.int8]
+    objects: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.valid)
+
+    def take(self, rows: Any) -> Reported:
+        return Reported(
+            self.available[rows],
+            self.valid[rows],
+            self.decided[rows],
+            self.last[rows],
+            self.value[rows],
+            self.objects[:, rows],
+        )
+
+
+class Monitoring:
+    """The verdicts of a monitor over samples of ``sources`` streams, numbered from 0.
+
+    Without a grid, a formula of one parameter and no quantifier, whose features are all of the
+    parameter, has states of its own for each object: at the samples of that object. Otherwise all
+    objects share the states. ``wider`` as for `StateMaker`.
+
+    Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: that of
+    `MonitorEvaluator`; with states of its own, once for each object that has samples.
+    """
+
+    def __init__(
+        self,
+        monitor: CheckedMonitor,
+        sources: int,
+        wider: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self.monitor = monitor
+        self._wider = wider or {}
+        self.terms: tuple[Term, ...] = tuple(sorted(MonitorEvaluator(monitor).terms))
+        self.has_own_states = _has_own_states(monitor)
+        self._departures = Departures(monitor.policy, sources)
+        self._timelines: dict[str, _Timeline] = {}
+        self._shared = None if self.has_own_states else self._timeline()
+        self._newest = TIME_MIN
+        self._verdicts = dict.fromkeys(WORDS, 0)
+        self._runs = _Runs() if monitor.report is Report.CHANGES else None
+
+    @property
+    def states(self) -> int:
+        """The number of states by now."""
+        return sum(each.states for each in self._all())
+
+    @property
+    def late(self) -> int:
+        """Samples that came after the state of their valid time had left."""
+        return sum(each.maker.late for each in self._all())
+
+    @property
+    def retained(self) -> int:
+        """The number of samples and states in memory."""
+        return sum(each.maker.retained + each.evaluator.pending for each in self._all())
+
+    @property
+    def verdicts(self) -> Mapping[str, int]:
+        """The number of verdicts by now, by their word."""
+        return {WORDS[value]: count for value, count in self._verdicts.items()}
+
+    @property
+    def is_over(self) -> bool:
+        """Whether a monitor of a single start has its verdict."""
+        return self.monitor.once and self.states > 0 and not any(e.is_open for e in self._all())
+
+    def add(
+        self, source: int, term: Term, available: Times, valid: Times, objects: NDArray[Any],
+        values: NDArray[Any],
+    ) -> None:  # fmt: skip
+        """Take samples of a term from a stream, in order of available time. ``objects``: the IRI of
+        each variable argument, shape ``(n, variables)``. `came` must tell of them, too."""
+        sorts = [sort for sort in term[1] if not sort.startswith("<")]
+        if self._shared is not None:
+            maker = self._shared.maker
+            columns = [
+                _numbered(objects[:, i], lambda iri, sort=sort: maker.place(sort, iri))
+                for i, sort in enumerate(sorts)
+            ]
+            places = np.stack(columns, axis=1) if columns else np.empty((len(valid), 0), np.int64)
+            maker.add(term, source, Rows(available, valid, places, values))
+            return
+        names, group = np.unique(objects[:, 0].astype(str), return_inverse=True)
+        for i, iri in enumerate(names.tolist()):
+            timeline = self._timelines.get(iri)
+            if timeline is None:
+                timeline = self._timelines[iri] = self._timeline()
+                timeline.maker.place(sorts[0], iri)
+            mine = np.flatnonzero(group == i)
+            none = np.zeros((len(mine), 1), np.int64)
+            timeline.maker.add(term, source, Rows(available[mine], valid[mine], none, values[mine]))
+
+    def came(self, source: int, available: Times, valid: Times) -> None:
+        """Take the times of all samples of a stream, in order of available time."""
+        self._newest = max(self._newest, int(available[-1]))
+        self._departures.add(source, available, valid)
+
+    def ended(self, source: int) -> None:
+        """Wait no longer for a stream."""
+        self._departures.end(source)
+
+    def advance(self, watermark: int) -> Reported:
+        """Return what the samples available before ``watermark`` decide. Contract: all of them were
+        added."""
+        steps = self._departures.advance(watermark)
+        # The clock, and no sample, has brought the watermark: the states to come are later.
+        tick = watermark if watermark > self._newest + 1 else None
+        return self._report(found for each in self._all() for found in each.advance(steps, tick))
+
+    def finish(self, moment: int) -> Reported:
+        """Return the verdicts at the end of all streams, which is at ``moment``."""
+        found = [part for each in self._all() for part in each.finish(moment)]
+        reported = self._report(found)
+        if self._runs is None:
+            return reported
+        return _joined([reported, self._runs.rest()], len(self.monitor.parameters))
+
+    def _timeline(self) -> _Timeline:
+        return _Timeline(self.monitor, self.terms, self._wider)
+
+    def _all(self) -> Sequence[_Timeline]:
+        return [self._shared] if self._shared is not None else list(self._timelines.values())
+
+    def _report(self, found: Iterable[Reported]) -> Reported:
+        joined = _joined(list(found), len(self.monitor.parameters))
+        order = np.lexsort((joined.valid, *reversed(joined.objects), joined.available))
+        joined = joined.take(order)
+        for value in WORDS:
+            self._verdicts[value] += int(np.count_nonzero(joined.value == value))
+        if self.monitor.report is Report.VIOLATIONS:
+            return joined.take(joined.value == 0)
+        if self._runs is not None:
+            settled = [(each.objects, each.settled()) for each in self._all()]
+            return self._runs.take(joined, settled)
+        return joined
+
+
+class _Timeline:
+    """States, and their verdicts."""
+
+    def __init__(
+        self, monitor: CheckedMonitor, terms: Sequence[Term], wider: Mapping[str, Sequence[str]]
+    ) -> None:
+        self.maker = StateMaker(terms, monitor.policy, present_for=monitor.present_for, wider=wider)
+        self.evaluator = MonitorEvaluator(monitor)
+        self._sorts = [sort for _, sort in monitor.parameters]
+        self.states = 0
+        self.objects: list[NDArray[Any]] = [np.empty(0, object) for _ in self._sorts]
+        """The IRIs of each parameter's objects, by their places."""
+        self._left: Times = np.empty(0, np.int64)
+        """When the states at and after `_first` left; the last one stays."""
+        self._first = 0
+
+    @property
+    def is_open(self) -> bool:
+        return self.evaluator.is_open
+
+    def settled(self) -> NDArray[np.int64]:
+        return self.evaluator.settled()
+
+    def advance(self, steps: Steps, tick: int | None) -> Iterator[Reported]:
+        for made in self.maker.advance(steps):
+            yield self._push(made)
+        if tick is not None and self.states and self.evaluator.is_open:
+            found = self.evaluator.advance(int(steps.reached[-1]) - 1)
+            if len(found):
+                yield self._reported(found, tick)
+
+    def finish(self, moment: int) -> Iterator[Reported]:
+        for made in self.maker.end(moment):
+            yield self._push(made)
+        if self.states:
+            yield self._reported(self.evaluator.end(), moment)
+
+    def _push(self, made: MadeStates) -> Reported:
+        keep = self._left[-1:]
+        self._first = self.states - len(keep)
+        self._left = np.concatenate([keep, made.left])
+        self.states += len(made.left)
+        self.objects = [np.array(made.states.objects[sort], object) for sort in self._sorts]
+        return self._reported(self.evaluator.push(made.states), None)
+
+    def _reported(self, found: Verdicts, moment: int | None) -> Reported:
+        """The verdicts at ``moment``, or when their deciding states left."""
+        available = (
+            self._left[found.decided - self._first]
+            if moment is None
+            else np.full(len(found), moment, np.int64)
+        )
+        columns = [names[found.binding[:, i]] for i, names in enumerate(self.objects)]
+        objects = np.stack(columns) if columns else np.empty((0, len(found)), object)
+        start = found.start_time
+        return Reported(available, start, found.decided_time, start, found.value, objects)
+
+
+class _Runs:
+    """Runs of equal verdicts of one binding, each reported once the verdict after it is known."""
+
+    def __init__(self) -> None:
+        self._held: dict[tuple[str, ...], list[tuple[int, int, int, int]]] = {}
+        """By objects: (start, value, decided, available) of verdicts that wait for an earlier
+        one."""
+        self._open: dict[tuple[str, ...], tuple[int, int, int, int, int]] = {}
+        """By objects: (first, last, value, decided, available) of the run that may go on."""
+
+    def take(
+        self, found: Reported, settled: Iterable[tuple[Sequence[NDArray[Any]], NDArray[np.int64]]]
+    ) -> Reported:
+        """Take verdicts; ``settled``: by the places of objects, the valid time before which no
+        start of a binding is without a verdict."""
+        columns = found.valid, found.value, found.decided, found.available
+        for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
+            self._held.setdefault(tuple(found.objects[:, i]), []).append(row)
+        ended: list[tuple[tuple[str, ...], tuple[int, int, int, int, int]]] = []
+        for names, before in settled:
+            for place in np.ndindex(before.shape):
+                binding = tuple(own[at] for own, at in zip(names, place, strict=True))
+                ended += self._release(binding, int(before[place]))
+        return _of_runs(ended, len(found.objects))
+
+    def rest(self) -> Reported:
+        """End all runs."""
+        ended = [each for binding in list(self._held) for each in self._release(binding, None)]
+        ended += self._open.items()
+        self._open = {}
+        parameters = len(ended[0][0]) if ended else 0
+        return _of_runs(ended, parameters)
+
+    def _release(
+        self, binding: tuple[str, ...], before: int | None
+    ) -> Iterator[tuple[tuple[str, ...], tuple[int, int, int, int, int]]]:
+        held = sorted(self._held.get(binding, ()))
+        count = len([row for row in held if before is None or row[0] < before])
+        for start, value, decided, available in held[:count]:
+            run = self._open.get(binding)
+            if run is not None and run[2] == value:
+                latest = max(run[3], decided), max(run[4], available)
+                self._open[binding] = (run[0], start, value, *latest)
+                continue
+            if run is not None:
+                # It is known to be over since the verdict that differs.
+                yield binding, (*run[:4], max(run[4], available))
+            self._open[binding] = (start, start, value, decided, available)
+        if held[count:]:
+            self._held[binding] = held[count:]
+        else:
+            self._held.pop(binding, None)
+
+
+def _of_runs(
+    runs: Sequence[tuple[tuple[str, ...], tuple[int, int, int, int, int]]], parameters: int
+) -> Reported:
+    rows = np.array([run for _, run in runs], np.int64).reshape(len(runs), 5)
+    objects = np.empty((parameters, len(runs)), object)
+    for i, (binding, _) in enumerate(runs):
+        objects[:, i] = binding
+    found = Reported(
+        rows[:, 4], rows[:, 0], rows[:, 3], rows[:, 1], rows[:, 2].astype(np.int8), objects
+    )
+    return found.take(np.lexsort((found.valid, *reversed(found.objects), found.available)))
+
+
+def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        none = np.empty(0, np.int64)
+        objects = np.empty((parameters, 0), object)
+        return Reported(none, none, none, none, np.empty(0, np.int8), objects)
+    return Reported(
+        np.concatenate([part.available for part in parts]),
+        np.concatenate([part.valid for part in parts]),
+        np.concatenate([part.decided for part in parts]),
+        np.concatenate([part.last for part in parts]),
+        np.concatenate([part.value for part in parts]),
+        np.concatenate([part.objects for part in parts], axis=1),
+    )
+
+
+def _has_own_states(monitor: CheckedMonitor) -> bool:
+    if monitor.policy.period is not None or len(monitor.parameters) != 1:
+        return False
+    waiting: list[Any] = [monitor.formula]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Quantified):
+            return False
+        waiting += parts_of(node)
+    own = (ObjectVariable(monitor.parameters[0][0]),)
+    return all(reading.arguments == own for reading in readings_of(monitor.formula))
+
+
+def _numbered(column: NDArray[Any], place: Any) -> NDArray[np.int64]:
+    """The place of each IRI of a column, shape ``(n,)``."""
+    names, group = np.unique(column.astype(str), return_inverse=True)
+    places = np.array([place(name) for name in names.tolist()], np.int64)
+    return places[group] if len(names) else np.empty(0, np.int64)

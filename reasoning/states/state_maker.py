@@ -1,0 +1,336 @@
+"""The states of a formula: the values of features of many objects at one valid time (SPEC §1,
+§8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...streams.policies.policy import Approximation, SynchronizationPolicy
+from ...streams.sample import Mask, Times
+from ...streams.time import TIME_MAX, TIME_MIN
+from ...streams.time_arithmetic import earlier, later
+from .departures import Steps
+from .states import States, Term, Values
+
+CELLS: Final = 1 << 22
+"""Values of one feature in the states that are made at once."""
+MOST_STATES: Final = 10_000_000
+"""States that may leave at one time."""
+
+
+class TooManyDue(Exception):
+    """A policy makes more states than can be made. The message says what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Samples of a term, in order of available time: shape ``(n,)``; ``places`` has shape
+    ``(n, variables of the term)``: the places of their objects (`StateMaker.place`)."""
+
+    available: Times
+    valid: Times
+    places: NDArray[np.int64]
+    values: NDArray[Any]
+
+    def take(self, rows: Any) -> Rows:
+        return Rows(self.available[rows], self.valid[rows], self.places[rows], self.values[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadeStates:
+    """States that leave, and the available time (ns) at which each does."""
+
+    states: States
+    left: Times
+
+
+class StateMaker:
+    """Makes the states of ``terms`` under a policy.
+
+    Under ``sample every`` a state stands at each point of the grid, which begins with the duration,
+    or at the least valid time of the first instant; otherwise at each valid time of a sample that
+    came before its state left. Its value of a feature of an object is that of the newest sample by
+    valid time (then by available time) among those that came before the state left; without ``use
+    most recent`` only if it is valid at the state's own time.
+
+    An object is present from its first sample on; under ``sample every`` while its last sample is
+    less than a period old. ``present_for``: while its last sample is at most so old, or as above.
+    ``wider``: the sorts of the formula that include each sort of it.
+
+    Law (tests/laws/reasoning): the states are those of the definition, however the samples are cut.
+    Cost: O(states x objects) numpy for each term. Memory: a sample for each object, those valid
+    later than the last state, and `CELLS` values.
+    """
+
+    def __init__(
+        self,
+        terms: Sequence[Term],
+        policy: SynchronizationPolicy,
+        *,
+        present_for: int | None = None,
+        wider: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self._policy = policy
+        self._present_for = present_for
+        self._kept = {term: _Kept(len(variables_of(term))) for term in terms}
+        sorts = dict.fromkeys(sort for term in terms for sort in variables_of(term))
+        self._wider = {sort: tuple((wider or {}).get(sort, ())) for sort in sorts}
+        self._names: dict[str, list[str]] = {}
+        self._places: dict[str, dict[str, int]] = {}
+        for sort in (*sorts, *(each for others in self._wider.values() for each in others)):
+            self._names.setdefault(sort, [])
+            self._places.setdefault(sort, {})
+        self._next: int | None = policy.duration.start if policy.period is not None else None
+        """The next time of the grid, once it has begun."""
+        self._candidates: Times = np.empty(0, np.int64)
+        """Times at which states will leave, without a grid."""
+        self._greatest = TIME_MIN
+        self.late = 0
+        """Samples that came after the state of their valid time had left."""
+
+    def place(self, sort: str, iri: str) -> int:
+        """Return the place of an object among those of a sort."""
+        places = self._places[sort]
+        found = places.get(iri)
+        if found is None:
+            found = places[iri] = len(places)
+            self._names[sort].append(iri)
+            for other in self._wider.get(sort, ()):
+                self.place(other, iri)
+        return found
+
+    @property
+    def retained(self) -> int:
+        """The number of samples in memory."""
+        return sum(len(kept) for kept in self._kept.values())
+
+    def add(self, term: Term, source: int, rows: Rows) -> None:
+        """Take samples of a term from a stream, in order of available time. Where samples of two
+        streams are equal in both times, that of the greater ``source`` counts as newer."""
+        self._kept[term].add(source, rows)
+
+    def advance(self, steps: Steps) -> Iterator[MadeStates]:
+        """Make the states that leave at ``steps``; each step comes once. Consume it at once."""
+        return self._make(steps, self._due(steps))
+
+    def end(self, moment: int) -> Iterator[MadeStates]:
+        """Make the last states at the end of all streams: those up to the last valid time. They
+        leave at ``moment``. Contract: `advance` was called with steps after every sample."""
+        steps = Steps(np.array([moment]), np.array([TIME_MIN], np.int64))
+        self._enter(steps)
+        period = self._policy.period
+        if period is None:
+            due, self._candidates = self._candidates, self._candidates[:0]
+        else:
+            due = self._grid(self._greatest)
+        return self._states(due, np.full(len(due), moment, np.int64))
+
+    def _make(self, steps: Steps, due: Times) -> Iterator[MadeStates]:
+        leaving = np.searchsorted(steps.reached, due, "right")
+        return self._states(due, steps.moment[leaving])
+
+    def _due(self, steps: Steps) -> Times:
+        """The times of the states that leave at ``steps``, in order."""
+        self._enter(steps)
+        reached = int(steps.reached[-1])
+        if self._policy.period is not None:
+            return self._grid(reached - 1) if reached > TIME_MIN else np.empty(0, np.int64)
+        cut = int(np.searchsorted(self._candidates, reached, "left"))
+        due, self._candidates = self._candidates[:cut], self._candidates[cut:]
+        return due
+
+    def _enter(self, steps: Steps) -> None:
+        """Let the samples in that are available before the last moment."""
+        new = [kept.enter(int(steps.moment[-1])) for kept in self._kept.values()]
+        available = np.concatenate([rows.available for rows in new])
+        valid = np.concatenate([rows.valid for rows in new])
+        if not len(valid):
+            return
+        self._greatest = max(self._greatest, int(valid.max()))
+        # What had been reached when each sample came.
+        reached = steps.reached[np.searchsorted(steps.moment, available, "left")]
+        self.late += int(np.count_nonzero(reached > valid))
+        if self._policy.period is None:
+            duration = self._policy.duration
+            in_time = (reached <= valid) & (valid >= duration.first) & (valid <= duration.last)
+            self._candidates = np.union1d(self._candidates, valid[in_time])
+        elif self._next is None:
+            self._next = int(valid[available == available.min()].min())
+
+    def _grid(self, last: int) -> Times:
+        """The times of the grid up to ``last`` that have not left."""
+        period = self._policy.period
+        assert period is not None
+        last = min(last, self._policy.duration.last)
+        if self._next is None or self._next > last:
+            return np.empty(0, np.int64)
+        count = (last - self._next) // period + 1
+        if count > MOST_STATES:
+            raise TooManyDue(
+                f"{count:,} states are due at once, and at most {MOST_STATES:,} may be; sample "
+                "less often, or begin later with `from`"
+            )
+        due: Times = self._next + period * np.arange(count, dtype=np.int64)
+        self._next += period * count
+        return due
+
+    def _states(self, due: Times, left: Times) -> Iterator[MadeStates]:
+        """Make the states at ``due`` some at a time."""
+        sizes = [len(names) for names in self._names.values()]
+        columns = [
+            int(np.prod([len(self._names[s]) for s in variables_of(term)])) for term in self._kept
+        ]
+        step = max(1, CELLS // max([1, *sizes, *columns]))
+        for start in range(0, len(due), step):
+            part = slice(start, start + step)
+            yield MadeStates(self._some(due[part], left[part]), left[part])
+
+    def _some(self, due: Times, left: Times) -> States:
+        last_valid = {
+            sort: np.full((len(due), len(names)), TIME_MIN, np.int64)
+            for sort, names in self._names.items()
+        }
+        values: dict[Term, Values] = {}
+        for term, kept in self._kept.items():
+            sorts = variables_of(term)
+            shape = tuple(len(self._names[sort]) for sort in sorts)
+            found, valid = kept.at(due, left, shape)
+            known = valid != TIME_MIN
+            if self._policy.approximation is Approximation.NONE:
+                known &= valid == due.reshape((-1,) + (1,) * len(shape))
+            values[term] = Values(found, known)
+            for axis, sort in enumerate(sorts, 1):
+                others = tuple(i for i in range(1, valid.ndim) if i != axis)
+                newest = valid.max(axis=others, initial=TIME_MIN)
+                for each in (sort, *self._wider[sort]):
+                    places = [self._places[each][iri] for iri in self._names[sort]]
+                    mine = last_valid[each]
+                    mine[:, places] = np.maximum(mine[:, places], newest)
+        period = self._policy.period
+        following = earlier(np.append(due[1:], TIME_MAX), 1)
+        horizon = due if period is None else np.minimum(following, later(due, period - 1))
+        return States(
+            due,
+            horizon,
+            {sort: tuple(names) for sort, names in self._names.items()},
+            {sort: self._present(times, due) for sort, times in last_valid.items()},
+            values,
+        )
+
+    def _present(self, last_valid: Times, due: Times) -> Mask:
+        """Whether objects with these last valid times are there at the states."""
+        is_known = last_valid != TIME_MIN
+        period, extended = self._policy.period, self._present_for
+        if period is None and extended is None:
+            return np.asarray(is_known)
+        found = np.zeros(last_valid.shape, np.bool_)
+        if period is not None:
+            found |= last_valid > earlier(due, period)[:, None]
+        if extended is not None:
+            found |= last_valid >= earlier(due, extended)[:, None]
+        return np.asarray(found & is_known)
+
+
+class _Kept:
+    """The samples of one term that states may need."""
+
+    def __init__(self, variables: int) -> None:
+        self._variables = variables
+        self._waiting: list[tuple[int, Rows]] = []
+        self._rows = _no_rows(variables)
+        self._order: NDArray[np.int64] = np.empty(0, np.int64)
+        """The rank of each row by available time, source and arrival."""
+        self._entered = 0
+
+    def __len__(self) -> int:
+        return len(self._order) + sum(len(rows.valid) for _, rows in self._waiting)
+
+    def add(self, source: int, rows: Rows) -> None:
+        self._waiting.append((source, rows))
+
+    def enter(self, moment: int) -> Rows:
+        """Let the samples in that are available before ``moment``; return them."""
+        due, rest = [], []
+        for source, rows in sorted(self._waiting, key=lambda each: each[0]):
+            cut = int(np.searchsorted(rows.available, moment, "left"))
+            due.append(rows.take(slice(None, cut)))
+            if cut < len(rows.available):
+                rest.append((source, rows.take(slice(cut, None))))
+        self._waiting = rest
+        new = _joined(due, self._variables)
+        # Stable: parts of one source came in order.
+        new = new.take(np.argsort(new.available, kind="stable"))
+        order = self._entered + np.arange(len(new.valid), dtype=np.int64)
+        self._entered += len(order)
+        if len(order):
+            self._rows = _joined([self._rows, new], self._variables)
+            self._order = np.concatenate([self._order, order])
+        return new
+
+    def at(
+        self, due: Times, left: Times, shape: tuple[int, ...]
+    ) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        """The value at each state, and its sample's valid time (`TIME_MIN`: none); shape
+        ``(n, *shape)``. Forgets the samples that no later state needs."""
+        rows, count = self._rows, len(due)
+        # The first state that a sample counts for: it is valid then, and has come.
+        first = np.maximum(
+            np.searchsorted(due, rows.valid, "left"),
+            np.searchsorted(left, rows.available, "right"),
+        )
+        newest = np.lexsort((self._order, rows.valid))
+        rank = np.empty(len(newest), np.int64)
+        rank[newest] = np.arange(len(newest))
+        cells = int(np.prod(shape, dtype=np.int64))
+        cell = _cell_of(rows.places, shape)
+        best = np.full((count, cells), -1, np.int64)
+        counts = first < count
+        np.maximum.at(best, (first[counts], cell[counts]), rank[counts])
+        np.maximum.accumulate(best, axis=0, out=best)
+        if len(newest):
+            place = newest[best]
+            values = rows.values[place]
+            valid = np.where(best < 0, TIME_MIN, rows.valid[place])
+        else:
+            values = np.zeros(best.shape, rows.values.dtype)
+            valid = np.full(best.shape, TIME_MIN, np.int64)
+        keep = ~counts
+        winners = best[-1]
+        keep[newest[winners[winners >= 0]]] = True
+        self._rows, self._order = rows.take(keep), self._order[keep]
+        return values.reshape(count, *shape), valid.reshape(count, *shape)
+
+
+def variables_of(term: Term) -> tuple[str, ...]:
+    """Return the sorts of the variable arguments of a term."""
+    return tuple(sort for sort in term[1] if not sort.startswith("<"))
+
+
+def _no_rows(variables: int) -> Rows:
+    none = np.empty(0, np.int64)
+    return Rows(none, none, np.empty((0, variables), np.int64), np.empty(0))
+
+
+def _joined(parts: Sequence[Rows], variables: int) -> Rows:
+    parts = [part for part in parts if len(part.valid)]
+    if not parts:
+        return _no_rows(variables)
+    return Rows(
+        np.concatenate([part.available for part in parts]),
+        np.concatenate([part.valid for part in parts]),
+        np.concatenate([part.places for part in parts]),
+        np.concatenate([part.values for part in parts]),
+    )
+
+
+def _cell_of(places: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """The index of each row's objects in a flattened table of this shape."""
+    cell = np.zeros(len(places), np.int64)
+    for axis, size in enumerate(shape):
+        cell = cell * size + places[:, axis]
+    return cell
