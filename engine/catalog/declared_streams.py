@@ -28,6 +28,7 @@ from ..configuration.configuration import (
     BUILT_IN,
     C_SPARQL,
     MERGE,
+    MTL,
     RETENTION,
     SELECT_INSTANCE,
     SELECT_OBJECT,
@@ -44,7 +45,16 @@ from .semantics_manager import term
 from .transformation_library import IMPLEMENTATIONS
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-_SYSTEM_NAMES = (STATUS, SELECT_OBJECT, SELECT_INSTANCE, SYNCHRONIZE, MERGE, C_SPARQL, *BUILT_IN)
+_SYSTEM_NAMES = (
+    STATUS,
+    SELECT_OBJECT,
+    SELECT_INSTANCE,
+    SYNCHRONIZE,
+    MERGE,
+    C_SPARQL,
+    MTL,
+    *BUILT_IN,
+)
 _SYSTEM_PREFIX = "dyknow_"
 """The prefix of the names that the system gives to streams and units."""
 

@@ -48,6 +48,8 @@ MERGE = "merge"
 """The transformation that merges several streams of one feature."""
 C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
+MTL = "mtl"
+"""The transformation that evaluates a formula of metric temporal logic ([DyKnow10 §5.4])."""
 SELECT_INSTANCE = "selectInstance"
 """The transformation that selects one query's results from those of a shared evaluation."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from ...continuous.algebra.options import Options
-from ...languages.csparql import parse_query, parse_template
-from ...languages.csparql.ast import Dialect
+from ...languages.csparql import parse_template
 from ...languages.errors import LanguageError
 from ...languages.ssl import ast, parse_ssl
 from ...rdf.namespaces import local_name, shorten
@@ -25,7 +24,12 @@ from ..engine import Engine
 from ..model.beginning import Beginning, parse_beginning, start_from_retained
 from ..model.errors import UNKNOWN
 from ..model.views import QueryView
-from ..planning.registrations import Registration, Submission, usual_semantics
+from ..planning.registrations import (
+    Registration,
+    Submission,
+    parse_registered,
+    usual_semantics,
+)
 from .commands import (
     REFUSALS,
     Annotate,
@@ -260,12 +264,11 @@ def query_view(waiting: WaitingCommand) -> QueryView:
     command = waiting.command
     assert isinstance(command, RegisterQuery)
     try:
-        query = parse_query(command.text)
+        query = parse_registered(command.text)
     except LanguageError:
         query = None
-    dialect = Dialect.C_SPARQL if query is None else query.dialect
-    semantics = command.semantics or usual_semantics(dialect)
-    options = Options(semantics, command.bounds, command.origin, command.report)
+    usual = "bag" if query is None else usual_semantics(query)
+    options = Options(command.semantics or usual, command.bounds, command.origin, command.report)
     submission = Submission(
         command.text.strip(), options, command.strategy, parse_beginning(command.since)
     )

@@ -174,6 +174,11 @@ def explain_matched_query(
     return "\n\n".join([f"registered\n{_indent(parsed.source.strip())}", *stages])
 
 
+def explain_monitor_plan(source: str, matches: Sequence[Match], evaluation: str) -> str:
+    """Explain a monitor that is not started: text, matching, evaluation."""
+    return explain_running_query(source.strip(), (), matches, "none yet", evaluation, "")
+
+
 def explain_running_query(
     source: str,
     read: Sequence[StreamAnnotation],

@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeAlias
 
 from ...continuous.algebra.constant_lifting import Pattern
 from ...continuous.estimation.input_rates import Flow
@@ -15,6 +16,7 @@ from ...continuous.sharing.similar_queries import Unshared, form_of
 from ...converters.to_triples import SampleConverter
 from ...languages.csparql import with_streams
 from ...languages.csparql.ast import ContinuousQuery
+from ...languages.mtl import Monitor
 from ...languages.ssl.annotation import Content, StreamAnnotation
 from ...matching.match import Match
 from ...matching.plan import annotation_of
@@ -32,25 +34,29 @@ from ..model.result_schema import check_head, head_role, result_form
 from ..model.result_windows import KeptWindows
 from ..model.stream_statistics import flow_of
 from ..model.views import Since
+from ..units.monitor import MonitorUnit
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
+from .monitor_start import MonitorStarter, monitor_needs
 from .plan_execution import Plans
 from .query_sharing import FormInstance, QuerySharing, shared_key
 from .query_units import QuerySettings
-from .registrations import Submission
+from .registrations import AnyQuery, Submission
 from .stream_binding import check_graphs, find_streams, mean_the_same, supplies_of
 from .stream_reading import ReadStream, find_stream, read_streams
+
+RegisteredUnit: TypeAlias = QueryUnit | InstanceUnit | MonitorUnit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartedQuery:
-    """A running query. ``matches`` found its streams, or ``reads`` are the streams that it names;
-    the other is empty. ``converter`` converts its samples to the triples of its head; None for a
-    table. ``instance`` identifies queries that could share with it; None: it cannot share.
+    """A running query or monitor. ``matches`` found its streams, or ``reads`` are the streams that
+    it names; the other is empty. ``converter`` converts its samples to the triples of its head;
+    None for a table. ``instance`` identifies queries that could share with it; None: it cannot.
     ``unshared``: why it shares no computation; empty if it does.
     """
 
-    unit: QueryUnit | InstanceUnit
+    unit: RegisteredUnit
     kept: KeptWindows
     matches: tuple[Match, ...]
     reads: tuple[ReadStream, ...]
@@ -84,10 +90,13 @@ class QueryStarter:
         self._space = space
         self._converter_of = converter_of
         self._sharing = QuerySharing(configuration.find_shared)
+        self._monitors = MonitorStarter(ontology, dictionary, configuration, plans)
 
-    def start(self, name: str, query: ContinuousQuery, submission: Submission) -> StartedQuery:
+    def start(self, name: str, query: AnyQuery, submission: Submission) -> StartedQuery:
         """Start ``query`` with the output stream ``name``. Raises the errors of
         `RegisteredQueries.register`, and starts nothing then."""
+        if isinstance(query, Monitor):
+            return self._start_monitor(name, query, submission)
         check_head(query, self._ontology.vocabulary)
         check_graphs(self._ontology, query)
         matches: tuple[Match, ...] = ()
@@ -127,6 +136,20 @@ class QueryStarter:
         if instance is not None and pattern is None:
             self._sharing.add_alone(name, instance)
         return StartedQuery(unit, kept, matches, reads, converter, instance, unshared)
+
+    def _start_monitor(self, name: str, monitor: Monitor, submission: Submission) -> StartedQuery:
+        needed = monitor_needs(monitor, submission.source, self._ontology)
+        matches = find_streams(
+            self._plans, needed.needs, submission.strategy, submission.since, f"monitor {name}"
+        )
+        since = self._plans.resolve_duration(submission.since, supplies_of(matches))
+        try:
+            unit = self._monitors.start(name, submission.source, needed, matches, since)
+        except Exception:
+            # Units of its plan may have started before the error.
+            self._configuration.release_unused()
+            raise
+        return StartedQuery(unit, KeptWindows(), matches, (), None, None, "")
 
     def stop(self, name: str, started: StartedQuery) -> None:
         """Stop a query, unless another one has its name now."""

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from typing import TypeAlias
 
-from ...continuous.algebra.options import Options, Semantics
+from ...continuous.algebra.options import Bounds, Options, Report, Semantics
+from ...languages.csparql import parse_query
 from ...languages.csparql.ast import ContinuousQuery, Dialect
+from ...languages.mtl import Monitor, is_monitor, parse_monitor
 from ..model.beginning import Beginning, parse_beginning
-from ..model.errors import AlreadyExists
+from ..model.errors import AlreadyExists, BadArguments
 from ..model.views import QueryView
+
+AnyQuery: TypeAlias = ContinuousQuery | Monitor
+"""What a client may register under a name."""
+MTL = "MTL"
+"""The dialect of monitors."""
+
+
+def parse_registered(text: str) -> AnyQuery:
+    """Parse a continuous query or a monitor. Raises `LanguageError`."""
+    return parse_monitor(text) if is_monitor(text) else parse_query(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +46,8 @@ class Submission:
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """The ``number``-th submission. Kind (STREAM or QUERY), form and dialect are stored, because a
-    later version may not be able to parse the text."""
+    """The ``number``-th submission. Kind (STREAM, QUERY or MONITOR), form and dialect are stored,
+    because a later version may not be able to parse the text."""
 
     number: int
     submission: Submission
@@ -43,7 +56,9 @@ class Registration:
     dialect: str
 
     @classmethod
-    def of(cls, number: int, submission: Submission, query: ContinuousQuery) -> Registration:
+    def of(cls, number: int, submission: Submission, query: AnyQuery) -> Registration:
+        if isinstance(query, Monitor):
+            return cls(number, submission, "MONITOR", "", MTL)
         kind = "STREAM" if query.produces_stream else "QUERY"
         return cls(number, submission, kind, str(query.form), str(query.dialect))
 
@@ -88,9 +103,24 @@ class Registration:
         )
 
 
-def usual_semantics(dialect: Dialect) -> Semantics:
-    """Return the dialect's default for equal triples of a window."""
-    return "set" if dialect is Dialect.RSP_QL else "bag"
+def usual_semantics(query: AnyQuery) -> Semantics:
+    """Return the default of the query's dialect for equal triples of a window."""
+    is_rsp_ql = isinstance(query, ContinuousQuery) and query.dialect is Dialect.RSP_QL
+    return "set" if is_rsp_ql else "bag"
+
+
+def options_of(
+    query: AnyQuery, semantics: Semantics | None, bounds: Bounds, origin: int, report: Report
+) -> Options:
+    """Return the options of a registration. Raises `BadArguments` for options of windows given to a
+    monitor."""
+    options = Options(semantics or usual_semantics(query), bounds, origin, report)
+    if isinstance(query, Monitor) and (semantics is not None or options != Options("bag")):
+        raise BadArguments(
+            "a monitor has no windows: `semantics`, `bounds`, `origin` and `report` mean nothing",
+            "leave them out; the text says what is reported: `with report changes`",
+        )
+    return options
 
 
 def registration_of(text: str) -> Registration:

@@ -8,7 +8,7 @@ switches their sources.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -20,22 +20,20 @@ from ...matching.plan import (
     Detect,
     Node,
     Supply,
-    SupplySource,
     UseStream,
     nodes_of,
     nodes_of_supply,
 )
 from ...matching.strategy import Kind, Strategy
-from ...matching.subject import Sorts, Subject
 from ...matching.want import Want
-from ...ontology.vocabulary import THING, Vocabulary
+from ...ontology.vocabulary import Vocabulary
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Policy
 from ...streams.time import SECOND
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
 from ..model.views import Since
-from ..units.merge import OBJECT, MergeInput, MergeUnit, ObjectName
+from ..units.merge import OBJECT, MergeUnit
 from ..units.policy import AdaptationUnit
 
 MAX_REMATCHES = 1000
@@ -191,41 +189,6 @@ def value_field(want: Want) -> str:
     """Return the field of a subscription's stream that contains the feature."""
     name = variable_name(want.feature)
     return "value" if name == OBJECT else name
-
-
-def merge_inputs(
-    supply: Supply,
-    streams: Sequence[StreamGenerator],
-    configuration: Configuration,
-    vocabulary: Callable[[], Vocabulary],
-) -> list[MergeInput]:
-    """Return the inputs of a merge for the sources of a supply and their ``streams``."""
-    return [
-        MergeInput(
-            generator,
-            source.port.source_field,
-            source.port.conversion,
-            tuple(
-                ObjectName(role.object, role.id_field, configuration.namespaces[generator.name])
-                for role in source.roles[: 1 + len(supply.want.others)]
-            ),
-            _filter(supply.want, source, vocabulary),
-        )
-        for source, generator in zip(supply.sources, streams, strict=True)
-    ]
-
-
-def _filter(
-    want: Want, source: SupplySource, vocabulary: Callable[[], Vocabulary]
-) -> Callable[[str], bool] | None:
-    """Return a filter for the wanted objects; None if the source has no others."""
-    if want.object is not None:
-        return None
-    role = source.roles[0]
-    sorts = Sorts(vocabulary())
-    if role.object is not None or sorts.within(role.sort or THING, want.wanted_sort):
-        return None
-    return lambda iri: Sorts(vocabulary()).belongs(Subject(None, iri), want.wanted_sort)
 
 
 def upstream_names(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:

@@ -11,12 +11,11 @@ import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from ...continuous.algebra.options import Bounds, Options, Report, Semantics
+from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...continuous.operators.results import WindowResult
 from ...converters.to_triples import SampleConverter
-from ...languages.csparql import parse_query
-from ...languages.csparql.ast import ContinuousQuery
 from ...languages.errors import LanguageError, Span
+from ...languages.mtl import Monitor
 from ...languages.specification.ast import RESERVED
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
@@ -37,16 +36,24 @@ from ..model.errors import (
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
 from ..planning import explanations
+from ..planning.monitor_start import explain_monitor, monitor_needs
 from ..planning.plan_execution import Plans
-from ..planning.query_start import QueryStarter, StartedQuery, bad_arguments_for_unsupported
+from ..planning.query_start import (
+    QueryStarter,
+    RegisteredUnit,
+    StartedQuery,
+    bad_arguments_for_unsupported,
+)
 from ..planning.registrations import (
+    AnyQuery,
     Registration,
     Submission,
     check_same,
+    options_of,
+    parse_registered,
     registration_of,
-    usual_semantics,
 )
-from ..units.query import QueryUnit
+from ..units.monitor import MonitorUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
 from .empty_reasons import NO_WINDOW, why_empty
 
@@ -62,7 +69,7 @@ class _Running:
     users: int = 1
 
     @property
-    def unit(self) -> QueryUnit | InstanceUnit:
+    def unit(self) -> RegisteredUnit:
         return self.started.unit
 
 
@@ -127,8 +134,8 @@ class RegisteredQueries:
         for a reserved name, `AlreadyExists` for a name in use, `UnknownStream`, `NotAnnotated`,
         `NoPlan`, `BadArguments`, `Forgotten` and `ConversionError`, and starts nothing then.
         """
-        query = parse_query(text)
-        options = Options(semantics or usual_semantics(query.dialect), bounds, origin, report)
+        query = parse_registered(text)
+        options = options_of(query, semantics, bounds, origin, report)
         return self.start(
             query, Submission(text.strip(), options, strategy, parse_beginning(since)), name
         )
@@ -137,12 +144,12 @@ class RegisteredQueries:
         """Return the name that a query would get; for a text without a name, or with errors,
         ``wanted`` or the next reserved name."""
         try:
-            name = parse_query(text).name
+            name = parse_registered(text).name
         except LanguageError:
             name = ""
         return _own_name(name) if name else wanted or self._configuration.next_reserved
 
-    def start(self, query: ContinuousQuery, submission: Submission, wanted: str = "") -> QueryView:
+    def start(self, query: AnyQuery, submission: Submission, wanted: str = "") -> QueryView:
         """`register` for a parsed query."""
         checked_strategy(submission.strategy)
         name = self._name_of(query, submission, wanted)
@@ -258,6 +265,11 @@ class RegisteredQueries:
     def latest(self, name: str) -> WindowResult:
         """The result of the last closed window. Raises `UnknownQuery` and `NoResult`."""
         found = self._get(name).started.kept.latest
+        if isinstance(self._get(name).unit, MonitorUnit):
+            raise NoResult(
+                f"{name!r} is a monitor and has no windows",
+                f"its verdicts are the samples of stream {name} (GET /streams/{name}/samples)",
+            )
         if found is None:
             view = self.view(name)
             hint = "a window closes when the watermarks of its streams have passed its end"
@@ -293,8 +305,13 @@ class RegisteredQueries:
     def explain(self, text: str) -> str:
         """Explain the stages of a query without starting it. Its streams need not exist. Raises
         `LanguageError`, `NoPlan` and `BadArguments`."""
-        query = parse_query(text)
+        query = parse_registered(text)
         context = self._ontology, self._dictionary
+        if isinstance(query, Monitor):
+            needed = monitor_needs(query, text, self._ontology)
+            found = self._plans.match(needed.needs.wants, "fast", explained=True)
+            how = explain_monitor(needed.monitor, text)
+            return explanations.explain_monitor_plan(text, found, how)
         with bad_arguments_for_unsupported():
             if query.streams:
                 return explanations.explain_query(query, *context, self._starter.flows(query))
@@ -336,7 +353,7 @@ class RegisteredQueries:
         for name, lost in sorted(self._lost.items(), key=lambda item: item[1].registration.number):
             registration = lost.registration
             try:
-                self._start(name, registration, parse_query(registration.submission.source))
+                self._start(name, registration, parse_registered(registration.submission.source))
             except Exception as error:  # noqa: BLE001  the engine starts without it, and reports it
                 self._lost[name] = replace(lost, reason=str(error))
                 continue
@@ -351,7 +368,7 @@ class RegisteredQueries:
 
     # -- internals ---------------------------------------------------------------------------
 
-    def _name_of(self, query: ContinuousQuery, submission: Submission, wanted: str) -> str:
+    def _name_of(self, query: AnyQuery, submission: Submission, wanted: str) -> str:
         """Return the name of the query and its stream. Raises `Refused` and `AlreadyExists`."""
         if not query.name:
             for running in self._running.values():
@@ -372,7 +389,7 @@ class RegisteredQueries:
                 )
         return name
 
-    def _start(self, name: str, registration: Registration, query: ContinuousQuery) -> _Running:
+    def _start(self, name: str, registration: Registration, query: AnyQuery) -> _Running:
         started = self._starter.start(name, query, registration.submission)
         started.unit.users += 1
         running = _Running(name, bool(query.name), registration, started)

@@ -20,6 +20,7 @@ from ...streams.policies.policy import PolicyCounters
 from ...templates.needs import NeedsError, is_static_in, needs, unknown_terms
 from ..configuration.configuration import Configuration
 from ..units.base import ComputationalUnit
+from ..units.monitor import MonitorUnit
 from ..units.policy import AdaptationUnit
 from ..units.shared_query import InstanceUnit
 from ..units.windowed import WindowUnit
@@ -35,6 +36,8 @@ def why_empty(
     evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
     # Numbers go on from an earlier stream of the name.
     has_given = unit.output.stream.last_available is not None
+    if isinstance(evaluating, MonitorUnit) and not has_given:
+        return _without_verdicts(evaluating)
     if has_given or not isinstance(evaluating, WindowUnit):
         return None
     vocabulary = ontology.vocabulary
@@ -55,6 +58,21 @@ def why_empty(
         causes = [f"none of {evaluating.windows:,} windows satisfied the query's conditions"]
     counts = f"{evaluating.samples:,} samples read, {evaluating.triples:,} triples"
     return f"{counts}: {'; '.join(dict.fromkeys([*causes, *dropped]))}"
+
+
+def _without_verdicts(unit: MonitorUnit) -> str:
+    """Return why a monitor has reported nothing."""
+    run = unit.monitoring
+    if not unit.samples:
+        return f"no sample read yet from {', '.join(source.name for source in unit.reads)}"
+    counts = f"{unit.samples:,} samples read, {run.states:,} states"
+    if not run.states:
+        return f"{counts}: each waits for later samples, or for `max delay` to pass"
+    verdicts = {word: count for word, count in run.verdicts.items() if count}
+    if not verdicts:
+        return f"{counts}: no verdict is decided yet"
+    told = ", ".join(f"{count:,} {word}" for word, count in verdicts.items())
+    return f"{counts}: the verdicts are {told}, and it reports {run.monitor.report}"
 
 
 def _wants(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:

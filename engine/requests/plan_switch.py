@@ -17,12 +17,12 @@ from ..model.beginning import Beginning
 from ..model.errors import DyknowError
 from ..model.views import Since
 from ..planning.plan_execution import Plans
+from ..planning.supply_inputs import merge_inputs
 from ..units.merge import MergeUnit, object_fields
 from .adaptive_subscription import (
     AdaptiveSubscription,
     Rematch,
     Wish,
-    merge_inputs,
     value_field,
 )
 

@@ -280,23 +280,23 @@ class _Feed:
         return column
 
 
-class _ObjectEncoder(TermTable):
-    """Encodes the objects of an input in the string pool of the output."""
+class ObjectCodes(TermTable):
+    """Codes of the objects of one argument of a feature, by the texts of its id field.
+
+    ``code_of`` returns the code of an IRI, which is not negative. Cost: a look-up a sample, and
+    Python for each distinct object.
+    """
 
     def __init__(
         self,
         object: ObjectName,
         dictionary: TermDictionary,
-        pools: Mapping[str, StringPool],
-        name: str,
+        code_of: Callable[[str], int],
         is_wanted: Callable[[str], bool] | None,
     ) -> None:
-        self.pool = pools[name]
-        """The output's pool at the last call; the output replaces it when it forgets texts."""
-        self._pools = pools
-        self._name = name
         self._object = object
         self._dictionary = dictionary
+        self._make_code = code_of
         self._is_wanted = is_wanted
         self._table = ObjectTable(dictionary, object.namespace)
         self._codes: dict[int, int] = {}
@@ -307,11 +307,8 @@ class _ObjectEncoder(TermTable):
         self._codes = {id: code for id, code in self._codes.items() if not freed[id]}
 
     def encode(self, batch: SampleBatch) -> tuple[Codes, Mask]:
-        """Return the codes of the samples' objects in the output's pool, and a mask of the samples
-        with a wanted object."""
-        if self.pool is not self._pools[self._name]:
-            self.pool = self._pools[self._name]
-            self._codes.clear()
+        """Return the codes of the samples' objects, and a mask of the samples with a wanted
+        object."""
         if self._object.object is not None or self._object.id_field is None:
             code = self._code_of(self._object.object or "")
             return np.full(len(batch), max(code, 0), np.int32), np.full(len(batch), code >= 0)
@@ -339,6 +336,33 @@ class _ObjectEncoder(TermTable):
         """Return the code of an object; -1 for one that is not wanted."""
         if self._is_wanted is not None and not self._is_wanted(iri):
             return -1
+        return self._make_code(iri)
+
+
+class _ObjectEncoder(ObjectCodes):
+    """Encodes the objects of an input in the string pool of the output."""
+
+    def __init__(
+        self,
+        object: ObjectName,
+        dictionary: TermDictionary,
+        pools: Mapping[str, StringPool],
+        name: str,
+        is_wanted: Callable[[str], bool] | None,
+    ) -> None:
+        super().__init__(object, dictionary, self._pool_code, is_wanted)
+        self.pool = pools[name]
+        """The output's pool at the last call; the output replaces it when it forgets texts."""
+        self._pools = pools
+        self._name = name
+
+    def encode(self, batch: SampleBatch) -> tuple[Codes, Mask]:
+        if self.pool is not self._pools[self._name]:
+            self.pool = self._pools[self._name]
+            self.refresh()
+        return super().encode(batch)
+
+    def _pool_code(self, iri: str) -> int:
         return int(self.pool.encode([object_name(iri, DYKNOW)])[0])
 
 

@@ -3,7 +3,7 @@
 from .ast import Monitor, Report
 from .check import check_mtl
 from .checked import CheckedMonitor
-from .parser import parse_formula, parse_monitor
+from .parser import is_monitor, parse_formula, parse_monitor
 from .printer import format_formula, format_monitor
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "check_mtl",
     "format_formula",
     "format_monitor",
+    "is_monitor",
     "parse_formula",
     "parse_monitor",
 ]

@@ -59,6 +59,9 @@ _DURATION: Final = re.compile(r"([0-9.]+)[ \t]*([A-Za-z]+)\Z")
 _DURATION_HINT: Final = "units are ns, us, ms, s, m, h and d: `5s`, `1.5h`"
 
 
+_MONITOR = re.compile(r"(?:\s|(?:#|//)[^\n\r]*)*monitor(?![A-Za-z0-9_:])")
+
+
 @TextCache
 def parse_monitor(source: str) -> ast.Monitor:
     """Parse ``monitor NAME(?x in Car) = formula with options``; ``#`` and ``//`` start comments.
@@ -67,6 +70,11 @@ def parse_monitor(source: str) -> ast.Monitor:
     token.
     """
     return _Reader(source).monitor(trees(_parse(source, "start"))[0])
+
+
+def is_monitor(source: str) -> bool:
+    """Whether a text is a monitor rather than a query: its first word says so."""
+    return _MONITOR.match(source) is not None
 
 
 @TextCache

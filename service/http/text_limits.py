@@ -16,6 +16,7 @@ import anyio.to_thread
 from ...languages.csparql import body_tree, parse_query, parse_template
 from ...languages.kpl import parse_kpl
 from ...languages.kpl.ast import Specification
+from ...languages.mtl import is_monitor, parse_monitor
 from ...languages.ssl import parse_ssl
 from ...languages.ssl.ast import Declaration
 from ...templates.patterns import patterns
@@ -82,8 +83,11 @@ def parse_registration(text: str) -> None:
 
 
 def parse_continuous(text: str) -> None:
-    """Parse a continuous query, and its patterns: for `parse_aside`."""
-    patterns(body_tree(parse_query(text)))
+    """Parse a continuous query and its patterns, or a monitor: for `parse_aside`."""
+    if is_monitor(text):
+        parse_monitor(text)
+    else:
+        patterns(body_tree(parse_query(text)))
 
 
 def _check_words(text: str) -> None:
