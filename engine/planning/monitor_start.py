@@ -14,7 +14,8 @@ from ...matching.want import Want
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
-from ...reasoning.mtl.formulas import bound_sorts, reach_of, readings_of
+from ...reasoning.mtl.evaluator import sorts_of
+from ...reasoning.mtl.formulas import reach_of, readings_of
 from ...reasoning.mtl.nodes import term_of
 from ...streams.generator import StreamGenerator
 from ...streams.time import format_duration
@@ -32,6 +33,7 @@ class MonitorNeeds:
     """A monitor, and the features that it needs: for each want the readings that it serves."""
 
     monitor: CheckedMonitor
+    text: Monitor
     readings: dict[Want, list[Reading]]
 
     @property
@@ -43,7 +45,7 @@ def monitor_needs(monitor: Monitor, source: str, ontology: Ontology) -> MonitorN
     """Return what a monitor needs. Raises `LanguageError`, and `BadArguments` for a parameter whose
     objects no feature gives."""
     checked = check_mtl(monitor, source, ontology.vocabulary)
-    sorts = _sorts_of(checked)
+    sorts = sorts_of(checked)
     readings: dict[Want, list[Reading]] = {}
     for reading in dict.fromkeys(readings_of(checked.formula)):
         readings.setdefault(_want(reading, sorts), []).append(reading)
@@ -62,7 +64,7 @@ def monitor_needs(monitor: Monitor, source: str, ontology: Ontology) -> MonitorN
                 f"`?{name}` cannot be a parameter: the verdicts have a field {name!r}",
                 "give the variable another name",
             )
-    return MonitorNeeds(checked, readings)
+    return MonitorNeeds(checked, monitor, readings)
 
 
 class MonitorStarter:
@@ -100,6 +102,7 @@ class MonitorStarter:
                 terms=terms,
                 dictionary=self._dictionary,
                 wider=self._wider(needed.monitor),
+                text=needed.text,
                 explanation=explain_monitor(needed.monitor, source),
             )
 
@@ -110,7 +113,7 @@ class MonitorStarter:
         inputs = merge_inputs(
             supply, streams, self._configuration, lambda: self._ontology.vocabulary
         )
-        sorts = _sorts_of(needed.monitor)
+        sorts = sorts_of(needed.monitor)
         # Readings of one term share its values, under whatever variables.
         terms = {term_of(reading, sorts): reading for reading in needed.readings[supply.want]}
         return [
@@ -126,7 +129,7 @@ class MonitorStarter:
 
     def _wider(self, monitor: CheckedMonitor) -> dict[str, tuple[str, ...]]:
         known = Sorts(self._ontology.vocabulary)
-        used = dict.fromkeys(_sorts_of(monitor).values())
+        used = dict.fromkeys(sorts_of(monitor).values())
         return {
             sort: tuple(other for other in used if other != sort and known.within(sort, other))
             for sort in used
@@ -156,10 +159,6 @@ def explain_monitor(monitor: CheckedMonitor, source: str) -> str:
             + (", of the first state alone" if monitor.once else ""),
         ]
     )
-
-
-def _sorts_of(monitor: CheckedMonitor) -> dict[str, str]:
-    return {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
 
 
 def _want(reading: Reading, sorts: dict[str, str]) -> Want:

@@ -21,6 +21,8 @@ from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import local_name
+from ...reasoning.mtl.explanation import Explanation, NoStart
+from ...streams.time import format_time
 from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.name_resolution import checked_strategy, did_you_mean
@@ -289,6 +291,32 @@ class RegisteredQueries:
     ) -> Sequence[WindowResult]:
         """The results of kept windows (`KeptWindows.between`). Raises `UnknownQuery`."""
         return self._get(name).started.kept.between(start, end, limit)
+
+    def why(self, name: str, objects: Sequence[str], start: int) -> Explanation:
+        """Explain one verdict of a monitor: see `MonitorUnit.why`. Raises `UnknownQuery`,
+        `BadArguments`, `NoResult` and `Forgotten`."""
+        unit = self._get(name).unit
+        if not isinstance(unit, MonitorUnit):
+            raise BadArguments(
+                f"{name!r} is a query, and only verdicts of monitors are explained",
+                f"GET /queries/{name}?explain=true shows its stages",
+            )
+        names = [f"?{parameter}" for parameter, _ in unit.monitoring.monitor.parameters]
+        if len(names) != len(objects):
+            raise BadArguments(
+                f"{len(objects)} objects are given for a monitor of {len(names)} parameters",
+                f"give `object` once for each of {', '.join(names)}" if names else "give none",
+            )
+        try:
+            return unit.why(objects, start)
+        except NoStart as error:
+            around = " and ".join(map(format_time, error.near))
+            raise NoResult(
+                f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
+                f"there are states at {around}"
+                if around
+                else f"GET /streams/{name}/samples lists the verdicts that it reported",
+            ) from error
 
     def explain_running(self, name: str) -> str:
         """Explain the stages of a running query. Raises `UnknownQuery`."""

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...converters.objects import object_iri, object_name
-from ...languages.mtl.ast import Report
+from ...languages.mtl.ast import Monitor, Report
 from ...languages.mtl.checked import CheckedMonitor, Kind
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
+from ...reasoning.mtl.explanation import Explanation, NoStart, explain_verdict
+from ...reasoning.mtl.formulas import bound_sorts
 from ...reasoning.mtl.monitoring import WORDS, Monitoring, Reported
 from ...reasoning.states.states import Term
 from ...streams.generator import StreamGenerator
+from ...streams.history import FluentStream
+from ...streams.past_queries import Forgotten
 from ...streams.sample import (
     Column,
     Field,
@@ -70,17 +75,20 @@ class MonitorUnit(ComputationalUnit):
         terms: Sequence[TermInput],
         dictionary: TermDictionary,
         wider: Mapping[str, Sequence[str]],
+        text: Monitor,
         explanation: str,
     ) -> None:
         super().__init__(*args)
+        self.text = text
         self.monitoring = Monitoring(monitor, len(self.sources), wider)
         self.samples = 0
         """Samples read by now."""
         self._explanation = explanation
-        self._readers: dict[StreamGenerator, list[_TermReader]] = {}
-        for each in terms:
-            reader = _TermReader(each, dictionary)
-            self._readers.setdefault(each.input.source, []).append(reader)
+        self._first: dict[StreamGenerator, int] = {}
+        """The available time (ns) of the first sample read of each input."""
+        self._wider = wider
+        self._make_readers = partial(_readers, terms, dictionary)
+        self._readers = self._make_readers()
 
     @property
     def reads(self) -> Sequence[StreamGenerator]:
@@ -99,8 +107,66 @@ class MonitorUnit(ComputationalUnit):
         ]
         return "\n".join([self._explanation, *now])
 
+    def why(self, objects: Sequence[str], start: int) -> Explanation:
+        """Explain the verdict of these objects (as the verdicts name them, or IRIs) that starts at
+        ``start`` (ns), from the retained samples of the inputs.
+
+        Raises `NoStart`, and `Forgotten` if an input has evicted samples that the states may need:
+        those before the first state left, for a value that is not known there, or for a quantifier.
+        Cost: the evaluation of all retained samples.
+        """
+        iris = [object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW) for name in objects]
+        run, evicting = self._again()
+        states = run.states_of(iris)
+        if states is None:
+            raise NoStart("there is no state yet")
+        monitor = run.monitor
+        if evicting and (start < int(states.valid[0]) or bound_sorts(monitor.formula)):
+            raise Forgotten(evicting[0])
+        found = explain_verdict(monitor, self.text, states, start, iris)
+        if evicting and (
+            found.valid[0] == states.valid[0]
+            or any(each.values[0] is None for each in found.features)
+        ):
+            # An evicted sample may have the value, or make a state before.
+            raise Forgotten(evicting[0])
+        return found
+
+    def _again(self) -> tuple[Monitoring, list[FluentStream]]:
+        """Make all states again of the retained samples that the unit has read. Also returns the
+        streams that have evicted some."""
+        run = Monitoring(
+            self.monitoring.monitor,
+            len(self.sources),
+            self._wider,
+            forgets=False,
+            grid=self.monitoring.grid,
+        )
+        readers, evicting = self._make_readers(), []
+        for place, source in enumerate(self.sources):
+            first, past = self._first.get(source), self.past_of(source)
+            if first is None:
+                continue
+            past = past.take(past.available >= first)
+            if not len(past) or int(past.available[0]) > first:
+                evicting.append(source.stream)
+            if len(past):
+                run.came(place, past.available, past.valid)
+                for reader in readers[source]:
+                    reader.read(past, place, run)
+        for source in self._ended:
+            run.ended(self.sources.index(source))
+        if self.all_ended:
+            moment = min(self.last_processed, TIME_MAX - 1) + 1
+            run.advance(moment)
+            run.finish(moment)
+        elif self.least_watermark is not None:
+            run.advance(self.least_watermark)
+        return run, evicting
+
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self.samples += len(batch)
+        self._first.setdefault(source, int(batch.available[0]))
         place = self.sources.index(source)
         self.monitoring.came(place, batch.available, batch.valid)
         for reader in self._readers[source]:
@@ -156,6 +222,16 @@ class MonitorUnit(ComputationalUnit):
                 },
             )
         )
+
+
+def _readers(
+    terms: Sequence[TermInput], dictionary: TermDictionary
+) -> dict[StreamGenerator, list[_TermReader]]:
+    """New readers of the terms, by stream."""
+    found: dict[StreamGenerator, list[_TermReader]] = {}
+    for each in terms:
+        found.setdefault(each.input.source, []).append(_TermReader(each, dictionary))
+    return found
 
 
 class _TermReader:

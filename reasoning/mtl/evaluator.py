@@ -79,13 +79,17 @@ class MonitorEvaluator:
     Cost: O(states kept + new states) numpy and compiled loops for each node and push; `until` and
     `since` that times the states of an interval. Memory: 17 bytes a node's binding and state kept.
     Kept are states from the oldest start without a verdict on, and before it as far as the past
-    operators look; all of them if a past interval has no bound, at most ``limit``.
+    operators look; all of them if a past interval has no bound, or unless it ``forgets``; at most
+    ``limit``.
     """
 
-    def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
+    def __init__(
+        self, monitor: CheckedMonitor, *, limit: int = 1_000_000, forgets: bool = True
+    ) -> None:
         self._monitor = monitor
         self._limit = limit
-        self._sorts = {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
+        self._forgets = forgets
+        self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
         self._kept: _Rows | None = None
 
@@ -99,6 +103,11 @@ class MonitorEvaluator:
     def pending(self) -> int:
         """The states kept."""
         return 0 if self._kept is None else len(self._kept.states.valid)
+
+    @property
+    def states(self) -> States | None:
+        """The states kept; None before the first."""
+        return None if self._kept is None else self._kept.states
 
     @property
     def is_open(self) -> bool:
@@ -196,7 +205,8 @@ class MonitorEvaluator:
             value[order],
             binding[order],
         )
-        self._forget(rows)
+        if self._forgets:
+            self._forget(rows)
         return found
 
     def _present(self, states: States) -> Mask:
@@ -216,7 +226,7 @@ class MonitorEvaluator:
         open_rows = np.flatnonzero(~rows.is_decided.reshape(count, -1).all(axis=1))
         # The last state stays: `advance` raises its horizon, and past operators look back from it.
         oldest = int(open_rows[0]) if len(open_rows) else count - 1
-        keep = _earliest(self._monitor.formula, oldest, states.valid) if count else 0
+        keep = earliest(self._monitor.formula, oldest, states.valid) if count else 0
         if not keep:
             return
         rest = slice(keep, None)
@@ -231,18 +241,23 @@ class MonitorEvaluator:
         rows.first += keep
 
 
-def _earliest(formula: Any, row: int, valid: Times) -> int:
-    """The first row that the formula looks at from ``row`` or later ones."""
+def sorts_of(monitor: CheckedMonitor) -> dict[str, str]:
+    """Return the sort of each variable, an IRI."""
+    return {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
+
+
+def earliest(formula: Any, row: int, valid: Times) -> int:
+    """Return the first row that the formula looks at from ``row`` or later ones."""
     match formula:
         case Previous(operand):
-            return _earliest(operand, max(0, row - 1), valid)
+            return earliest(operand, max(0, row - 1), valid)
         case Within(operator, interval) if operator.is_past:
             row = _rows_back(interval, row, valid)
         case Until(True, interval):
             row = _rows_back(interval, row, valid)
         case _:
             pass
-    return min([row, *(_earliest(part, row, valid) for part in parts_of(formula))])
+    return min([row, *(earliest(part, row, valid) for part in parts_of(formula))])
 
 
 def _rows_back(interval: Interval, row: int, valid: Times) -> int:

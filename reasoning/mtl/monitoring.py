@@ -15,7 +15,7 @@ from ...streams.sample import Times
 from ...streams.time import TIME_MIN
 from ..states.departures import Departures, Steps
 from ..states.state_maker import MadeStates, Rows, StateMaker
-from ..states.states import Term
+from ..states.states import States, Term
 from .evaluator import MonitorEvaluator, Verdicts
 from .formulas import parts_of, readings_of
 
@@ -69,9 +69,16 @@ class Monitoring:
         monitor: CheckedMonitor,
         sources: int,
         wider: Mapping[str, Sequence[str]] | None = None,
+        *,
+        forgets: bool = True,
+        grid: int | None = None,
     ) -> None:
+        """``forgets``: whether states are dropped once no verdict needs them. ``grid``: a time (ns)
+        of the grid of ``sample every``; None: as for `StateMaker`."""
         self.monitor = monitor
         self._wider = wider or {}
+        self._forgets = forgets
+        self._grid = grid
         self.terms: tuple[Term, ...] = tuple(sorted(MonitorEvaluator(monitor).terms))
         self.has_own_states = _has_own_states(monitor)
         self._departures = Departures(monitor.policy, sources)
@@ -80,6 +87,11 @@ class Monitoring:
         self._newest = TIME_MIN
         self._verdicts = dict.fromkeys(WORDS, 0)
         self._runs = _Runs() if monitor.report is Report.CHANGES else None
+
+    @property
+    def grid(self) -> int | None:
+        """A time (ns) of the grid, once it has begun."""
+        return None if self._shared is None else self._shared.maker.grid
 
     @property
     def states(self) -> int:
@@ -157,8 +169,13 @@ class Monitoring:
             return reported
         return _joined([reported, self._runs.rest()], len(self.monitor.parameters))
 
+    def states_of(self, objects: Sequence[str]) -> States | None:
+        """The states in memory for the verdicts of these objects; None if there are none yet."""
+        timeline = self._shared or self._timelines.get(objects[0])
+        return None if timeline is None else timeline.evaluator.states
+
     def _timeline(self) -> _Timeline:
-        return _Timeline(self.monitor, self.terms, self._wider)
+        return _Timeline(self.monitor, self.terms, self._wider, self._forgets, self._grid)
 
     def _all(self) -> Sequence[_Timeline]:
         return [self._shared] if self._shared is not None else list(self._timelines.values())
@@ -181,10 +198,17 @@ class _Timeline:
     """States, and their verdicts."""
 
     def __init__(
-        self, monitor: CheckedMonitor, terms: Sequence[Term], wider: Mapping[str, Sequence[str]]
+        self,
+        monitor: CheckedMonitor,
+        terms: Sequence[Term],
+        wider: Mapping[str, Sequence[str]],
+        forgets: bool,
+        grid: int | None,
     ) -> None:
-        self.maker = StateMaker(terms, monitor.policy, present_for=monitor.present_for, wider=wider)
-        self.evaluator = MonitorEvaluator(monitor)
+        self.maker = StateMaker(
+            terms, monitor.policy, present_for=monitor.present_for, wider=wider, grid=grid
+        )
+        self.evaluator = MonitorEvaluator(monitor, forgets=forgets)
         self._sorts = [sort for _, sort in monitor.parameters]
         self.states = 0
         self.objects: list[NDArray[Any]] = [np.empty(0, object) for _ in self._sorts]

@@ -203,7 +203,8 @@ class Pass:
         holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
         return axes, holds, known
 
-    def _value(self, value: Value) -> tuple[Axes, NDArray[Any], Mask]:
+    def value(self, value: Value) -> tuple[Axes, NDArray[Any], Mask]:
+        """The values of a term at each state, and where they are known."""
         match value:
             case Constant(constant, kind):
                 made = np.asarray([constant], object if kind is Kind.TEXT else None)
@@ -236,7 +237,7 @@ class Pass:
 
     def _operands(self, left: Value, right: Value) -> tuple[Axes, NDArray[Any], NDArray[Any], Mask]:
         """The values of both sides over the union of their axes, and where both are known."""
-        (a_axes, a, a_known), (b_axes, b, b_known) = self._value(left), self._value(right)
+        (a_axes, a, a_known), (b_axes, b, b_known) = self.value(left), self.value(right)
         axes = _union(a_axes, b_axes)
         known = _spread(a_known, a_axes, axes) & _spread(b_known, b_axes, axes)
         return axes, _spread(a, a_axes, axes), _spread(b, b_axes, axes), known

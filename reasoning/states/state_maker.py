@@ -74,8 +74,11 @@ class StateMaker:
         *,
         present_for: int | None = None,
         wider: Mapping[str, Sequence[str]] | None = None,
+        grid: int | None = None,
     ) -> None:
+        """``grid``: a time (ns) of a grid that began earlier; it goes on at the first sample."""
         self._policy = policy
+        self._phase = grid
         self._present_for = present_for
         self._kept = {term: _Kept(len(variables_of(term))) for term in terms}
         sorts = dict.fromkeys(sort for term in terms for sort in variables_of(term))
@@ -103,6 +106,11 @@ class StateMaker:
             for other in self._wider.get(sort, ()):
                 self.place(other, iri)
         return found
+
+    @property
+    def grid(self) -> int | None:
+        """A time (ns) of the grid, once it has begun."""
+        return self._next if self._policy.period is not None else None
 
     @property
     def retained(self) -> int:
@@ -160,7 +168,9 @@ class StateMaker:
             in_time = (reached <= valid) & (valid >= duration.first) & (valid <= duration.last)
             self._candidates = np.union1d(self._candidates, valid[in_time])
         elif self._next is None:
-            self._next = int(valid[available == available.min()].min())
+            first = int(valid[available == available.min()].min())
+            period = self._policy.period
+            self._next = first if self._phase is None else first + (self._phase - first) % period
 
     def _grid(self, last: int) -> Times:
         """The times of the grid up to ``last`` that have not left."""

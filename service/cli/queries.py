@@ -43,7 +43,8 @@ from .parameters import (
 from .streams import text_or_file
 
 query = typer.Typer(
-    help="Continuous queries: add, list, show, results, remove.", no_args_is_help=True
+    help="Continuous queries and monitors: add, list, show, results, why, remove.",
+    no_args_is_help=True,
 )
 
 Name = Annotated[str, typer.Argument(help="The query's name.")]
@@ -74,7 +75,9 @@ _TYPES = {
 
 @query.command()
 def add(
-    source: Annotated[str, typer.Argument(help="REGISTER STREAM|QUERY text, its file, or - .")],
+    source: Annotated[
+        str, typer.Argument(help="REGISTER STREAM|QUERY or monitor text, its file, or - .")
+    ],
     semantics: Semantics = None,
     bounds: Bounds = BoundsWord.LATER,
     origin: Origin = "0",
@@ -120,7 +123,7 @@ def list_queries(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         [
             (
                 each["name"],
-                each["form"],
+                each["form"] or each["dialect"],
                 each["state"],
                 each["reads"],
                 clock_of(each["last_window"]) or "-",
@@ -206,6 +209,28 @@ def remove(name: Name, url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         show_text(f"removed {name}")
 
 
+@query.command()
+def why(
+    name: Annotated[str, typer.Argument(help="The monitor's name.")],
+    start: Annotated[str, typer.Argument(help="The verdict's valid time, as `follow` shows it.")],
+    object: Annotated[
+        list[str] | None,
+        typer.Option(help="The object of each parameter, in order. May be repeated."),
+    ] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Explain a verdict of a monitor: its states, and the value of each part of the formula."""
+    from ..http.verdict_tables import why_table
+
+    with connect(url) as client:
+        found = client.why(name, start, object or [])
+    if as_json:
+        show_json(found)
+    else:
+        show_text(why_table(found))
+
+
 def _state(found: dict[str, Any]) -> str:
     """Format state and options in a line or two."""
     options = found["options"]
@@ -221,6 +246,8 @@ def _state(found: dict[str, Any]) -> str:
         words.append(f"nothing came: {found['empty']}")
     if found["late"]:
         words.append(f"{found['late']} samples came too late")
+    if found["dialect"] == "MTL":
+        return "; ".join(words) + f"\nsince {options['since']}"
     options_text = f"{options['semantics']} semantics, windows {options['bounds']}"
     if options["origin"] != format_time(0):
         options_text += f" at {options['origin']} and so on"

@@ -448,6 +448,12 @@ class Client(Connection):
         """Cancel an event request."""
         self._send("DELETE", f"/events/{_part(id)}")
 
+    def why(self, name: str, start: str | int, objects: Sequence[str] = ()) -> dict[str, Any]:
+        """Return the explanation of a monitor's verdict: the one that starts at the time ``start``
+        (ISO-8601 or ns) for these ``objects``, one for each parameter in order."""
+        parameters = {"start": str(start), "object": list(objects)}
+        return self._object("GET", f"/queries/{_part(name)}/why", params=parameters)
+
     def register_query(
         self,
         text: str,

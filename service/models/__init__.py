@@ -6,7 +6,7 @@ from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
-from .queries import QueryModel
+from .queries import QueryModel, WhyModel
 from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
@@ -90,6 +90,7 @@ __all__ = [
     "UnitModel",
     "ViolationModel",
     "WaitingModel",
+    "WhyModel",
     "WorthIn",
     "schema_of",
     "text_schema",

@@ -19,7 +19,8 @@ from ..http.problems import responses
 from ..http.sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..http.text_limits import parse_aside, parse_continuous
 from ..http.time_parameters import Time, time_of
-from ..models import BEGINNING, QueryModel, Since, Strategy, text_schema
+from ..http.verdict_tables import why_table
+from ..models import BEGINNING, QueryModel, Since, Strategy, WhyModel, text_schema
 from ..runtime.context import Context
 
 router = APIRouter(tags=["queries"])
@@ -34,7 +35,9 @@ AGGREGATE {(?mean, AVG, {?v}) FILTER (?mean > 100)}"""
 BODY = {
     "requestBody": {
         "required": True,
-        "content": {kind: text_schema("a REGISTER STREAM|QUERY text", EXAMPLE) for kind in TEXTS},
+        "content": {
+            kind: text_schema("a REGISTER STREAM|QUERY or monitor text", EXAMPLE) for kind in TEXTS
+        },
     }
 }
 TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
@@ -78,12 +81,12 @@ async def register_query(
     ] = "fast",
     since: Annotated[Since, Query(description=BEGINNING)] = "now",
 ) -> Response:
-    """Register a continuous query in C-SPARQL or RSP-QL: 201, or 200 if it exists.
+    """Register a continuous query in C-SPARQL or RSP-QL, or a monitor: 201, or 200 if it exists.
 
-    Its results are a stream of its name. It reads the streams of FROM STREAM, or those that
-    matching finds for its features. Equal texts share one query. 404: no such stream; 409: the name
-    is taken; 410: the streams no longer have all samples from ``since`` on; 422: a stream has no
-    annotation, a graph is not loaded, or no stream gives a feature.
+    Its results, or verdicts, are a stream of its name. It reads the streams of FROM STREAM, or
+    those that matching finds for its features. Equal texts share one query. 404: no such stream;
+    409: the name is taken; 410: the streams no longer have all samples from ``since`` on; 422: a
+    stream has no annotation, a graph is not loaded, or no stream gives a feature.
     """
     text = await text_body(request, TEXTS)
     await parse_aside(parse_continuous, text)
@@ -173,3 +176,35 @@ async def read_results(
     return await anyio.to_thread.run_sync(
         many_windows, request, results, view.form, variables, most
     )
+
+
+@router.get(
+    "/queries/{name}/why",
+    response_model=WhyModel,
+    responses=TEXT_RESPONSE | responses(404, 406, 410),
+)
+async def explain_verdict(
+    name: Name,
+    request: Request,
+    service: Context,
+    start: Annotated[str, Query(description="the valid time of the verdict, ISO-8601 or ns")],
+    object: Annotated[
+        list[str] | None, Query(description="the object of each parameter, in order")
+    ] = None,
+) -> Response:
+    """Explain one verdict of a monitor: the states of its window, the values of the features there,
+    and the value of each part of the formula. As JSON, or a table for ``Accept: text/plain``.
+
+    The states are made again of the samples that the streams retain. 404: no state is at this time,
+    or the object is not there; 410: the streams no longer have the samples.
+    """
+    kind = accepted(request, (JSON, TEXT))
+    moment = time_of(start, "start")
+    assert moment is not None
+    queries, objects = service.engine.queries, object or []
+    found = queries.why(name, objects, moment)
+    names = [field.name for field in queries.view(name).fields]
+    model = WhyModel.of(name, dict(zip(names, objects, strict=False)), found)
+    if kind == TEXT:
+        return PlainTextResponse(why_table(model.model_dump()))
+    return JSONResponse(model.model_dump(mode="json"))

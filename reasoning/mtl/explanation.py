@@ -1,0 +1,203 @@
+"""Why a verdict is what it is: its states, with the value of each part of the formula there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...languages.mtl import ast, format_formula
+from ...languages.mtl.ast import Monitor
+from ...languages.mtl.checked import CheckedMonitor, Not, ObjectVariable, Or, Quantified, Reading
+from ...rdf.namespaces import shorten
+from ..states.states import States
+from .evaluator import earliest, sorts_of
+from .formulas import parts_of, readings_of
+from .nodes import Axes, Pass
+from .windows import NEVER
+
+MOST_ROWS: Final = 10_000
+"""States that an explanation shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A feature or a part of the formula: its text, how deep it stands, and its value at each
+    state. Values of parts are true, false, unknown, or open: not known when the verdict was
+    decided."""
+
+    text: str
+    depth: int
+    values: tuple[object, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """The states of a verdict's window, by valid time (ns), up to the one that decides it.
+
+    ``verdict``: true, false, unknown, or open: not decided yet; ``decided`` is then None.
+    """
+
+    start: int
+    verdict: str
+    decided: int | None
+    valid: tuple[int, ...]
+    features: tuple[Shown, ...]
+    formulas: tuple[Shown, ...]
+
+
+class NoStart(LookupError):
+    """There is no state at a time, or the objects are not there. ``near``: times of states (ns)."""
+
+    def __init__(self, message: str, near: Sequence[int] = ()) -> None:
+        super().__init__(message)
+        self.near = tuple(near)
+
+
+def explain_verdict(
+    monitor: CheckedMonitor, text: Monitor, states: States, start: int, objects: Sequence[str]
+) -> Explanation:
+    """Explain the verdict that starts at time ``start`` (ns) of ``objects``, the IRIs of the
+    parameters in order. ``states``: all of them. Raises `NoStart`. Cost: one evaluation of all
+    states."""
+    row = int(np.searchsorted(states.valid, start))
+    if row == len(states.valid) or states.valid[row] != start:
+        around = states.valid[max(0, row - 1) : row + 1].tolist()
+        raise NoStart("there is no state at this time", around)
+    places = _places(monitor, states, row, objects)
+    sorts = sorts_of(monitor)
+    once = Pass(states, sorts, 0)
+    explained = _Reader(once, places)
+    root = explained.moments(monitor.formula)
+    assert root is not None
+    at = _decided(root, row)
+    last = len(states.valid) - 1 if at == NEVER else at
+    rows = slice(explained.first(monitor.formula, row), last + 1)
+    if rows.stop - rows.start > MOST_ROWS:
+        rows = slice(rows.stop - MOST_ROWS, rows.stop)
+    formulas = tuple(
+        Shown(format_formula(part), depth, explained.values(checked, rows, last))
+        for part, checked, depth in _parts(text.formula, monitor.formula, 0)
+    )
+    readings = dict.fromkeys(readings_of(monitor.formula))
+    features = tuple(
+        Shown(_words(reading), 0, values)
+        for reading in readings
+        if (values := explained.readings(reading, rows)) is not None
+    )
+    verdict = explained.values(monitor.formula, slice(row, row + 1), last)[0]
+    decided = None if at == NEVER else int(states.valid[at])
+    valid = tuple(states.valid[rows].tolist())
+    return Explanation(start, str(verdict), decided, valid, features, formulas)
+
+
+def _places(
+    monitor: CheckedMonitor, states: States, row: int, objects: Sequence[str]
+) -> dict[str, int]:
+    """The place of each parameter's object."""
+    found = {}
+    for (name, sort), iri in zip(monitor.parameters, objects, strict=True):
+        names = list(states.objects[sort])
+        if iri not in names or not states.present[sort][row, names.index(iri)]:
+            raise NoStart(f"{iri} is not there at this state, so it has no verdict")
+        found[name] = names.index(iri)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """The moments of a part for one binding, by state: shape ``(n,)``."""
+
+    true: NDArray[np.int64]
+    false: NDArray[np.int64]
+    unknown: NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Reads tables of moments for one binding."""
+
+    once: Pass
+    places: dict[str, int]
+
+    def moments(self, formula: Any) -> _Moments | None:
+        """The moments of a part; None for one that is about further objects."""
+        lower, upper = self.once.node(formula, False), self.once.node(formula, True)
+        if not {*lower.axes, *upper.axes} <= self.places.keys():
+            return None
+        return _Moments(
+            self._column(lower.axes, lower.true),
+            self._column(upper.axes, upper.false),
+            np.maximum(self._column(lower.axes, lower.false), self._column(upper.axes, upper.true)),
+        )
+
+    def _column(self, axes: Axes, table: NDArray[Any]) -> NDArray[Any]:
+        at: Any = (slice(None), *(self.places[name] for name in axes))
+        found: NDArray[Any] = table[at]
+        return found
+
+    def values(self, formula: Any, rows: slice, last: int) -> tuple[object, ...]:
+        """The value of a part at each state, as far as it was known at state ``last``."""
+        found = self.moments(formula)
+        if found is None:
+            return ()
+        words = np.full(self.once.rows, "open", object)
+        words[found.unknown <= last] = "unknown"
+        words[found.false <= last] = "false"
+        words[found.true <= last] = "true"
+        return tuple(words[rows].tolist())
+
+    def readings(self, reading: Reading, rows: slice) -> tuple[object, ...] | None:
+        """The values of a feature; None for one of further objects."""
+        axes, values, known = self.once.value(reading)
+        if not set(axes) <= self.places.keys():
+            return None
+        columns = (self._column(axes, table)[rows].tolist() for table in (values, known))
+        shown = zip(*columns, strict=True)
+        return tuple(value if is_known else None for value, is_known in shown)
+
+    def first(self, formula: Any, row: int) -> int:
+        """The first state that the formula looks at from ``row``."""
+        return earliest(formula, row, self.once.states.valid)
+
+
+def _decided(moments: _Moments, row: int) -> int:
+    return int(min(moments.true[row], moments.false[row], moments.unknown[row]))
+
+
+def _parts(text: Any, checked: Any, depth: int) -> Iterator[tuple[Any, Any, int]]:
+    """The parts of a formula as written, each with what it means; those under a quantifier are
+    about further objects and are left out."""
+    yield text, checked, depth
+    match text, checked:
+        case ast.Implies(left, right), Or(Not(meant), other):
+            yield from _parts(left, meant, depth + 1)
+            yield from _parts(right, other, depth + 1)
+        case ((ast.Comparison() | ast.FeatureTerm() | ast.Truth()), _):
+            return
+        case _, Quantified():
+            return
+        case _:
+            operands = _operands(text)
+            for own, meant in zip(operands, parts_of(checked), strict=True):
+                yield from _parts(own, meant, depth + 1)
+
+
+def _operands(text: Any) -> tuple[Any, ...]:
+    match text:
+        case ast.Not(operand) | ast.Previous(operand) | ast.Within(_, _, operand):
+            return (operand,)
+        case ast.And(left, right) | ast.Or(left, right) | ast.Until(_, _, left, right):
+            return left, right
+        case _:
+            return ()
+
+
+def _words(reading: Reading) -> str:
+    arguments = (
+        f"?{a.name}" if isinstance(a, ObjectVariable) else shorten(a.iri) for a in reading.arguments
+    )
+    return f"{shorten(reading.feature).removeprefix('dyknow:')}({', '.join(arguments)})"
