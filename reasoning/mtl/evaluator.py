@@ -180,9 +180,12 @@ class MonitorEvaluator:
         once = Pass(states, self._sorts, rows.first)
         formula = self._monitor.formula
         lower = spread_node(once.node(formula, False), self._axes, rows.is_decided.shape)
-        upper = spread_node(once.node(formula, True), self._axes, rows.is_decided.shape)
-        unknown = np.maximum(lower.false, upper.true)
-        decided = np.minimum(np.minimum(lower.true, upper.false), unknown)
+        upper = lower
+        decided = np.minimum(lower.true, lower.false)
+        if not once.is_known(formula):
+            upper = spread_node(once.node(formula, True), self._axes, rows.is_decided.shape)
+            unknown = np.maximum(lower.false, upper.true)
+            decided = np.minimum(np.minimum(lower.true, upper.false), unknown)
         is_there = self._present(states)
         new = (decided < NEVER) & ~rows.is_decided & is_there
         rows.is_decided |= new | ~is_there

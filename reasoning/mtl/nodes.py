@@ -34,6 +34,7 @@ from ...streams.time import TIME_MAX
 from ...streams.time_arithmetic import earlier, later
 from ..states.states import States, Term
 from . import windows
+from .formulas import parts_of
 from .windows import NEVER, Moments
 
 Axes: TypeAlias = tuple[str, ...]
@@ -67,17 +68,25 @@ class Pass:
     sorts: Mapping[str, str]
     first: int
     memo: dict[tuple[int, bool], Node] = field(default_factory=dict)
+    atoms: dict[int, tuple[Axes, Mask, Mask | None]] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
         return len(self.states.valid)
 
     def node(self, formula: Formula, is_upper: bool) -> Node:
-        """Evaluate ``formula`` in a reading; each part once."""
-        key = id(formula), is_upper
+        """Evaluate ``formula`` in a reading; each part once, or once for both readings where all
+        its atoms are known."""
+        key = id(formula), is_upper and not self.is_known(formula)
         if key not in self.memo:
-            self.memo[key] = self._node(formula, is_upper)
+            self.memo[key] = self._node(formula, key[1])
         return self.memo[key]
+
+    def is_known(self, formula: Formula) -> bool:
+        """Whether all atoms in a formula are known at all states: its readings are then equal."""
+        if isinstance(formula, Atom):
+            return self._atom(formula)[2] is None
+        return all(map(self.is_known, parts_of(formula)))
 
     def _node(self, formula: Formula, is_upper: bool) -> Node:
         match formula:
@@ -85,7 +94,9 @@ class Pass:
                 return _constant(np.full(self.rows, value), ())
             case Atom():
                 axes, holds, known = self._atom(formula)
-                return _constant((holds | ~known) if is_upper else (holds & known), axes)
+                if known is not None:
+                    holds = (holds | ~known) if is_upper else (holds & known)
+                return _constant(holds, axes)
             case Not(operand):
                 return _negated(self.node(operand, not is_upper))
             case And(left, right):
@@ -194,14 +205,19 @@ class Pass:
 
     # -- atoms -------------------------------------------------------------------------------
 
-    def _atom(self, atom: Atom) -> tuple[Axes, Mask, Mask]:
-        """Whether the atom holds, and whether that is known."""
+    def _atom(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
+        """Whether the atom holds, and whether that is known (None: it always is)."""
+        if id(atom) not in self.atoms:
+            self.atoms[id(atom)] = self._evaluated(atom)
+        return self.atoms[id(atom)]
+
+    def _evaluated(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
         axes, a, b, known = self._operands(atom.left, atom.right)
         holds, known = np.broadcast_arrays(_OPERATORS[atom.operator](a, b), known)
         # An atom over objects and constants alone has one row.
         shape = (self.rows, *holds.shape[1:])
         holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
-        return axes, holds, known
+        return axes, holds, None if known.all() else known
 
     def value(self, value: Value) -> tuple[Axes, NDArray[Any], Mask]:
         """The values of a term at each state, and where they are known."""

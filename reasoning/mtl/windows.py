@@ -17,18 +17,34 @@ from ...streams.jit import JIT, Kernel
 Moments = NDArray[np.int64]
 NEVER: Final = np.int64(2**62)
 """Not determined by the states seen."""
+_WIDE: Final = 16
+"""Columns from which on rows are compared as vectors."""
+_CELLS: Final = 1 << 15
+"""Cells that are compared at once: they fit into a core's cache."""
 
 
 def least(moments: Moments, first: Moments, last: Moments) -> Moments:
-    """Return the least of ``moments`` in each interval, `NEVER` if it is empty. Cost: O(n c)."""
-    out = np.empty_like(moments)
-    _run(_least, moments, first, last, np.empty(len(moments), np.int64), out)
-    return out
+    """Return the least of ``moments`` in each interval, `NEVER` if it is empty. Cost: O(n c), or
+    O(n c log w) vector operations for many columns and w states in the longest interval."""
+    return _least(moments, first, last, 1)
 
 
 def greatest(moments: Moments, first: Moments, last: Moments) -> Moments:
-    """Return the greatest of ``moments`` in each interval, -1 if it is empty. Cost: O(n c)."""
-    return -least(-moments, first, last)
+    """Return the greatest of ``moments`` in each interval, below 0 if it is empty. Cost: as
+    `least`."""
+    return _least(moments, first, last, -1)
+
+
+def _least(moments: Moments, first: Moments, last: Moments, sign: int) -> Moments:
+    """The least of ``sign * moments``, times ``sign``."""
+    out = np.empty_like(moments)
+    rows, columns = moments.shape
+    if columns < _WIDE:
+        _run(_least_queue, moments, first, last, np.empty(rows, np.int64), out, sign)
+    else:
+        block = np.empty((rows, min(columns, max(_WIDE, _CELLS // max(rows, 1)))), np.int64)
+        _run(_least_wide, moments, first, last, block, out, sign)
+    return out
 
 
 def until(
@@ -64,18 +80,20 @@ def since(
     return out
 
 
-def _run(kernel: Kernel, *arguments: NDArray[Any]) -> None:
-    (kernel if JIT else kernel.py_func)(*map(np.ascontiguousarray, arguments))
+def _run(kernel: Kernel, *arguments: Any) -> None:
+    arrays = (a if isinstance(a, int) else np.ascontiguousarray(a) for a in arguments)
+    (kernel if JIT else kernel.py_func)(*arrays)
 
 
-def _least_loop(moments: Any, first: Any, last: Any, queue: Any, out: Any) -> None:
+def _least_queue_loop(moments: Any, first: Any, last: Any, queue: Any, out: Any, sign: Any) -> None:
     """Keep a queue of the rows that may still be the least of an interval."""
     rows, columns = moments.shape
     for column in range(columns):
         head = tail = row = 0
         for start in range(rows):
             while row < last[start]:
-                while tail > head and moments[queue[tail - 1], column] >= moments[row, column]:
+                new = sign * moments[row, column]
+                while tail > head and sign * moments[queue[tail - 1], column] >= new:
                     tail -= 1
                 queue[tail] = row
                 tail += 1
@@ -83,8 +101,46 @@ def _least_loop(moments: Any, first: Any, last: Any, queue: Any, out: Any) -> No
             while head < tail and queue[head] < first[start]:
                 head += 1
             out[start, column] = (
-                moments[queue[head], column] if head < tail and queue[head] < last[start] else 2**62
+                moments[queue[head], column]
+                if head < tail and queue[head] < last[start]
+                else sign * 2**62
             )
+
+
+def _least_wide_loop(moments: Any, first: Any, last: Any, block: Any, out: Any, sign: Any) -> None:
+    """Some columns at a time, make the least of 1, 2, 4, … rows from each row on; an interval is
+    two of these, which may overlap."""
+    rows, columns = moments.shape
+    width = block.shape[1]
+    for left in range(0, columns, width):
+        size = min(width, columns - left)
+        for row in range(rows):
+            for column in range(size):
+                block[row, column] = sign * moments[row, left + column]
+        span = 1
+        goes_on = True
+        while goes_on:
+            goes_on = False
+            for start in range(rows):
+                length = last[start] - first[start]
+                if length < 1:
+                    if span == 1:
+                        out[start, left : left + size] = sign * 2**62
+                elif length >= 2 * span:
+                    goes_on = True
+                elif length >= span:
+                    head, tail = first[start], last[start] - span
+                    for column in range(size):
+                        found = block[head, column]
+                        other = block[tail, column]
+                        out[start, left + column] = sign * (found if found < other else other)
+            if goes_on:
+                for row in range(rows - span):
+                    for column in range(size):
+                        found = block[row, column]
+                        other = block[row + span, column]
+                        block[row, column] = found if found < other else other
+                span *= 2
 
 
 def _until_loop(
@@ -145,7 +201,14 @@ def _least_signature() -> Any:
     from numba import types
 
     table, row = types.int64[:, ::1], types.int64[::1]
-    return types.void(table, row, row, row, table)
+    return types.void(table, row, row, row, table, types.int64)
+
+
+def _least_wide_signature() -> Any:
+    from numba import types
+
+    table, row = types.int64[:, ::1], types.int64[::1]
+    return types.void(table, row, row, table, table, types.int64)
 
 
 def _until_signature() -> Any:
@@ -162,6 +225,7 @@ def _since_signature() -> Any:
     return types.void(table, table, table, table, row, row, table, table)
 
 
-_least = Kernel(_least_loop, _least_signature)
+_least_queue = Kernel(_least_queue_loop, _least_signature)
+_least_wide = Kernel(_least_wide_loop, _least_wide_signature)
 _until = Kernel(_until_loop, _until_signature)
 _since = Kernel(_since_loop, _since_signature)
