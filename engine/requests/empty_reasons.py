@@ -72,7 +72,8 @@ def _without_verdicts(unit: MonitorUnit) -> str:
     if not verdicts:
         return f"{counts}: no verdict is decided yet"
     told = ", ".join(f"{count:,} {word}" for word, count in verdicts.items())
-    return f"{counts}: the verdicts are {told}, and it reports {run.monitor.report}"
+    more = ", others are not decided yet" if run.has_open else ""
+    return f"{counts}: the verdicts are {told}{more}, and it reports {run.monitor.report}"
 
 
 def _wants(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:

@@ -156,7 +156,7 @@ class _Checker:
         assert isinstance(found.value, Reading)
         if found.kind not in (None, Kind.TRUTH):
             raise self.error(
-                f"`{node.feature.text}` is a {found.kind}, no truth value",
+                f"`{node.feature.text}` is {_article(found.kind)}, no truth value",
                 node.span,
                 f"compare it with something: `{self.words(node)} > 100`",
             )
@@ -168,7 +168,7 @@ class _Checker:
         left, right = _as(left, kind), _as(right, kind)
         if left.kind is not right.kind:
             raise self.error(
-                f"a {left.kind} is compared with a {right.kind}",
+                f"{_article(left.kind)} is compared with {_article(right.kind)}",
                 node.span,
                 "both sides of a comparison are of one kind",
             )
@@ -266,7 +266,9 @@ class _Checker:
     def number(self, node: ast.Formula, scope: _Scope) -> _Typed:
         found = _as(self.value(node, scope), Kind.NUMBER)
         if found.kind is not Kind.NUMBER:
-            raise self.error(f"arithmetic needs numbers, and this is a {found.kind}", node.span)
+            raise self.error(
+                f"arithmetic needs numbers, and this is {_article(found.kind)}", node.span
+            )
         return found
 
     # -- units -------------------------------------------------------------------------------
@@ -327,6 +329,10 @@ class _Checker:
     def words(self, node: ast.Formula) -> str:
         """Return the text of a node."""
         return self._names.source[node.span.start : node.span.end]
+
+
+def _article(kind: Kind | None) -> str:
+    return f"an {kind}" if kind is Kind.OBJECT else f"a {kind}"
 
 
 def _as(found: _Typed, kind: Kind) -> _Typed:

@@ -114,11 +114,28 @@ def _too_deep(source: str, span: Span) -> LanguageError:
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if expected >= _OPTIONS:
         return _OPTION_HINT
-    if found in ("=>", "&&", "||", "!", "&", "|"):
+    if found in ("&&", "||", "!", "&", "|"):
         return "operators are words: `not`, `and`, `or`, and `->`"
+    if found == "=":
+        return "a comparison is one sign: `=`, `!=`, `<`, `<=`, `>`, `>=`"
+    if found == ">":
+        return "an implication is `->`, and a comparison `>=` or `>`; two are joined by `and`"
+    if found in ("<", "<=", ">=") and "COMPARISON" not in expected:
+        return "join two comparisons by `and`: `1 < speed(?x) and speed(?x) < 2`"
     if found == "/" and "RSQB" in expected:
         return "a unit is a product of powers: write `m.s-1` for m/s"
     return expected_hint(expected)
+
+
+_ABOUT: Final = {
+    "sample_every": "change",
+    "any_change": "change",
+    "use_most_recent": "approximation",
+    "no_approximation": "approximation",
+    "from_to": "duration",
+    "to": "duration",
+}
+"""What options are about that exclude each other, by the grammar's names."""
 
 
 class _Reader:
@@ -141,8 +158,10 @@ class _Reader:
         formula = self.formula(rest.pop(0))
         constraints: list[kpl.Constraint] = []
         report, once, present_for = ast.Report.VIOLATIONS, False, None
+        given: dict[str, Span] = {}
         for option in rest:
             assert isinstance(option, Tree)
+            self.check_once(option, given)
             match option.data:
                 case "report":
                     report = ast.Report(str(tokens(option)[-1]))
@@ -162,6 +181,20 @@ class _Reader:
             present_for,
             span_of(tree),
         )
+
+    def check_once(self, option: Tree[Token], given: dict[str, Span]) -> None:
+        """Refuse a second option about the same thing."""
+        about = _ABOUT.get(option.data, option.data)
+        before, span = given.get(about), span_of(option)
+        if before is not None:
+            first, second = (self._source[s.start : s.end] for s in (before, span))
+            raise LanguageError(
+                f"`{second}` comes after `{first}`, and only one of them can hold",
+                self._source,
+                span,
+                "leave one out",
+            )
+        given[about] = span
 
     def policy(self, constraints: list[kpl.Constraint], span: Span) -> SynchronizationPolicy:
         if not any(isinstance(each, kpl.Change) for each in constraints):

@@ -57,8 +57,8 @@ class Monitoring:
     """The verdicts of a monitor over samples of ``sources`` streams, numbered from 0.
 
     Without a grid, a formula of one parameter and no quantifier, whose features are all of the
-    parameter, has states of its own for each object: at the samples of that object. Otherwise all
-    objects share the states. ``wider`` as for `StateMaker`.
+    parameter, has states of its own for each object: at the samples of that object. Otherwise, and
+    for a single start, all objects share the states. ``wider`` as for `StateMaker`.
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: that of
     `MonitorEvaluator`; with states of its own, once for each object that has samples.
@@ -114,9 +114,14 @@ class Monitoring:
         return {WORDS[value]: count for value, count in self._verdicts.items()}
 
     @property
+    def has_open(self) -> bool:
+        """Whether a state has no verdict yet."""
+        return any(each.is_open for each in self._all())
+
+    @property
     def is_over(self) -> bool:
         """Whether a monitor of a single start has its verdict."""
-        return self.monitor.once and self.states > 0 and not any(e.is_open for e in self._all())
+        return self.monitor.once and self.states > 0 and not self.has_open
 
     def add(
         self, source: int, term: Term, available: Times, valid: Times, objects: NDArray[Any],
@@ -189,7 +194,7 @@ class Monitoring:
         if self.monitor.report is Report.VIOLATIONS:
             return joined.take(joined.value == 0)
         if self._runs is not None:
-            settled = [(each.objects, each.settled()) for each in self._all()]
+            settled = [(each.objects, each.settled()) for each in self._all() if each.states]
             return self._runs.take(joined, settled)
         return joined
 
@@ -343,7 +348,7 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
 
 
 def _has_own_states(monitor: CheckedMonitor) -> bool:
-    if monitor.policy.period is not None or len(monitor.parameters) != 1:
+    if monitor.once or monitor.policy.period is not None or len(monitor.parameters) != 1:
         return False
     waiting: list[Any] = [monitor.formula]
     while waiting:

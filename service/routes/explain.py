@@ -6,11 +6,10 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from ...engine.model.views import MatchView
-from ...languages.csparql import parse_query
 from ..config.media_types import JSON, TEXT
 from ..http.negotiation import accepted
 from ..http.problems import Problem, responses
-from ..http.text_limits import parse_aside
+from ..http.text_limits import parse_aside, parse_continuous
 from ..models import ExplainModel, Strategy
 from ..runtime.context import Context
 
@@ -34,7 +33,9 @@ async def explain(
         None, max_length=LIMIT, description="a request: dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
     ),
     template: str | None = Query(None, max_length=LIMIT, description="a template's name"),
-    query: str | None = Query(None, max_length=LIMIT, description="a REGISTER STREAM|QUERY text"),
+    query: str | None = Query(
+        None, max_length=LIMIT, description="a REGISTER STREAM|QUERY or monitor text"
+    ),
     id: str | None = Query(None, max_length=LIMIT, description="a running request or query"),
     feature: str | None = Query(None, max_length=LIMIT, description="a feature to match"),
     sort: str | None = Query(None, max_length=LIMIT, description="the sort that has the feature"),
@@ -56,7 +57,7 @@ async def explain(
         text = _match(service.engine.match(feature, sort=sort, strategy=strategy))
     else:
         if query is not None:
-            await parse_aside(parse_query, query)
+            await parse_aside(parse_continuous, query)
         text = service.engine.explain(event=event, template=template, query=query)
     return JSONResponse({"text": text}) if kind == JSON else PlainTextResponse(text)
 

@@ -1,4 +1,4 @@
-"""The tutorial and the how-to pages: their files are written, their `sh` blocks run.
+"""The tutorial, how-to pages and one explanation: files are written, `sh` blocks run.
 
 The blocks of a page run from top to bottom on a new service, in a folder with the page's files and
 the checkout's `templates` and `examples`. A `text` block right after a `sh` block is its output.
@@ -20,10 +20,12 @@ import pytest
 from places import ROOT
 from waiting import HANGS
 
+from dyknow.service.config.settings import Settings
+
 PAGES = sorted(
     page
-    for folder in ("tutorial", "how-to")
-    for page in (ROOT / "docs" / folder).glob("*.md")
+    for pattern in ("tutorial/*.md", "how-to/*.md", "explanation/which-verdict-when.md")
+    for page in (ROOT / "docs").glob(pattern)
     if "```sh\n" in page.read_text()
 )
 RUN = """set -euo pipefail
@@ -36,6 +38,12 @@ curl() { command curl -sS --fail-with-body "$@"; }
 def clock() -> Callable[[], int]:
     """The clock of this machine: the pages' samples are of the past, and none is ahead of it."""
     return time.time_ns
+
+
+@pytest.fixture
+def settings(settings: Settings) -> Settings:
+    """With the usual limit of bodies: a page plays the recording of examples/."""
+    return settings.model_copy(update={"body_limit": Settings().body_limit})
 
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="there is no curl")

@@ -1,0 +1,118 @@
+"""docs/reference/formulas.md: timelines are evaluated, examples parsed, errors compared."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from places import ROOT
+from pyoxigraph import RdfFormat, parse
+
+from dyknow.engine.engine import Engine
+from dyknow.languages.errors import LanguageError
+from dyknow.languages.mtl import check_mtl, format_monitor, parse_monitor
+from dyknow.languages.mtl.ast import Report
+from dyknow.ontology.vocabulary import Vocabulary
+from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
+from dyknow.reasoning.states.states import States, Values
+
+PAGE = (ROOT / "docs" / "reference" / "formulas.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```mtl\n(.*?)```", PAGE, re.S)
+REFUSED = re.findall(r"```mtl refused\n(.*?)```\n\n```text\n(.*?)```", PAGE, re.S)
+TIMELINES = re.findall(r"```text timeline\n(.*?)```", PAGE, re.S)
+
+MARKS = {1: "#", 0: ".", -1: "?"}
+ONTOLOGY = """
+dyknow:UAV a owl:Class .
+dyknow:p a dyknow-o:Feature ; rdfs:range xsd:boolean .
+dyknow:q a dyknow-o:Feature ; rdfs:range xsd:boolean .
+"""
+
+
+def vocabulary() -> Vocabulary:
+    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
+    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
+    return Vocabulary.from_triples(quad.triple for quad in quads)
+
+
+def table(timeline: str) -> list[tuple[str, list[str]]]:
+    """The rows of a timeline: a label, and a mark for each state."""
+    lines = [re.split(r"\s{2,}", line, maxsplit=1) for line in timeline.strip().splitlines()]
+    return [(label, marks.split()) for label, marks in lines]
+
+
+def states_of(rows: dict[str, list[str]]) -> States:
+    """The states of the rows ``p``, ``q``, or ``p(uav1)``, ``p(uav2)``; `-`: not present."""
+    seconds = np.array(list(map(int, rows["time"])), np.int64)
+    own = {label: marks for label, marks in rows.items() if re.fullmatch(r"[pq](\(\w+\))?", label)}
+    objects = {label: DYKNOW + label[2:-1] for label in own if "(" in label}
+    sort = DYKNOW + "UAV"
+    values = {}
+    for feature in sorted({label[0] for label in own}):
+        columns = [marks for label, marks in own.items() if label[0] == feature]
+        marks = np.array(columns).T if objects else np.array(columns[0])
+        arguments = (sort,) if objects else ()
+        values[DYKNOW + feature, arguments] = Values(marks == "#", np.isin(marks, ["#", "."]))
+    there = np.array([own[label] for label in objects]).T != "-"
+    present = there.reshape(len(seconds), len(objects))
+    valid = seconds * 10**9
+    names = {sort: tuple(objects.values())}
+    return States(valid, valid, names, {sort: present}, values)
+
+
+def verdicts(formula: str, states: States) -> tuple[list[str], list[str]]:
+    """The verdict of each start, and the time (s) of the state that decides it; the states end."""
+    text = f"monitor m = {formula} with report verdicts"
+    evaluator = MonitorEvaluator(check_mtl(parse_monitor(text), text, vocabulary()))
+    needed = {term: states.values[term] for term in evaluator.terms}
+    given = States(states.valid, states.valid, states.objects, states.present, needed)
+    found = [evaluator.push(given), evaluator.end()]
+    marks, decided = {}, {}
+    for part in found:
+        for i, start in enumerate(part.start.tolist()):
+            marks[start] = MARKS[int(part.value[i])]
+            decided[start] = str(int(part.decided_time[i]) // 10**9)
+    return [marks[s] for s in sorted(marks)], [decided[s] for s in sorted(decided)]
+
+
+@pytest.mark.parametrize("timeline", TIMELINES)
+def test_timelines_are_what_the_evaluator_gives(timeline: str) -> None:
+    rows = table(timeline)
+    states = states_of(dict(rows))
+    formulas = 0
+    for i, (label, marks) in enumerate(rows):
+        if label in ("time", "decided at") or re.fullmatch(r"[pq](\(\w+\))?", label):
+            continue
+        formulas += 1
+        found, decided = verdicts(label, states)
+        assert marks == found, label
+        if rows[i + 1 : i + 2] and rows[i + 1][0] == "decided at":
+            assert rows[i + 1][1] == decided, label
+    assert formulas
+
+
+@pytest.mark.parametrize("text", EXAMPLES)
+def test_examples_are_right(text: str) -> None:
+    monitor = parse_monitor(text)
+    assert parse_monitor(format_monitor(monitor)) == monitor
+    check_mtl(monitor, text, Engine(epoch="e1").ontology.vocabulary)
+
+
+@pytest.mark.parametrize(("text", "error"), REFUSED)
+def test_errors(text: str, error: str) -> None:
+    with pytest.raises(LanguageError) as caught:
+        check_mtl(parse_monitor(text), text, Engine(epoch="e1").ontology.vocabulary)
+    assert caught.value.render().strip() == error.strip()
+
+
+def test_the_page_shows_each_operator() -> None:
+    shown = "\n".join(TIMELINES)
+    words = "not and or always eventually until previous once historically since forall exists"
+    for word in words.split():
+        assert re.search(rf"\b{word}\b", shown), word
+    assert "->" in shown
+    assert len(EXAMPLES) >= 3
+    assert len(REFUSED) >= 4
+    assert all(f"report {each}" in PAGE for each in Report)
