@@ -172,7 +172,7 @@ class Monitoring:
         if self.monitor.report is Report.VIOLATIONS:
             return joined.take(joined.value == 0)
         if self._runs is not None:
-            settled = [(each.objects, each.settled()) for each in self._all()]
+            settled = [(each.objects, each.settled()) for each in self._all() if each.states]
             return self._runs.take(joined, settled)
         return joined
 

@@ -1,0 +1,70 @@
+"""What a monitor reports over samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dyknow.languages.mtl.ast import Interval, Report, Temporal
+from dyknow.languages.mtl.checked import (
+    And,
+    Atom,
+    CheckedMonitor,
+    Constant,
+    Kind,
+    Not,
+    ObjectVariable,
+    Or,
+    Previous,
+    Reading,
+    Truth,
+    Within,
+)
+from dyknow.reasoning.mtl.monitoring import Monitoring
+from dyknow.streams.policies.policy import AnyChange, SynchronizationPolicy
+
+WIDE = "urn:Wide"
+
+
+def rows_told(formula, report: Report, rows, *, once: bool = False) -> list[tuple]:
+    """What is told of samples (time, object, p), each by itself, and their end: (available, object,
+    start, value, last)."""
+    policy = SynchronizationPolicy(AnyChange(), 0)
+    monitor = CheckedMonitor("m", (("x0", WIDE),), formula, policy, report, once, None)
+    monitoring = Monitoring(monitor, 1)
+    found = []
+    (term,) = monitoring.terms
+    for time, name, value in rows:
+        times, objects = np.array([time]), np.array([[name]], object)
+        monitoring.came(0, times, times)
+        monitoring.add(0, term, times, times, objects, np.array([value]))
+        found.append(monitoring.advance(time))
+        if monitoring.is_over:
+            break
+    else:
+        monitoring.ended(0)
+        found += [monitoring.advance(rows[-1][0] + 1), monitoring.finish(rows[-1][0] + 1)]
+    return [
+        told
+        for each in found
+        for told in zip(
+            each.available.tolist(),
+            *each.objects,
+            each.valid.tolist(),
+            each.value.tolist(),
+            each.last.tolist(),
+            strict=True,
+        )
+    ]
+
+
+P = Atom(
+    "=",
+    Reading("urn:p", (ObjectVariable("x0"),), Kind.TRUTH, None),
+    Constant(True, Kind.TRUTH),
+)
+
+
+def test_changes_before_the_first_state() -> None:
+    rows = [(1, "a", True), (3, "b", False), (4, "a", False)]
+    told = [told[1:] for told in rows_told(P, Report.CHANGES, rows)]
+    assert sorted(told) == [("a", 1, 1, 1), ("a", 4, 0, 4), ("b", 3, 0, 3)]
