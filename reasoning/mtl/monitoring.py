@@ -155,7 +155,8 @@ class Monitoring:
         reported = self._report(found)
         if self._runs is None:
             return reported
-        return _joined([reported, self._runs.rest()], len(self.monitor.parameters))
+        parts = [reported, self._runs.rest(moment)]
+        return _in_order(_joined(parts, len(self.monitor.parameters)))
 
     def _timeline(self) -> _Timeline:
         return _Timeline(self.monitor, self.terms, self._wider)
@@ -164,9 +165,7 @@ class Monitoring:
         return [self._shared] if self._shared is not None else list(self._timelines.values())
 
     def _report(self, found: Iterable[Reported]) -> Reported:
-        joined = _joined(list(found), len(self.monitor.parameters))
-        order = np.lexsort((joined.valid, *reversed(joined.objects), joined.available))
-        joined = joined.take(order)
+        joined = _in_order(_joined(list(found), len(self.monitor.parameters)))
         for value in WORDS:
             self._verdicts[value] += int(np.count_nonzero(joined.value == value))
         if self.monitor.report is Report.VIOLATIONS:
@@ -260,19 +259,17 @@ class _Runs:
                 ended += self._release(binding, int(before[place]))
         return _of_runs(ended, len(found.objects))
 
-    def rest(self) -> Reported:
-        """End all runs."""
-        ended = [each for binding in list(self._held) for each in self._release(binding, None)]
-        ended += self._open.items()
+    def rest(self, moment: int) -> Reported:
+        """End the open runs at ``moment``. Contract: each start has its verdict."""
+        ended = [(binding, (*run[:4], moment)) for binding, run in self._open.items()]
         self._open = {}
-        parameters = len(ended[0][0]) if ended else 0
-        return _of_runs(ended, parameters)
+        return _of_runs(ended, len(ended[0][0]) if ended else 0)
 
     def _release(
-        self, binding: tuple[str, ...], before: int | None
+        self, binding: tuple[str, ...], before: int
     ) -> Iterator[tuple[tuple[str, ...], tuple[int, int, int, int, int]]]:
         held = sorted(self._held.get(binding, ()))
-        count = len([row for row in held if before is None or row[0] < before])
+        count = len([row for row in held if row[0] < before])
         for start, value, decided, available in held[:count]:
             run = self._open.get(binding)
             if run is not None and run[2] == value:
@@ -299,6 +296,10 @@ def _of_runs(
     found = Reported(
         rows[:, 4], rows[:, 0], rows[:, 3], rows[:, 1], rows[:, 2].astype(np.int8), objects
     )
+    return _in_order(found)
+
+
+def _in_order(found: Reported) -> Reported:
     return found.take(np.lexsort((found.valid, *reversed(found.objects), found.available)))
 
 

@@ -68,3 +68,12 @@ def test_changes_before_the_first_state() -> None:
     rows = [(1, "a", True), (3, "b", False), (4, "a", False)]
     told = [told[1:] for told in rows_told(P, Report.CHANGES, rows)]
     assert sorted(told) == [("a", 1, 1, 1), ("a", 4, 0, 4), ("b", 3, 0, 3)]
+
+
+def test_a_run_that_is_open_at_the_end_is_available_then() -> None:
+    rows = [(1, "a", True), (1, "b", True), (4, "a", True), (5, "b", False)]
+    assert rows_told(P, Report.CHANGES, rows) == [
+        (6, "b", 1, 1, 1),
+        (6, "a", 1, 1, 4),
+        (6, "b", 5, 0, 5),
+    ]
