@@ -277,8 +277,10 @@ class _Runs:
                 self._open[binding] = (run[0], start, value, *latest)
                 continue
             if run is not None:
-                # It is known to be over since the verdict that differs.
-                yield binding, (*run[:4], max(run[4], available))
+                # It is known to be over since the verdict that differs, and where the next one
+                # begins since it is over.
+                available = max(run[4], available)
+                yield binding, (*run[:4], available)
             self._open[binding] = (start, start, value, decided, available)
         if held[count:]:
             self._held[binding] = held[count:]

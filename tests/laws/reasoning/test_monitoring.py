@@ -77,3 +77,14 @@ def test_a_run_that_is_open_at_the_end_is_available_then() -> None:
         (6, "a", 1, 1, 4),
         (6, "b", 5, 0, 5),
     ]
+
+
+def test_a_run_is_known_with_those_before_it() -> None:
+    never = Within(Temporal.EVENTUALLY, Interval(0, 9), Truth(False))
+    rows = [(1, "a", True), (2, "a", False), (3, "a", False), (12, "a", False)]
+    formula = Or(And(P, never), And(Not(P), Previous(P)))
+    assert rows_told(formula, Report.CHANGES, rows) == [
+        (13, "a", 1, 0, 1),
+        (13, "a", 2, 1, 2),
+        (13, "a", 3, 0, 12),
+    ]
