@@ -79,7 +79,9 @@ class Monitoring:
         self._shared = None if self.has_own_states else self._timeline()
         self._newest = TIME_MIN
         self._verdicts = dict.fromkeys(WORDS, 0)
-        self._runs = _Runs() if monitor.report is Report.CHANGES else None
+        # A single start is a run by itself.
+        has_runs = monitor.report is Report.CHANGES and not monitor.once
+        self._runs = _Runs() if has_runs else None
 
     @property
     def states(self) -> int:
