@@ -105,8 +105,10 @@ class Monitoring:
 
     @property
     def is_over(self) -> bool:
-        """Whether a monitor of a single start has its verdict."""
-        return self.monitor.once and self.states > 0 and not any(e.is_open for e in self._all())
+        """Whether a monitor of a single start has its verdict. With states of its own each object
+        has a start, and further objects may come."""
+        shared = self._shared
+        return self.monitor.once and shared is not None and shared.states > 0 and not shared.is_open
 
     def add(
         self, source: int, term: Term, available: Times, valid: Times, objects: NDArray[Any],

@@ -93,3 +93,8 @@ def test_a_run_is_known_with_those_before_it() -> None:
 def test_a_single_start_is_a_run() -> None:
     rows = [(1, "a", True), (2, "a", False), (5, "b", False), (6, "b", True)]
     assert rows_told(P, Report.CHANGES, rows, once=True) == [(2, "a", 1, 1, 1), (6, "b", 5, 0, 5)]
+
+
+def test_each_object_has_a_single_start() -> None:
+    rows = [(1, "a", True), (2, "a", False), (5, "b", False), (6, "b", True)]
+    assert rows_told(P, Report.VERDICTS, rows, once=True) == [(2, "a", 1, 1, 1), (6, "b", 5, 0, 5)]
