@@ -57,8 +57,8 @@ class Monitoring:
     """The verdicts of a monitor over samples of ``sources`` streams, numbered from 0.
 
     Without a grid, a formula of one parameter and no quantifier, whose features are all of the
-    parameter, has states of its own for each object: at the samples of that object. Otherwise, and
-    for a single start, all objects share the states. ``wider`` as for `StateMaker`.
+    parameter, has states of its own for each object: at the samples of that object. Otherwise all
+    objects share the states. ``wider`` as for `StateMaker`.
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: that of
     `MonitorEvaluator`; with states of its own, once for each object that has samples.
@@ -86,7 +86,9 @@ class Monitoring:
         self._shared = None if self.has_own_states else self._timeline()
         self._newest = TIME_MIN
         self._verdicts = dict.fromkeys(WORDS, 0)
-        self._runs = _Runs() if monitor.report is Report.CHANGES else None
+        # A single start is a run by itself.
+        has_runs = monitor.report is Report.CHANGES and not monitor.once
+        self._runs = _Runs() if has_runs else None
 
     @property
     def grid(self) -> int | None:
@@ -120,8 +122,10 @@ class Monitoring:
 
     @property
     def is_over(self) -> bool:
-        """Whether a monitor of a single start has its verdict."""
-        return self.monitor.once and self.states > 0 and not self.has_open
+        """Whether a monitor of a single start has its verdict. With states of its own each object
+        has a start, and further objects may come."""
+        shared = self._shared
+        return self.monitor.once and shared is not None and shared.states > 0 and not shared.is_open
 
     def add(
         self, source: int, term: Term, available: Times, valid: Times, objects: NDArray[Any],
@@ -172,7 +176,8 @@ class Monitoring:
         reported = self._report(found)
         if self._runs is None:
             return reported
-        return _joined([reported, self._runs.rest()], len(self.monitor.parameters))
+        parts = [reported, self._runs.rest(moment)]
+        return _in_order(_joined(parts, len(self.monitor.parameters)))
 
     def states_of(self, objects: Sequence[str]) -> States | None:
         """The states in memory for the verdicts of these objects; None if there are none yet."""
@@ -186,9 +191,7 @@ class Monitoring:
         return [self._shared] if self._shared is not None else list(self._timelines.values())
 
     def _report(self, found: Iterable[Reported]) -> Reported:
-        joined = _joined(list(found), len(self.monitor.parameters))
-        order = np.lexsort((joined.valid, *reversed(joined.objects), joined.available))
-        joined = joined.take(order)
+        joined = _in_order(_joined(list(found), len(self.monitor.parameters)))
         for value in WORDS:
             self._verdicts[value] += int(np.count_nonzero(joined.value == value))
         if self.monitor.report is Report.VIOLATIONS:
@@ -289,19 +292,17 @@ class _Runs:
                 ended += self._release(binding, int(before[place]))
         return _of_runs(ended, len(found.objects))
 
-    def rest(self) -> Reported:
-        """End all runs."""
-        ended = [each for binding in list(self._held) for each in self._release(binding, None)]
-        ended += self._open.items()
+    def rest(self, moment: int) -> Reported:
+        """End the open runs at ``moment``. Contract: each start has its verdict."""
+        ended = [(binding, (*run[:4], moment)) for binding, run in self._open.items()]
         self._open = {}
-        parameters = len(ended[0][0]) if ended else 0
-        return _of_runs(ended, parameters)
+        return _of_runs(ended, len(ended[0][0]) if ended else 0)
 
     def _release(
-        self, binding: tuple[str, ...], before: int | None
+        self, binding: tuple[str, ...], before: int
     ) -> Iterator[tuple[tuple[str, ...], tuple[int, int, int, int, int]]]:
         held = sorted(self._held.get(binding, ()))
-        count = len([row for row in held if before is None or row[0] < before])
+        count = len([row for row in held if row[0] < before])
         for start, value, decided, available in held[:count]:
             run = self._open.get(binding)
             if run is not None and run[2] == value:
@@ -309,8 +310,10 @@ class _Runs:
                 self._open[binding] = (run[0], start, value, *latest)
                 continue
             if run is not None:
-                # It is known to be over since the verdict that differs.
-                yield binding, (*run[:4], max(run[4], available))
+                # It is known to be over since the verdict that differs, and where the next one
+                # begins since it is over.
+                available = max(run[4], available)
+                yield binding, (*run[:4], available)
             self._open[binding] = (start, start, value, decided, available)
         if held[count:]:
             self._held[binding] = held[count:]
@@ -328,6 +331,10 @@ def _of_runs(
     found = Reported(
         rows[:, 4], rows[:, 0], rows[:, 3], rows[:, 1], rows[:, 2].astype(np.int8), objects
     )
+    return _in_order(found)
+
+
+def _in_order(found: Reported) -> Reported:
     return found.take(np.lexsort((found.valid, *reversed(found.objects), found.available)))
 
 
@@ -348,7 +355,7 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
 
 
 def _has_own_states(monitor: CheckedMonitor) -> bool:
-    if monitor.once or monitor.policy.period is not None or len(monitor.parameters) != 1:
+    if monitor.policy.period is not None or len(monitor.parameters) != 1:
         return False
     waiting: list[Any] = [monitor.formula]
     while waiting:

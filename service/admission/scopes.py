@@ -47,6 +47,7 @@ READ = (
     "GET /queries",
     "GET /queries/{name}",
     "GET /queries/{name}/results",
+    "GET /queries/{name}/why",
     "GET /kpl",
     "GET /kpl/{name:path}",
     "GET /specifications",

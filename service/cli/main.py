@@ -97,7 +97,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "query": (
         "queries",
-        "Continuous queries: add, list, show, results, remove.",
+        "Continuous queries and monitors: add, list, show, results, why, remove.",
     ),
     "transformation": (
         "transformations",

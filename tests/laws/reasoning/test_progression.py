@@ -4,91 +4,21 @@ the states are cut into batches."""
 from __future__ import annotations
 
 import itertools
-import random
 
 import numpy as np
 import pytest
+from formula_drawing import OBJECTS, SORT, TERMS, FormulaDrawing
 from progression_definition import END, Progression, Trace, bound
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
-from dyknow.languages.mtl.checked import (
-    And,
-    Atom,
-    CheckedMonitor,
-    Constant,
-    Kind,
-    Not,
-    ObjectConstant,
-    ObjectVariable,
-    Or,
-    Previous,
-    Quantified,
-    Reading,
-    Truth,
-    Until,
-    Within,
-)
+from dyknow.languages.mtl.checked import CheckedMonitor, Within
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
 
-SORT = "urn:S"
-TERMS = [("p", 1), ("q", 1), ("r", 0), ("near", 2)]
-OBJECTS = ["urn:a", "urn:b", "urn:c"]
 
-
-class Drawing:
+class Drawing(FormulaDrawing):
     """Random formulas, traces and cuts, from one seed."""
-
-    def __init__(self, seed: int) -> None:
-        self.random = random.Random(seed)
-        self.variables = 0
-
-    def interval(self) -> Interval:
-        start = self.random.choice([0, 0, 0, 1, 2, 5])
-        end = None if self.random.random() < 0.1 else start + self.random.choice([0, 1, 3, 6, 12])
-        return Interval(start, end)
-
-    def atom(self, scope: list[str]):
-        if scope and self.random.random() < 0.1:
-            # Rigid atoms: the same object, whatever the state.
-            sides = [ObjectVariable(self.random.choice(scope)), ObjectConstant(OBJECTS[1])]
-            other = self.random.choice([ObjectVariable(self.random.choice(scope)), sides[1]])
-            return Atom(self.random.choice(["=", "!="]), sides[0], other)
-        name, arity = self.random.choice([t for t in TERMS if scope or not t[1]])
-        arguments = tuple(ObjectVariable(self.random.choice(scope)) for _ in range(arity))
-        reading = Reading(f"urn:{name}", arguments, Kind.TRUTH, None)
-        return Atom("=", reading, Constant(True, Kind.TRUTH))
-
-    def formula(self, depth: int, scope: list[str]):
-        if not depth or self.random.random() < 0.1:
-            return (
-                Truth(self.random.random() < 0.5)
-                if self.random.random() < 0.05
-                else (self.atom(scope))
-            )
-
-        def part(more=()):
-            return self.formula(depth - 1, [*scope, *more])
-
-        match self.random.randrange(12):
-            case 0:
-                return Not(part())
-            case 1:
-                return And(part(), part())
-            case 2 | 3:
-                return Or(part(), part())
-            case 4:
-                return Previous(part())
-            case 5 | 6 | 7 | 8:
-                operator = self.random.choice([*Temporal])
-                return Within(operator, self.interval(), part())
-            case 9 | 10:
-                return Until(self.random.random() < 0.4, self.interval(), part(), part())
-            case _:
-                self.variables += 1
-                name = f"v{self.variables}"
-                return Quantified(self.random.random() < 0.5, name, SORT, part([name]))
 
     def trace(self, count: int) -> tuple[Trace, dict]:
         valid = list(
