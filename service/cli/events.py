@@ -178,7 +178,7 @@ def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> 
         if as_json:
             show_json({"event": message.kind, "id": message.id, **message.data})
         elif message.kind == "sample":
-            show_text(f"{clock_of(str(message.data['valid']))}  {show_values(message.values)}")
+            show_text(sample_line(str(message.data["valid"]), message.values))
         elif message.kind == "gap":
             first, last = message.data.get("from"), message.data.get("to")
             reason = message.data.get("reason", "")
@@ -194,6 +194,11 @@ def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> 
     if has_failed:
         raise typer.Exit(1)
     return seen
+
+
+def sample_line(valid: str, values: Mapping[str, Any]) -> str:
+    """Format a sample: ``19:12:55Z  name=value``."""
+    return f"{clock_of(valid)}  {show_values(values)}"
 
 
 def _switch_words(switch: Mapping[str, Any]) -> str:

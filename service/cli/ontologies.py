@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ...ontology.formats import FORMATS
 from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
 from .output import (
     DEFAULT_URL,
@@ -20,14 +21,8 @@ from .output import (
 )
 from .streams import read_text
 
-MEDIA_TYPES = {
-    ".ttl": TURTLE,
-    ".rdf": RDF_XML,
-    ".owl": RDF_XML,
-    ".xml": RDF_XML,
-    ".jsonld": JSON_LD,
-    ".nt": NTRIPLES,
-}
+_OF_FORMATS = {"turtle": TURTLE, "rdfxml": RDF_XML, "jsonld": JSON_LD, "ntriples": NTRIPLES}
+MEDIA_TYPES = {suffix: _OF_FORMATS[format] for suffix, format in FORMATS.items()}
 """The media type of an ontology file, by its suffix."""
 
 ontology = typer.Typer(help="Domain ontologies: add, list, check.", no_args_is_help=True)

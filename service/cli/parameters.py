@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -95,6 +96,21 @@ def show_order(name: str, order: TimeOrder | None) -> None:
     """Report rows that are out of order."""
     if order is not None and order.note is not None:
         err().print(f"{name}: {order.note}", markup=False, highlight=False)
+
+
+def warn_of_annotations(
+    annotated: Iterable[str], there: Iterable[str], use: str = "read", effect: str = ""
+) -> None:
+    """Warn of annotated streams that are not among those ``there``, which are read or played
+    (``use``): their names may be wrong. ``effect`` is what becomes of the annotation."""
+    used = list(there)
+    for name in annotated:
+        if name not in used:
+            err().print(
+                f"warning: the SSL text annotates stream {name!r}, which is not {use}; "
+                f"{use}: {', '.join(used)}{effect}",
+                markup=False,
+            )
 
 
 def origin_of(text: str) -> int:

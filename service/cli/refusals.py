@@ -32,12 +32,14 @@ def report_error(error: Exception) -> typer.Exit | None:
 def _report_own_error(error: Exception) -> typer.Exit | None:
     """Do the same for errors of the rooms below, whose modules are loaded already."""
     from ...converters.errors import ConversionError, WireError
+    from ...engine.model.errors import DyknowError
     from ...languages.errors import LanguageError
     from ...ontology.errors import OntologyError
     from ...streams.sample import SampleError
 
     if not isinstance(
-        error, LanguageError | WireError | ConversionError | SampleError | OntologyError
+        error,
+        DyknowError | LanguageError | WireError | ConversionError | SampleError | OntologyError,
     ):
         return None
     from ..http.problems import problem_of

@@ -49,7 +49,7 @@ from ..output import (
     show_text,
     show_values,
 )
-from ..parameters import show_order
+from ..parameters import show_order, warn_of_annotations
 from ..streams import text_or_file
 from .piped import check_once, is_pipe, reading, show_piped
 from .recording_replay import PAUSE, Span, play_all, span
@@ -127,7 +127,7 @@ def play(options: ReplayOptions) -> None:
             else _open_pipe(client, pipe, wanted, options.time_column, options.time_unit)
         )
         piped = opened.piped
-        _warn_of_others(declared, opened.tracks)
+        warn_of_annotations(declared, opened.tracks, "played")
         tracks = opened.tracks
         if piped is None:
             tracks = {name: track.in_time_order(options.sort) for name, track in tracks.items()}
@@ -492,18 +492,6 @@ def _declared(meaning: str) -> tuple[str, ...]:
     from ....languages.ssl.ast import StreamDeclaration
 
     return tuple(one.name for one in parse_ssl(meaning) if isinstance(one, StreamDeclaration))
-
-
-def _warn_of_others(declared: Sequence[str], tracks: Mapping[str, _Track]) -> None:
-    """Warn of annotated streams that are not played: their names may be wrong."""
-    for name in declared:
-        if name not in tracks:
-            played = ", ".join(tracks)
-            err().print(
-                f"warning: the SSL text annotates stream {name!r}, which is not played; "
-                f"played: {played}",
-                markup=False,
-            )
 
 
 def _summary(

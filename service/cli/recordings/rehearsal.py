@@ -14,7 +14,6 @@ from ....converters.ndjson import sample_json
 from ....converters.recordings.many_streams import in_order, open_recordings
 from ....converters.wire import Incoming
 from ....engine.kpl.verification import Proof, prove_specification, rehearse
-from ....engine.model.errors import DyknowError
 from ....engine.processes.registry import PROCESSES
 from ....languages.kpl import (
     Signature,
@@ -28,7 +27,6 @@ from ....languages.ssl import check_ssl, parse_ssl
 from ....languages.ssl.annotation import StreamAnnotation
 from ....ontology.ontology import Ontology
 from ....streams.time import format_time
-from ...http.problems import problem_of
 from ...runtime.process_watchdog import Watchdog
 from ..loading import load
 from ..output import err, fail, show_lines, show_table, show_text, show_values
@@ -149,13 +147,10 @@ def _annotations(signature: Signature, ssl: str | None) -> list[StreamAnnotation
 
 @contextmanager
 def _with_watchdog() -> Iterator[Watchdog]:
-    """Run user-written code under a watchdog; errors of the engine become messages."""
+    """Run user-written code under a watchdog."""
     watchdog = Watchdog()
     try:
         yield watchdog
-    except DyknowError as error:
-        problem = problem_of(error).model().model_dump(exclude_none=True)
-        raise fail(str(error), problem=problem) from error
     finally:
         watchdog.close()
 
