@@ -59,14 +59,15 @@ class Recording:
     pools: dict[str, StringPool]
     read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
     """Read the rows with the times of the table, valid times in place of missing available ones."""
-    _has_available: bool = False
+    has_available: bool = False
+    """Whether the table has available times."""
     rounding: Tally = field(default_factory=Tally, repr=False)
     """Which numbers float fields have rounded, as far as it was read."""
 
     @property
     def out_of_order_effect(self) -> str:
         """What becomes of rows that are taken out of order."""
-        if self._has_available:
+        if self.has_available:
             return (
                 "each comes after a later available time:\n"
                 "      it is late where the lateness of the stream is shorter"
@@ -79,7 +80,7 @@ class Recording:
     def __iter__(self) -> Iterator[Incoming]:
         last = TIME_MIN
         for batch in self.read():
-            if not self._has_available:
+            if not self.has_available:
                 batch = batch.with_available(running_maximum(batch.valid, last))
             if len(batch):
                 last = int(batch.available[-1])

@@ -72,6 +72,18 @@ def in_time_order(recording: Recording, sort: bool | None = None) -> TimeOrder:
     return TimeOrder(replace(recording, read=read), out_of_order, is_sorted=True)
 
 
+def by_valid_time(recording: Recording) -> Recording:
+    """Return the recording without its available times: each row is available when it is valid."""
+    if not recording.has_available:
+        return recording
+
+    def read() -> Iterator[SampleBatch]:
+        for batch in recording.read():
+            yield batch.with_available(batch.valid)
+
+    return replace(recording, read=read, has_available=False)
+
+
 def _read_sorted(read: Callable[[], Iterator[SampleBatch]], place: Times) -> Iterator[SampleBatch]:
     """The rows of ``read``, each at its ``place``, in chunks."""
     for first in range(0, len(place), RUN):
