@@ -69,7 +69,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "run": (
         "recordings.run",
-        "Evaluate a continuous query over recorded streams and print each window's result.",
+        "Evaluate a continuous query over recorded streams, or check them with a monitor.",
     ),
     "check": (
         "data.commands",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,8 @@ from ....languages.errors import LanguageError
 from ....languages.ssl import check_ssl, parse_ssl
 from ....languages.ssl.annotation import StreamAnnotation
 from ....ontology.errors import OntologyError
+from ....ontology.formats import FORMATS
 from ....ontology.ontology import Ontology
-from ....ontology.reading import TextFormat
 from ....ontology.units import Unit
 from ....ontology.vocabulary import Vocabulary
 from ....rdf.dictionary import TermDictionary
@@ -28,19 +27,15 @@ from ....rdf.namespaces import local_name, shorten
 from ....rdf.timed import TimedTriples, TripleRows
 from ....streams.instants import Places
 from ....streams.time import format_time, parse_duration
-from ...config.media_types import TURTLE
-from ...http.negotiation import ONTOLOGY_FORMATS
-from ..ontologies import MEDIA_TYPES
 from ..output import err, fail, show_json, show_table, show_text
 from ..parameters import (
-    BoundsWord,
-    ReportWord,
-    SemanticsWord,
     origin_of,
     show_order,
+    warn_of_annotations,
 )
 from ..streams import read_text, text_or_file
 from .empty_windows import Traffic
+from .run_options import RunOptions, add_file, existing_file, files_of
 from .triples_file import (
     TripleWriter,
     holds_graphs,
@@ -49,30 +44,13 @@ from .triples_file import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RunOptions:
-    """The options of the command, unparsed."""
-
-    query: Path
-    stream: list[str]
-    static: list[str] | None
-    ssl: str | None
-    semantics: SemanticsWord | None
-    bounds: BoundsWord
-    origin: str
-    report: ReportWord
-    lateness: str | None
-    late: Path | None
-    sort: bool | None
-    explain: bool
-    as_json: bool
-
-
 def run_query(options: RunOptions) -> None:
     """Evaluate a continuous query over recorded streams and print each window's result."""
+    if options.ontology:
+        raise typer.BadParameter("--ontology is for monitors: a query reads files with --static")
     behind = _lateness(options.lateness)
     begin = origin_of(options.origin)
-    files = _files(options.stream)
+    files = files_of(options.stream)
     known = _static(options.static or ())
     paths = list(known.values()) if isinstance(known, dict) else known
     if options.late is not None:
@@ -84,12 +62,11 @@ def run_query(options: RunOptions) -> None:
         inputs = _triples(files, in_order=behind is not None)
     traffic = Traffic()
     inputs = {name: traffic.watch(given) for name, given in inputs.items()}
-    text = read_text(options.query)
     late = _Late(None if options.late is None else TripleWriter(options.late))
     explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
-            text,
+            options.text,
             inputs,
             static=known,
             semantics=None if options.semantics is None else options.semantics.value,
@@ -112,7 +89,7 @@ def run_query(options: RunOptions) -> None:
         behind_by = f", {late.count} late" if late.count else ""
         show_text(f"({count} {'window' if count == 1 else 'windows'} with a result{behind_by})")
         if not count:
-            err().print(f"nothing came: {traffic.why_empty(text, known)}", markup=False)
+            err().print(f"nothing came: {traffic.why_empty(options.text, known)}", markup=False)
 
 
 def _print(windows: Iterator[Window], *, as_json: bool) -> int:
@@ -168,16 +145,6 @@ def _lateness(text: str | None) -> int | None:
         raise typer.BadParameter(str(error)) from error
 
 
-def _files(pairs: Sequence[str]) -> dict[str, Path]:
-    files: dict[str, Path] = {}
-    for pair in pairs:
-        iri, equals, name = pair.rpartition("=")
-        if not equals or not iri:
-            raise typer.BadParameter(f"{pair!r}: write --stream IRI=FILE")
-        _name(files, "--stream", iri, Path(name))
-    return files
-
-
 def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
     """Return files, or graphs by name, but not both: a query reads all files, but only the graphs
     that its FROM clauses name."""
@@ -186,26 +153,12 @@ def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
     for text in given:
         iri, equals, name = text.rpartition("=")
         if equals and iri and not Path(text).is_file():
-            _name(named, "--static", iri, Path(name))
+            add_file(named, "--static", iri, Path(name))
         else:
-            files.append(_existing(Path(text)))
+            files.append(existing_file(Path(text)))
     if files and named:
         raise typer.BadParameter("--static: name every file with IRI=, or none")
     return named or files
-
-
-def _name(files: dict[str, Path], option: str, iri: str, path: Path) -> None:
-    """Add a file under its IRI, which no other file may have."""
-    iri = iri.strip("<>")
-    if iri in files:
-        raise typer.BadParameter(f"{option}: <{iri}> is {files[iri]} already")
-    files[iri] = _existing(path)
-
-
-def _existing(path: Path) -> Path:
-    if not path.is_file():
-        raise fail(f"there is no file {path}")
-    return path
 
 
 def _triples(files: Mapping[str, Path], *, in_order: bool) -> dict[str, Any]:
@@ -227,11 +180,14 @@ def _samples(
     ontology = Ontology.open()
     for path in static:
         text = read_text(path)
-        ontology.load(text, name=path.stem, format=_format(path))
+        ontology.load(text, name=path.stem, format=FORMATS.get(path.suffix.lower(), "turtle"))
     vocabulary = ontology.vocabulary
     checked = check_ssl(parse_ssl(ssl), ssl, vocabulary)
     annotations = [a for a in checked if isinstance(a, StreamAnnotation)]
-    _warn_of_other_streams(annotations, list(files))
+    effect = "; it is used all the same" if len(annotations) == 1 else ""
+    warn_of_annotations(
+        (one.stream for one in annotations), map(_stream_name, files), effect=effect
+    )
     dictionary = TermDictionary()
     found: dict[str, Any] = {}
     for iri, path in files.items():
@@ -262,24 +218,6 @@ def _units(annotation: StreamAnnotation, vocabulary: Vocabulary) -> dict[str, Un
         content.feature: vocabulary.feature(content.feature) for content in annotation.contents
     }
     return {feature: info.unit for feature, info in known.items() if info and info.unit is not None}
-
-
-def _format(path: Path) -> TextFormat:
-    return ONTOLOGY_FORMATS[MEDIA_TYPES.get(path.suffix.lower(), TURTLE)]
-
-
-def _warn_of_other_streams(annotations: Sequence[StreamAnnotation], iris: Sequence[str]) -> None:
-    """Report annotations whose stream is none that is read: their names may be wrong. The only
-    annotation is used all the same."""
-    names = [_stream_name(iri) for iri in iris]
-    for annotation in annotations:
-        if annotation.stream not in names:
-            used = "; it is used all the same" if len(annotations) == 1 else ""
-            err().print(
-                f"warning: the SSL text annotates stream {annotation.stream!r}, which is not read; "
-                f"read: {', '.join(names)}{used}",
-                markup=False,
-            )
 
 
 def _stream_name(iri: str) -> str:

@@ -1,4 +1,4 @@
-"""``dyknow run``: a continuous query over recorded streams, without a server."""
+"""``dyknow run``: a continuous query or a monitor over recorded streams, without a server."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ from ..parameters import Bounds, BoundsWord, Origin, Report, ReportWord, Semanti
 
 def run(
     query: Annotated[
-        Path, typer.Argument(help="A REGISTER STREAM|QUERY text.", exists=True, dir_okay=False)
+        Path,
+        typer.Argument(
+            help="A REGISTER STREAM|QUERY text, or a monitor.", exists=True, dir_okay=False
+        ),
     ],
     stream: Annotated[
         list[str],
         typer.Option(
-            help="A recorded stream: its IRI and file. May be repeated.", metavar="IRI=FILE"
+            help="A recorded stream: its IRI, for a monitor its name in SSL, and file. May be "
+            "repeated.",
+            metavar="IRI=FILE",
         ),
     ],
     static: Annotated[
@@ -32,6 +37,14 @@ def run(
     ssl: Annotated[
         str | None,
         typer.Option(help="SSL for the streams whose files are tables of samples."),
+    ] = None,
+    ontology: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A domain ontology with the sorts and features of a monitor. May be repeated.",
+            exists=True,
+            dir_okay=False,
+        ),
     ] = None,
     semantics: Semantics = None,
     bounds: Bounds = BoundsWord.LATER,
@@ -58,27 +71,40 @@ def run(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Evaluate a continuous query over recorded streams and print each window's result.
+    """Evaluate a continuous query over recorded streams, or check them with a monitor.
 
-    A FILE has timed triples (.ndjson or .csv of time,s,p,o; .nq or .trig whose graphs have a
-    prov:generatedAtTime), or with --ssl a table of samples.
+    A query prints each window's result. A FILE has timed triples (.ndjson or .csv of time,s,p,o;
+    .nq or .trig whose graphs have a prov:generatedAtTime), or with --ssl a table of samples.
+
+    A monitor reads tables of samples. Its verdicts are printed like the samples of dyknow follow,
+    and then the counts. Status 1 if it fails; a violation is no failure.
     """
-    from .query_run import RunOptions, run_query
+    from ....languages.mtl import is_monitor
+    from ..streams import read_text
+    from .run_options import RunOptions
 
-    run_query(
-        RunOptions(
-            query=query,
-            stream=stream,
-            static=static,
-            ssl=ssl,
-            semantics=semantics,
-            bounds=bounds,
-            origin=origin,
-            report=report,
-            lateness=lateness,
-            late=late,
-            sort=sort,
-            explain=explain,
-            as_json=as_json,
-        )
+    text = read_text(query)
+    options = RunOptions(
+        text=text,
+        stream=stream,
+        static=static,
+        ssl=ssl,
+        ontology=ontology,
+        semantics=semantics,
+        bounds=bounds,
+        origin=origin,
+        report=report,
+        lateness=lateness,
+        late=late,
+        sort=sort,
+        explain=explain,
+        as_json=as_json,
     )
+    if is_monitor(text):
+        from .monitor_run import run_monitor
+
+        run_monitor(options)
+    else:
+        from .query_run import run_query
+
+        run_query(options)

@@ -135,7 +135,7 @@ def test_help_says_what_it_does() -> None:
     assert "leave the request running" in help_of("events")
     assert "weighted:cost=1,quality=10" in help_of("events")
     assert "weighted:cost=1,quality=10" in help_of("match")
-    assert help_of("run").count("May be repeated") == 2
+    assert help_of("run").count("May be repeated") == 3
     assert "May be repeated" in help_of("match")
 
 
