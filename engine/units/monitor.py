@@ -171,14 +171,13 @@ class MonitorUnit(ComputationalUnit):
         self.monitoring.came(place, batch.available, batch.valid)
         for reader in self._readers[source]:
             reader.read(batch, place, self.monitoring)
-        self.late = self.monitoring.late
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         least = self.least_watermark
         if least is None or self.output.is_ended:
             return
-        self._emit(self.monitoring.advance(least))
-        self.late = self.monitoring.late
+        self.monitoring.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
+        self._advance(least)
         if self.monitoring.is_over:
             self._leave_inputs()
             self.output.end()
@@ -196,10 +195,15 @@ class MonitorUnit(ComputationalUnit):
         self.monitoring.ended(self.sources.index(source))
         if self.all_ended:
             moment = min(self.last_processed, TIME_MAX - 1) + 1
-            self._emit(self.monitoring.advance(moment))
+            self._advance(moment)
             self._emit(self.monitoring.finish(moment))
-            self.late = self.monitoring.late
         super().finish(source)
+
+    def _advance(self, watermark: int) -> None:
+        before = self.monitoring.late
+        self._emit(self.monitoring.advance(watermark))
+        # Beside the samples that were late for the unit itself.
+        self.late += self.monitoring.late - before
 
     def _emit(self, found: Reported) -> None:
         if not len(found):

@@ -162,6 +162,10 @@ class Monitoring:
         """Wait no longer for a stream."""
         self._departures.end(source)
 
+    def set_idle(self, sources: Iterable[int]) -> None:
+        """Wait for these streams no longer, until they have samples again."""
+        self._departures.idle = frozenset(sources)
+
     def advance(self, watermark: int) -> Reported:
         """Return what the samples available before ``watermark`` decide. Contract: all of them were
         added."""

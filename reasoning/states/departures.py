@@ -42,6 +42,8 @@ class Departures:
         """The samples of each stream (available, valid) that are not before the last moment."""
         self._greatest = [TIME_MIN] * sources
         self._ended: set[int] = set()
+        self.idle: frozenset[int] = frozenset()
+        """Streams that have fallen silent, and are not waited for meanwhile."""
 
     def add(self, source: int, available: Times, valid: Times) -> None:
         """Take samples of a stream, in order of available time."""
@@ -62,16 +64,17 @@ class Departures:
         if self._delay is not None:
             return Steps(moments, earlier(moments, self._delay))
         reached = np.full(len(moments), TIME_MAX, np.int64)
+        silent = self._ended | self.idle
         for source, ((available, valid), _) in enumerate(due):
             # What the samples before each moment, and earlier ones, have reached.
             greatest = np.maximum.accumulate(np.append(self._greatest[source], valid))
             self._greatest[source] = int(greatest[-1])
             place = np.searchsorted(available, moments, "left")
             known = greatest[place]
-            if source in self._ended and not self._waiting[source]:
+            if source in silent and not self._waiting[source]:
                 known = np.where(place == len(available), TIME_MAX, known)
             reached = np.minimum(reached, known)
-        if len(self._ended) == len(self._waiting):
+        if len(silent) == len(self._waiting):
             # The last states leave at the end of all streams (`StateMaker.end`).
             reached = np.minimum(reached, max(self._greatest, default=TIME_MIN))
         return Steps(moments, reached)
