@@ -1,5 +1,5 @@
 """Law: the verdicts of a monitor are the same samples however those of its streams are cut into
-batches, whichever stream is told first, and also by an engine that was cut off and goes on."""
+batches, whichever stream publishes first, and also by an engine that was cut off and goes on."""
 
 import itertools
 import json
@@ -70,7 +70,7 @@ def monitors(draw):
 
 @st.composite
 def told(draw):
-    """What a stream is told: (available, valid, values), in order of available time."""
+    """The samples of a stream: (available, valid, values), in order of available time."""
     delays = draw(st.sampled_from([[0], [0, 0, 1], [0, 1, 2, 5, -2]]))
     rows = draw(
         st.lists(
@@ -282,7 +282,7 @@ def pending(engine):
 
 
 def lived(path: Path, commands, cuts):
-    """What is told by a life that is cut off after some commands, with True behind a checkpoint;
+    """The verdicts of an engine that is cut off after some commands, with True behind a checkpoint;
     and how much was in memory then."""
     recorded, kept = opened(path), 0
     try:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from formula_drawing import OBJECTS, FormulaDrawing
 from monitoring_definition import MonitoringDefinition, TickedStates, Verdict
+from state_cases import NARROW, WIDE, StateCase
 from state_definition import LEAST, Sample
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
@@ -36,14 +37,11 @@ from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
     Duration,
-    SampleEvery,
     SynchronizationPolicy,
 )
 
-WIDE, NARROW = "urn:Wide", "urn:Narrow"
 
-
-class Case(FormulaDrawing):
+class Case(FormulaDrawing, StateCase):
     """A random monitor, and samples for it."""
 
     def __init__(self, seed: int) -> None:
@@ -142,15 +140,11 @@ class Case(FormulaDrawing):
 
     @property
     def monitor(self) -> CheckedMonitor:
-        change = AnyChange() if self.period is None else SampleEvery(self.period)
-        policy = SynchronizationPolicy(
-            change, self.delay, self.duration, approximation=self.approximation
-        )
         return CheckedMonitor(
             "m",
             self.parameters,
             self.formula_drawn,
-            policy,
+            self.policy,
             self.report,
             self.once,
             self.present_for,
@@ -171,19 +165,7 @@ class Case(FormulaDrawing):
 
     @property
     def definition(self) -> MonitoringDefinition:
-        states = TickedStates(
-            [sample for each in self.streams for sample in each],
-            self.ended,
-            self.watermark,
-            self.delay,
-            self.period,
-            self.duration.start,
-            self.duration.end,
-            self.approximation is Approximation.MOST_RECENT,
-            self.present_for,
-            self.wider,
-            ticks=self.ticks,
-        )
+        states = self.states_by(TickedStates, ticks=self.ticks)
         return MonitoringDefinition(self.monitor, states, self.has_own_states, self.moment)
 
 
@@ -341,7 +323,7 @@ def test_monitoring(block: int) -> None:
 
 
 def rows_told(formula, report: Report, rows, *, once: bool = False) -> list[tuple]:
-    """What is told of samples (time, object, p), each by itself, and their end: (available, object,
+    """What samples (time, object, p) give, each by itself, and their end: (available, object,
     start, value, last)."""
     policy = SynchronizationPolicy(AnyChange(), 0)
     monitor = CheckedMonitor("m", (("x0", WIDE),), formula, policy, report, once, None)

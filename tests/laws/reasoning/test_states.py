@@ -8,20 +8,17 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from state_cases import NARROW, WIDE, StateCase
 from state_definition import LEAST, Sample, State, StateDefinition
 
 from dyknow.reasoning.states import state_maker
 from dyknow.reasoning.states.departures import Departures
 from dyknow.reasoning.states.state_maker import MadeStates, Rows, StateMaker
 from dyknow.streams.policies.policy import (
-    AnyChange,
     Approximation,
     Duration,
-    SampleEvery,
-    SynchronizationPolicy,
 )
 
-WIDE, NARROW = "urn:Wide", "urn:Narrow"
 TERMS = [
     ("urn:n", ()),
     ("urn:p", (NARROW,)),
@@ -35,7 +32,7 @@ TEXT = TERMS[2]
 OBJECTS = ["urn:a", "urn:b", "urn:c"]
 
 
-class Drawing:
+class Drawing(StateCase):
     """A random case, from one seed."""
 
     def __init__(self, seed: int) -> None:
@@ -75,26 +72,8 @@ class Drawing:
         return samples
 
     @property
-    def policy(self) -> SynchronizationPolicy:
-        change = AnyChange() if self.period is None else SampleEvery(self.period)
-        return SynchronizationPolicy(
-            change, self.delay, self.duration, approximation=self.approximation
-        )
-
-    @property
     def definition(self) -> StateDefinition:
-        return StateDefinition(
-            [sample for each in self.streams for sample in each],
-            self.ended,
-            self.watermark,
-            self.delay,
-            self.period,
-            self.duration.start,
-            self.duration.end,
-            self.approximation is Approximation.MOST_RECENT,
-            self.present_for,
-            self.wider,
-        )
+        return self.states_by(StateDefinition)
 
 
 class Playing:

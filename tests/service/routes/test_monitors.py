@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from registering import check_shared_until_the_last_has_left, register
 
 from dyknow.service.client.client import Client
 
@@ -30,10 +31,6 @@ def flying(http: httpx.Client) -> httpx.Client:
     """A service with an annotated stream s5."""
     assert http.post("/annotations", content=SSL, headers=TEXT).status_code == 201
     return http
-
-
-def register(http: httpx.Client, text: str, **parameters: str) -> httpx.Response:
-    return http.post("/queries", content=text, headers=TEXT, params=parameters)
 
 
 def publish(http: httpx.Client, stream: str, *rows: dict[str, Any]) -> httpx.Response:
@@ -92,16 +89,7 @@ def test_the_events_come_as_they_are_decided(flying: httpx.Client, client: Clien
 
 
 def test_the_same_again_is_shared_until_the_last_has_left(flying: httpx.Client) -> None:
-    assert register(flying, CALM).status_code == 201
-    again = register(flying, f"\n{CALM}\n")
-    assert (again.status_code, again.json()["users"]) == (200, 2)
-    assert [query["name"] for query in flying.get("/queries").json()] == ["calm"]
-    assert flying.delete("/queries/calm").status_code == 204
-    assert flying.get("/queries/calm").json()["users"] == 1
-    assert flying.delete("/queries/calm").status_code == 204
-    assert flying.delete("/queries/calm").status_code == 404
-    assert flying.get("/streams/calm").status_code == 404
-    assert flying.get("/queries").json() == []
+    check_shared_until_the_last_has_left(flying, "calm", CALM, f"\n{CALM}\n")
 
 
 def test_another_text_of_the_name_is_refused(flying: httpx.Client) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from registering import check_shared_until_the_last_has_left, register
 from typer.testing import CliRunner
 
 from dyknow.engine.engine import Engine
@@ -34,10 +35,6 @@ def flying(http: httpx.Client) -> httpx.Client:
     """A service with an annotated stream s5."""
     assert http.post("/annotations", content=SSL, headers=TEXT).status_code == 201
     return http
-
-
-def register(http: httpx.Client, text: str, **parameters: str) -> httpx.Response:
-    return http.post("/queries", content=text, headers=TEXT, params=parameters)
 
 
 def play(http: httpx.Client) -> None:
@@ -82,16 +79,7 @@ def test_a_query_from_text_to_events(flying: httpx.Client, client: Client) -> No
 
 
 def test_the_same_again_is_shared_until_the_last_has_left(flying: httpx.Client) -> None:
-    assert register(flying, FAST).status_code == 201
-    again = register(flying, FAST)
-    assert (again.status_code, again.json()["users"]) == (200, 2)
-    assert [query["name"] for query in flying.get("/queries").json()] == ["fast"]
-    assert flying.delete("/queries/fast").status_code == 204
-    assert flying.get("/queries/fast").json()["users"] == 1
-    assert flying.delete("/queries/fast").status_code == 204
-    assert flying.delete("/queries/fast").status_code == 404
-    assert flying.get("/streams/fast").status_code == 404
-    assert flying.get("/queries").json() == []
+    check_shared_until_the_last_has_left(flying, "fast", FAST, FAST)
 
 
 def test_options_are_parameters(flying: httpx.Client) -> None:
