@@ -18,6 +18,7 @@ from ...reasoning.mtl.evaluator import sorts_of
 from ...reasoning.mtl.formulas import reach_of, readings_of
 from ...reasoning.mtl.nodes import term_of
 from ...streams.generator import StreamGenerator
+from ...streams.policies.policy import Approximation
 from ...streams.time import format_duration
 from ...templates.needs import Needs
 from ..configuration.configuration import MTL, Configuration
@@ -25,6 +26,7 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments
 from ..units.monitor import RESULT_FIELDS, MonitorUnit, TermInput, verdict_schema
 from .plan_execution import Plans
+from .stream_binding import supplies_of
 from .supply_inputs import merge_inputs
 
 
@@ -91,7 +93,7 @@ class MonitorStarter:
         since: Beginning,
     ) -> MonitorUnit:
         """Start the units of the ``matches``, one for each want, and the monitor over them."""
-        supplies = [match.supply for match in matches if match.supply is not None]
+        supplies = supplies_of(matches)
         terms = [each for supply in supplies for each in self._inputs(needed, supply, since)]
         sources = dict.fromkeys(each.input.source for each in terms)
 
@@ -103,7 +105,7 @@ class MonitorStarter:
                 dictionary=self._dictionary,
                 wider=self._wider(needed.monitor),
                 text=needed.text,
-                explanation=explain_monitor(needed.monitor, source),
+                explanation=explain_monitor(needed.monitor),
             )
 
         return self._configuration.start_query(verdict_schema(needed.monitor), make, since, name)
@@ -136,10 +138,11 @@ class MonitorStarter:
         }
 
 
-def explain_monitor(monitor: CheckedMonitor, source: str) -> str:
+def explain_monitor(monitor: CheckedMonitor) -> str:
     """Describe the evaluation of a monitor before it starts."""
     policy = monitor.policy
     delay = 0 if policy.max_delay is None else policy.max_delay
+    is_approximate = policy.approximation is Approximation.MOST_RECENT
     reach = reach_of(monitor.formula)
     latest = (
         "an interval has no end, so some verdicts wait for the end of the streams"
@@ -153,7 +156,7 @@ def explain_monitor(monitor: CheckedMonitor, source: str) -> str:
     return "\n".join(
         [
             f"states       {states}, with values that are "
-            + ("the newest" if policy.approximation.startswith("use") else "valid just then")
+            + ("the newest" if is_approximate else "valid just then")
             + order,
             f"a verdict    {latest}; reported are {monitor.report}"
             + (", of the first state alone" if monitor.once else ""),

@@ -266,12 +266,13 @@ class RegisteredQueries:
 
     def latest(self, name: str) -> WindowResult:
         """The result of the last closed window. Raises `UnknownQuery` and `NoResult`."""
-        found = self._get(name).started.kept.latest
-        if isinstance(self._get(name).unit, MonitorUnit):
+        running = self._get(name)
+        if isinstance(running.unit, MonitorUnit):
             raise NoResult(
                 f"{name!r} is a monitor and has no windows",
                 f"its verdicts are the samples of stream {name} (GET /streams/{name}/samples)",
             )
+        found = running.started.kept.latest
         if found is None:
             view = self.view(name)
             hint = "a window closes when the watermarks of its streams have passed its end"
@@ -338,7 +339,7 @@ class RegisteredQueries:
         if isinstance(query, Monitor):
             needed = monitor_needs(query, text, self._ontology)
             found = self._plans.match(needed.needs.wants, "fast", explained=True)
-            how = explain_monitor(needed.monitor, text)
+            how = explain_monitor(needed.monitor)
             return explanations.explain_monitor_plan(text, found, how)
         with bad_arguments_for_unsupported():
             if query.streams:

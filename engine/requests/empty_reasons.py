@@ -36,9 +36,11 @@ def why_empty(
     evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
     # Numbers go on from an earlier stream of the name.
     has_given = unit.output.stream.last_available is not None
-    if isinstance(evaluating, MonitorUnit) and not has_given:
+    if has_given:
+        return None
+    if isinstance(evaluating, MonitorUnit):
         return _without_verdicts(evaluating)
-    if has_given or not isinstance(evaluating, WindowUnit):
+    if not isinstance(evaluating, WindowUnit):
         return None
     vocabulary = ontology.vocabulary
     wants, unknown = _wants(unit, ontology)

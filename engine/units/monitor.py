@@ -139,7 +139,7 @@ class MonitorUnit(ComputationalUnit):
             self.monitoring.monitor,
             len(self.sources),
             self._wider,
-            forgets=False,
+            decides=False,
             grid=self.monitoring.grid,
         )
         readers, evicting = self._make_readers(), []
@@ -157,9 +157,8 @@ class MonitorUnit(ComputationalUnit):
         for source in self._ended:
             run.ended(self.sources.index(source))
         if self.all_ended:
-            moment = min(self.last_processed, TIME_MAX - 1) + 1
-            run.advance(moment)
-            run.finish(moment)
+            run.advance(self._end)
+            run.finish(self._end)
         elif self.least_watermark is not None:
             run.advance(self.least_watermark)
         return run, evicting
@@ -194,10 +193,14 @@ class MonitorUnit(ComputationalUnit):
             return
         self.monitoring.ended(self.sources.index(source))
         if self.all_ended:
-            moment = min(self.last_processed, TIME_MAX - 1) + 1
-            self._advance(moment)
-            self._emit(self.monitoring.finish(moment))
+            self._advance(self._end)
+            self._emit(self.monitoring.finish(self._end))
         super().finish(source)
+
+    @property
+    def _end(self) -> int:
+        """The available time (ns) of the end of all inputs: after every sample."""
+        return min(self.last_processed, TIME_MAX - 1) + 1
 
     def _advance(self, watermark: int) -> None:
         before = self.monitoring.late

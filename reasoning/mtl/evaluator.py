@@ -79,16 +79,12 @@ class MonitorEvaluator:
     Cost: O(states kept + new states) numpy and compiled loops for each node and push; `until` and
     `since` that times the states of an interval. Memory: 17 bytes a node's binding and state kept.
     Kept are states from the oldest start without a verdict on, and before it as far as the past
-    operators look; all of them if a past interval has no bound, or unless it ``forgets``; at most
-    ``limit``.
+    operators look; all of them if a past interval has no bound, at most ``limit``.
     """
 
-    def __init__(
-        self, monitor: CheckedMonitor, *, limit: int = 1_000_000, forgets: bool = True
-    ) -> None:
+    def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
         self._monitor = monitor
         self._limit = limit
-        self._forgets = forgets
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
         self._kept: _Rows | None = None
@@ -208,8 +204,7 @@ class MonitorEvaluator:
             value[order],
             binding[order],
         )
-        if self._forgets:
-            self._forget(rows)
+        self._forget(rows)
         return found
 
     def _present(self, states: States) -> Mask:
@@ -242,6 +237,13 @@ class MonitorEvaluator:
         )
         rows.is_decided = rows.is_decided[rest]
         rows.first += keep
+
+
+class StateKeeper(MonitorEvaluator):
+    """Keeps all states and decides nothing: an explanation evaluates them once."""
+
+    def _decide(self) -> Verdicts:
+        return _no_verdicts(len(self._axes))
 
 
 def sorts_of(monitor: CheckedMonitor) -> dict[str, str]:

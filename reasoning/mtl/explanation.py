@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...languages.mtl import ast, format_formula
 from ...languages.mtl.ast import Monitor
-from ...languages.mtl.checked import CheckedMonitor, Not, ObjectVariable, Or, Quantified, Reading
+from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Reading
 from ...rdf.namespaces import shorten
 from ..states.states import States
 from .evaluator import earliest, sorts_of
@@ -73,11 +73,10 @@ def explain_verdict(
     explained = _Reader(once, places)
     root = explained.moments(monitor.formula)
     assert root is not None
-    at = _decided(root, row)
+    at = min(root.true[row], root.false[row], root.unknown[row])
     last = len(states.valid) - 1 if at == NEVER else at
-    rows = slice(explained.first(monitor.formula, row), last + 1)
-    if rows.stop - rows.start > MOST_ROWS:
-        rows = slice(rows.stop - MOST_ROWS, rows.stop)
+    first = earliest(monitor.formula, row, states.valid)
+    rows = slice(max(first, last + 1 - MOST_ROWS), last + 1)
     formulas = tuple(
         Shown(format_formula(part), depth, explained.values(checked, rows, last))
         for part, checked, depth in _parts(text.formula, monitor.formula, 0)
@@ -159,41 +158,24 @@ class _Reader:
         shown = zip(*columns, strict=True)
         return tuple(value if is_known else None for value, is_known in shown)
 
-    def first(self, formula: Any, row: int) -> int:
-        """The first state that the formula looks at from ``row``."""
-        return earliest(formula, row, self.once.states.valid)
-
-
-def _decided(moments: _Moments, row: int) -> int:
-    return int(min(moments.true[row], moments.false[row], moments.unknown[row]))
-
 
 def _parts(text: Any, checked: Any, depth: int) -> Iterator[tuple[Any, Any, int]]:
     """The parts of a formula as written, each with what it means; those under a quantifier are
     about further objects and are left out."""
     yield text, checked, depth
-    match text, checked:
-        case ast.Implies(left, right), Or(Not(meant), other):
-            yield from _parts(left, meant, depth + 1)
-            yield from _parts(right, other, depth + 1)
-        case ((ast.Comparison() | ast.FeatureTerm() | ast.Truth()), _):
-            return
-        case _, Quantified():
-            return
-        case _:
-            operands = _operands(text)
-            for own, meant in zip(operands, parts_of(checked), strict=True):
-                yield from _parts(own, meant, depth + 1)
-
-
-def _operands(text: Any) -> tuple[Any, ...]:
+    meant = parts_of(checked)
     match text:
         case ast.Not(operand) | ast.Previous(operand) | ast.Within(_, _, operand):
-            return (operand,)
+            operands: tuple[Any, ...] = (operand,)
         case ast.And(left, right) | ast.Or(left, right) | ast.Until(_, _, left, right):
-            return left, right
+            operands = left, right
+        case ast.Implies(left, right):
+            # It is checked as `not left or right`.
+            operands, meant = (left, right), (*parts_of(meant[0]), meant[1])
         case _:
-            return ()
+            return
+    for part, own in zip(operands, meant, strict=True):
+        yield from _parts(part, own, depth + 1)
 
 
 def _words(reading: Reading) -> str:

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Report
-from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Quantified
+from ...languages.mtl.checked import CheckedMonitor, ObjectVariable
 from ...streams.sample import Times
 from ...streams.time import TIME_MIN
 from ..states.departures import Departures, Steps
-from ..states.state_maker import MadeStates, Rows, StateMaker
+from ..states.state_maker import MadeStates, Rows, StateMaker, variables_of
 from ..states.states import States, Term
-from .evaluator import MonitorEvaluator, Verdicts
-from .formulas import parts_of, readings_of
+from .evaluator import MonitorEvaluator, StateKeeper, Verdicts
+from .formulas import bound_sorts, readings_of
 
 WORDS: Final = {1: "true", 0: "false", -1: "unknown"}
 """The word for each verdict."""
@@ -70,14 +70,14 @@ class Monitoring:
         sources: int,
         wider: Mapping[str, Sequence[str]] | None = None,
         *,
-        forgets: bool = True,
+        decides: bool = True,
         grid: int | None = None,
     ) -> None:
-        """``forgets``: whether states are dropped once no verdict needs them. ``grid``: a time (ns)
-        of the grid of ``sample every``; None: as for `StateMaker`."""
+        """``decides``: whether there are verdicts; otherwise all states are kept. ``grid``: a time
+        (ns) of the grid of ``sample every``; None: as for `StateMaker`."""
         self.monitor = monitor
         self._wider = wider or {}
-        self._forgets = forgets
+        self._evaluator = MonitorEvaluator if decides else StateKeeper
         self._grid = grid
         self.terms: tuple[Term, ...] = tuple(sorted(MonitorEvaluator(monitor).terms))
         self.has_own_states = _has_own_states(monitor)
@@ -118,14 +118,15 @@ class Monitoring:
     @property
     def has_open(self) -> bool:
         """Whether a state has no verdict yet."""
-        return any(each.is_open for each in self._all())
+        return any(each.evaluator.is_open for each in self._all())
 
     @property
     def is_over(self) -> bool:
         """Whether a monitor of a single start has its verdict. With states of its own each object
         has a start, and further objects may come."""
         shared = self._shared
-        return self.monitor.once and shared is not None and shared.states > 0 and not shared.is_open
+        has_begun = self.monitor.once and shared is not None and shared.states > 0
+        return has_begun and not self.has_open
 
     def add(
         self, source: int, term: Term, available: Times, valid: Times, objects: NDArray[Any],
@@ -133,7 +134,7 @@ class Monitoring:
     ) -> None:  # fmt: skip
         """Take samples of a term from a stream, in order of available time. ``objects``: the IRI of
         each variable argument, shape ``(n, variables)``. `came` must tell of them, too."""
-        sorts = [sort for sort in term[1] if not sort.startswith("<")]
+        sorts = variables_of(term)
         if self._shared is not None:
             maker = self._shared.maker
             columns = [
@@ -189,7 +190,14 @@ class Monitoring:
         return None if timeline is None else timeline.evaluator.states
 
     def _timeline(self) -> _Timeline:
-        return _Timeline(self.monitor, self.terms, self._wider, self._forgets, self._grid)
+        maker = StateMaker(
+            self.terms,
+            self.monitor.policy,
+            present_for=self.monitor.present_for,
+            wider=self._wider,
+            grid=self._grid,
+        )
+        return _Timeline(self.monitor, maker, self._evaluator(self.monitor))
 
     def _all(self) -> Sequence[_Timeline]:
         return [self._shared] if self._shared is not None else list(self._timelines.values())
@@ -201,7 +209,8 @@ class Monitoring:
         if self.monitor.report is Report.VIOLATIONS:
             return joined.take(joined.value == 0)
         if self._runs is not None:
-            settled = [(each.objects, each.settled()) for each in self._all() if each.states]
+            begun = [each for each in self._all() if each.states]
+            settled = [(each.objects, each.evaluator.settled()) for each in begun]
             return self._runs.take(joined, settled)
         return joined
 
@@ -210,17 +219,10 @@ class _Timeline:
     """States, and their verdicts."""
 
     def __init__(
-        self,
-        monitor: CheckedMonitor,
-        terms: Sequence[Term],
-        wider: Mapping[str, Sequence[str]],
-        forgets: bool,
-        grid: int | None,
+        self, monitor: CheckedMonitor, maker: StateMaker, evaluator: MonitorEvaluator
     ) -> None:
-        self.maker = StateMaker(
-            terms, monitor.policy, present_for=monitor.present_for, wider=wider, grid=grid
-        )
-        self.evaluator = MonitorEvaluator(monitor, forgets=forgets)
+        self.maker = maker
+        self.evaluator = evaluator
         self._sorts = [sort for _, sort in monitor.parameters]
         self.states = 0
         self.objects: list[NDArray[Any]] = [np.empty(0, object) for _ in self._sorts]
@@ -228,13 +230,6 @@ class _Timeline:
         self._left: Times = np.empty(0, np.int64)
         """When the states at and after `_first` left; the last one stays."""
         self._first = 0
-
-    @property
-    def is_open(self) -> bool:
-        return self.evaluator.is_open
-
-    def settled(self) -> NDArray[np.int64]:
-        return self.evaluator.settled()
 
     def advance(self, steps: Steps, tick: int | None) -> Iterator[Reported]:
         for made in self.maker.advance(steps):
@@ -361,14 +356,9 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
 def _has_own_states(monitor: CheckedMonitor) -> bool:
     if monitor.policy.period is not None or len(monitor.parameters) != 1:
         return False
-    waiting: list[Any] = [monitor.formula]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, Quantified):
-            return False
-        waiting += parts_of(node)
     own = (ObjectVariable(monitor.parameters[0][0]),)
-    return all(reading.arguments == own for reading in readings_of(monitor.formula))
+    is_own = all(reading.arguments == own for reading in readings_of(monitor.formula))
+    return is_own and not bound_sorts(monitor.formula)
 
 
 def _numbered(column: NDArray[Any], place: Any) -> NDArray[np.int64]:

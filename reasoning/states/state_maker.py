@@ -124,7 +124,9 @@ class StateMaker:
 
     def advance(self, steps: Steps) -> Iterator[MadeStates]:
         """Make the states that leave at ``steps``; each step comes once. Consume it at once."""
-        return self._make(steps, self._due(steps))
+        due = self._due(steps)
+        leaving = np.searchsorted(steps.reached, due, "right")
+        return self._states(due, steps.moment[leaving])
 
     def end(self, moment: int) -> Iterator[MadeStates]:
         """Make the last states at the end of all streams: those up to the last valid time. They
@@ -137,10 +139,6 @@ class StateMaker:
         else:
             due = self._grid(self._greatest)
         return self._states(due, np.full(len(due), moment, np.int64))
-
-    def _make(self, steps: Steps, due: Times) -> Iterator[MadeStates]:
-        leaving = np.searchsorted(steps.reached, due, "right")
-        return self._states(due, steps.moment[leaving])
 
     def _due(self, steps: Steps) -> Times:
         """The times of the states that leave at ``steps``, in order."""

@@ -201,9 +201,10 @@ async def explain_verdict(
     kind = accepted(request, (JSON, TEXT))
     moment = time_of(start, "start")
     assert moment is not None
-    queries, objects = service.engine.queries, object or []
-    found = queries.why(name, objects, moment)
-    names = [field.name for field in queries.view(name).fields]
+    engine, objects = service.engine, object or []
+    found = engine.queries.why(name, objects, moment)
+    # The fields of a verdict begin with the objects.
+    names = engine.generator(name).schema.names
     model = WhyModel.of(name, dict(zip(names, objects, strict=False)), found)
     if kind == TEXT:
         return PlainTextResponse(why_table(model.model_dump()))
