@@ -22,7 +22,7 @@ from ...streams.history import Retention
 from ...streams.sample import FieldType, Schema
 from ...streams.stream_rules import Rules
 from ...streams.string_pool import StringPool
-from ...streams.time import HOUR
+from ...streams.time import HOUR, TIME_MIN
 from ..model.beginning import Beginning
 from ..model.errors import AlreadyExists, UnknownStream
 from ..model.process_reports import Report
@@ -430,6 +430,13 @@ class Configuration:
             if producer is not None:
                 self._gather_upstream(producer, found, visited)
         found[unit] = None
+
+    def newest_upstream(self, unit: ComputationalUnit) -> int:
+        """Return the greatest available time (ns) of the samples in the streams upstream of
+        ``unit``; `TIME_MIN` if there is none."""
+        read = {source for part in self.upstream_units(unit) for source in part.inputs}
+        times = (source.stream.last_available for source in read)
+        return max((time for time in times if time is not None), default=TIME_MIN)
 
     def is_stamped(self, generator: StreamGenerator) -> bool | None:
         """Whether the samples, or those that they were computed from, were all stamped on arrival;

@@ -106,6 +106,7 @@ class MonitorStarter:
                 wider=self._wider(needed.monitor),
                 text=needed.text,
                 explanation=explain_monitor(needed.monitor),
+                newest=self._configuration.newest_upstream,
             )
 
         return self._configuration.start_query(verdict_schema(needed.monitor), make, since, name)

@@ -62,8 +62,10 @@ def verdict_schema(monitor: CheckedMonitor) -> Schema:
 class MonitorUnit(ComputationalUnit):
     """Evaluates a monitor over its inputs.
 
-    A verdict is valid at its start, and available when the state that decides it has left: under
-    ``max delay`` that long after the state's time, at the next instant.
+    A verdict is valid at its start, and available when the state that decides it leaves: under
+    ``max delay`` that long after the state's time, otherwise with the sample that shows that later
+    samples are valid later. ``newest``: the greatest available time (ns) of the samples upstream of
+    a unit; a later watermark comes from the clock.
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: see `Monitoring`.
     """
@@ -77,8 +79,10 @@ class MonitorUnit(ComputationalUnit):
         wider: Mapping[str, Sequence[str]],
         text: Monitor,
         explanation: str,
+        newest: Callable[[ComputationalUnit], int],
     ) -> None:
         super().__init__(*args)
+        self._newest = newest
         self.text = text
         self.monitoring = Monitoring(monitor, len(self.sources), wider)
         self.samples = 0
@@ -157,10 +161,11 @@ class MonitorUnit(ComputationalUnit):
         for source in self._ended:
             run.ended(self.sources.index(source))
         if self.all_ended:
-            run.advance(self._end)
+            run.advance(self._end + 1)
             run.finish(self._end)
         elif self.least_watermark is not None:
-            run.advance(self.least_watermark)
+            least = self.least_watermark
+            run.advance(least, by_clock=self._is_by_clock(least))
         return run, evicting
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
@@ -176,7 +181,7 @@ class MonitorUnit(ComputationalUnit):
         if least is None or self.output.is_ended:
             return
         self.monitoring.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
-        self._advance(least)
+        self._advance(least, by_clock=self._is_by_clock(least))
         if self.monitoring.is_over:
             self._leave_inputs()
             self.output.end()
@@ -193,18 +198,22 @@ class MonitorUnit(ComputationalUnit):
             return
         self.monitoring.ended(self.sources.index(source))
         if self.all_ended:
-            self._advance(self._end)
+            self._advance(self._end + 1)
             self._emit(self.monitoring.finish(self._end))
         super().finish(source)
 
     @property
     def _end(self) -> int:
-        """The available time (ns) of the end of all inputs: after every sample."""
-        return min(self.last_processed, TIME_MAX - 1) + 1
+        """The available time (ns) of the end of all inputs, whichever of them ended first."""
+        return min(max([self.last_processed, *self._watermarks.values()]), TIME_MAX - 1)
 
-    def _advance(self, watermark: int) -> None:
+    def _is_by_clock(self, watermark: int) -> bool:
+        # After a sample of time t the watermark of a stream is t or t + 1.
+        return watermark > self._newest(self) + 1
+
+    def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.monitoring.late
-        self._emit(self.monitoring.advance(watermark))
+        self._emit(self.monitoring.advance(watermark, by_clock=by_clock))
         # Beside the samples that were late for the unit itself.
         self.late += self.monitoring.late - before
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ...languages.mtl.ast import Report
 from ...languages.mtl.checked import CheckedMonitor, ObjectVariable
 from ...streams.sample import Times
-from ...streams.time import TIME_MIN
 from ..states.departures import Departures, Steps
 from ..states.state_maker import MadeStates, Rows, StateMaker, variables_of
 from ..states.states import States, Term
@@ -84,7 +83,6 @@ class Monitoring:
         self._departures = Departures(monitor.policy, sources)
         self._timelines: dict[str, _Timeline] = {}
         self._shared = None if self.has_own_states else self._timeline()
-        self._newest = TIME_MIN
         self._verdicts = dict.fromkeys(WORDS, 0)
         # A single start is a run by itself.
         has_runs = monitor.report is Report.CHANGES and not monitor.once
@@ -156,7 +154,6 @@ class Monitoring:
 
     def came(self, source: int, available: Times, valid: Times) -> None:
         """Take the times of all samples of a stream, in order of available time."""
-        self._newest = max(self._newest, int(available[-1]))
         self._departures.add(source, available, valid)
 
     def ended(self, source: int) -> None:
@@ -167,12 +164,12 @@ class Monitoring:
         """Wait for these streams no longer, until they have samples again."""
         self._departures.idle = frozenset(sources)
 
-    def advance(self, watermark: int) -> Reported:
+    def advance(self, watermark: int, *, by_clock: bool = False) -> Reported:
         """Return what the samples available before ``watermark`` decide. Contract: all of them were
-        added."""
-        steps = self._departures.advance(watermark)
-        # The clock, and no sample, has brought the watermark: the states to come are later.
-        tick = watermark if watermark > self._newest + 1 else None
+        added. ``by_clock``: the clock, and no sample, has brought the watermark, so all states to
+        come are later."""
+        steps = self._departures.advance(watermark, by_clock=by_clock)
+        tick = watermark if by_clock else None
         return self._report(found for each in self._all() for found in each.advance(steps, tick))
 
     def finish(self, moment: int) -> Reported:
@@ -235,7 +232,7 @@ class _Timeline:
         for made in self.maker.advance(steps):
             yield self._push(made)
         if tick is not None and self.states and self.evaluator.is_open:
-            found = self.evaluator.advance(int(steps.reached[-1]) - 1)
+            found = self.evaluator.advance(steps.latest - 1)
             if len(found):
                 yield self._reported(found, tick)
 

@@ -1,4 +1,4 @@
-"""When the states of a formula leave: the time reached after each instant (SPEC §1, §8)."""
+"""When the states of a formula leave (SPEC §1, §8)."""
 
 from __future__ import annotations
 
@@ -10,27 +10,52 @@ import numpy as np
 from ...streams.policies.policy import SynchronizationPolicy
 from ...streams.sample import Times
 from ...streams.time import TIME_MAX, TIME_MIN
-from ...streams.time_arithmetic import earlier
+from ...streams.time_arithmetic import earlier, later
 
 _NO_TIMES: Final = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """Some available times in order, shape ``(m,)``, and the time reached at each: states before
-    ``reached[j]`` leave at ``moment[j]``, with the samples available before it."""
+    """The states that leave once the samples before ``watermark`` (an available time) have come.
 
+    States before ``reached[j]`` leave at ``moment[j]``, with the samples available up to it; shape
+    ``(m,)``, both in order. With a ``delay``, each leaves that long after its time. ``before``: the
+    time reached before.
+    """
+
+    watermark: int
     moment: Times
     reached: Times
+    before: int
+    delay: int | None = None
+
+    @property
+    def latest(self) -> int:
+        """The time reached: states before it have left."""
+        return int(self.reached[-1]) if len(self.reached) else self.before
+
+    def left(self, due: Times) -> Times:
+        """When the states of these times leave. Contract: they leave in these steps."""
+        if self.delay is not None:
+            return later(due, self.delay)
+        return self.moment[np.searchsorted(self.reached, due, "right")]
+
+    def reached_before(self, available: Times) -> Times:
+        """The time that was reached when samples of these available times came."""
+        if self.delay is not None:
+            return earlier(available, self.delay)
+        reached = np.append(self.before, self.reached)
+        return np.asarray(reached[np.searchsorted(self.moment, available, "left")])
 
 
 class Departures:
-    """The time reached by ``sources`` streams, numbered from 0. A stream that ends is waited for up
-    to its last sample.
+    """The time reached by ``sources`` streams, numbered from 0.
 
-    With a ``max_delay`` D, time t - D is reached at the available time t. Without one the streams
-    are taken to be in order of valid time: reached is the least of the greatest valid times of the
-    streams that have not ended. Nothing is reached before each of these has a sample.
+    With a ``max_delay`` D, the state of time t leaves at the available time t + D. Without one the
+    streams are taken to be in order of valid time: reached is the least of the greatest valid times
+    of the streams. A stream that has ended is not waited for after its last sample. Nothing is
+    reached before each of the others has a sample.
 
     Law (tests/laws/reasoning): the steps do not depend on batch cuts, nor on the order in which the
     streams deliver. Cost: a sort of the new samples.
@@ -39,45 +64,54 @@ class Departures:
     def __init__(self, policy: SynchronizationPolicy, sources: int) -> None:
         self._delay = policy.max_delay
         self._waiting: list[list[tuple[Times, Times]]] = [[] for _ in range(sources)]
-        """The samples of each stream (available, valid) that are not before the last moment."""
+        """The samples of each stream (available, valid) that are not before the watermark."""
+        self._newest = [TIME_MIN] * sources
+        """The greatest available time of each stream's samples before the watermark."""
         self._greatest = [TIME_MIN] * sources
         self._ended: set[int] = set()
+        self._reached = TIME_MIN
         self.idle: frozenset[int] = frozenset()
         """Streams that have fallen silent, and are not waited for meanwhile."""
 
     def add(self, source: int, available: Times, valid: Times) -> None:
         """Take samples of a stream, in order of available time."""
-        self._waiting[source].append((available, valid))
         self._ended.discard(source)
+        if self._delay is None:
+            self._waiting[source].append((available, valid))
 
     def end(self, source: int) -> None:
         """Wait no longer for a stream."""
         self._ended.add(source)
 
-    def advance(self, watermark: int) -> Steps:
-        """Return the steps at the instants before ``watermark``, and the one there. Contract: every
-        sample available before it was added."""
+    def advance(self, watermark: int, *, by_clock: bool) -> Steps:
+        """Return the steps at the instants before ``watermark``; ``by_clock`` also the one there.
+        Contract: every sample available before it was added."""
+        if self._delay is not None:
+            moment = np.array([watermark], np.int64)
+            return Steps(watermark, moment, earlier(moment, self._delay), TIME_MIN, self._delay)
         due = [_split(parts, watermark) for parts in self._waiting]
         self._waiting = [[rest] if len(rest[0]) else [] for _, rest in due]
-        instants = np.unique(np.concatenate([a for (a, _), _ in due] or [_NO_TIMES]))
-        moments = np.append(instants, watermark)
-        if self._delay is not None:
-            return Steps(moments, earlier(moments, self._delay))
+        moments = np.unique(np.concatenate([a for (a, _), _ in due] or [_NO_TIMES]))
+        if by_clock:
+            moments = np.append(moments, watermark)
         reached = np.full(len(moments), TIME_MAX, np.int64)
         silent = self._ended | self.idle
         for source, ((available, valid), _) in enumerate(due):
-            # What the samples before each moment, and earlier ones, have reached.
+            # What the samples up to each moment, and earlier ones, have reached.
             greatest = np.maximum.accumulate(np.append(self._greatest[source], valid))
-            self._greatest[source] = int(greatest[-1])
-            place = np.searchsorted(available, moments, "left")
-            known = greatest[place]
+            known = greatest[np.searchsorted(available, moments, "right")]
+            if len(available):
+                self._newest[source] = int(available[-1])
+                self._greatest[source] = int(greatest[-1])
             if source in silent and not self._waiting[source]:
-                known = np.where(place == len(available), TIME_MAX, known)
+                known = np.where(moments > self._newest[source], TIME_MAX, known)
             reached = np.minimum(reached, known)
         if len(silent) == len(self._waiting):
             # The last states leave at the end of all streams (`StateMaker.end`).
             reached = np.minimum(reached, max(self._greatest, default=TIME_MIN))
-        return Steps(moments, reached)
+        steps = Steps(watermark, moments, np.maximum.accumulate(reached), self._reached)
+        self._reached = max(self._reached, steps.latest)
+        return steps
 
 
 def _split(

@@ -54,8 +54,8 @@ class StateMaker:
 
     Under ``sample every`` a state stands at each point of the grid, which begins with the duration,
     or at the least valid time of the first instant; otherwise at each valid time of a sample that
-    came before its state left. Its value of a feature of an object is that of the newest sample by
-    valid time (then by available time) among those that came before the state left; without ``use
+    came until its state left. Its value of a feature of an object is that of the newest sample by
+    valid time (then by available time) among those that came until the state left; without ``use
     most recent`` only if it is valid at the state's own time.
 
     An object is present from its first sample on; under ``sample every`` while its last sample is
@@ -90,6 +90,8 @@ class StateMaker:
             self._places.setdefault(sort, {})
         self._next: int | None = policy.duration.start if policy.period is not None else None
         """The next time of the grid, once it has begun."""
+        self._begun = TIME_MIN
+        """The available time of the first instant, at which the grid begins without a duration."""
         self._candidates: Times = np.empty(0, np.int64)
         """Times at which states will leave, without a grid."""
         self._greatest = TIME_MIN
@@ -125,14 +127,12 @@ class StateMaker:
     def advance(self, steps: Steps) -> Iterator[MadeStates]:
         """Make the states that leave at ``steps``; each step comes once. Consume it at once."""
         due = self._due(steps)
-        leaving = np.searchsorted(steps.reached, due, "right")
-        return self._states(due, steps.moment[leaving])
+        # The first sample of a grid may be late for states of the grid that it begins.
+        return self._states(due, np.maximum(steps.left(due), self._begun))
 
     def end(self, moment: int) -> Iterator[MadeStates]:
         """Make the last states at the end of all streams: those up to the last valid time. They
         leave at ``moment``. Contract: `advance` was called with steps after every sample."""
-        steps = Steps(np.array([moment]), np.array([TIME_MIN], np.int64))
-        self._enter(steps)
         period = self._policy.period
         if period is None:
             due, self._candidates = self._candidates, self._candidates[:0]
@@ -143,7 +143,7 @@ class StateMaker:
     def _due(self, steps: Steps) -> Times:
         """The times of the states that leave at ``steps``, in order."""
         self._enter(steps)
-        reached = int(steps.reached[-1])
+        reached = steps.latest
         if self._policy.period is not None:
             return self._grid(reached - 1) if reached > TIME_MIN else np.empty(0, np.int64)
         cut = int(np.searchsorted(self._candidates, reached, "left"))
@@ -151,22 +151,22 @@ class StateMaker:
         return due
 
     def _enter(self, steps: Steps) -> None:
-        """Let the samples in that are available before the last moment."""
-        new = [kept.enter(int(steps.moment[-1])) for kept in self._kept.values()]
+        """Let the samples in that are available before the watermark."""
+        new = [kept.enter(steps.watermark) for kept in self._kept.values()]
         available = np.concatenate([rows.available for rows in new])
         valid = np.concatenate([rows.valid for rows in new])
         if not len(valid):
             return
         self._greatest = max(self._greatest, int(valid.max()))
-        # What had been reached when each sample came.
-        reached = steps.reached[np.searchsorted(steps.moment, available, "left")]
+        reached = steps.reached_before(available)
         self.late += int(np.count_nonzero(reached > valid))
         if self._policy.period is None:
             duration = self._policy.duration
             in_time = (reached <= valid) & (valid >= duration.first) & (valid <= duration.last)
             self._candidates = np.union1d(self._candidates, valid[in_time])
         elif self._next is None:
-            first = int(valid[available == available.min()].min())
+            self._begun = int(available.min())
+            first = int(valid[available == self._begun].min())
             period = self._policy.period
             self._next = first if self._phase is None else first + (self._phase - first) % period
 
@@ -261,11 +261,11 @@ class _Kept:
     def add(self, source: int, rows: Rows) -> None:
         self._waiting.append((source, rows))
 
-    def enter(self, moment: int) -> Rows:
-        """Let the samples in that are available before ``moment``; return them."""
+    def enter(self, watermark: int) -> Rows:
+        """Let the samples in that are available before ``watermark``; return them."""
         due, rest = [], []
         for source, rows in sorted(self._waiting, key=lambda each: each[0]):
-            cut = int(np.searchsorted(rows.available, moment, "left"))
+            cut = int(np.searchsorted(rows.available, watermark, "left"))
             due.append(rows.take(slice(None, cut)))
             if cut < len(rows.available):
                 rest.append((source, rows.take(slice(cut, None))))
@@ -289,7 +289,7 @@ class _Kept:
         # The first state that a sample counts for: it is valid then, and has come.
         first = np.maximum(
             np.searchsorted(due, rows.valid, "left"),
-            np.searchsorted(left, rows.available, "right"),
+            np.searchsorted(left, rows.available, "left"),
         )
         newest = np.lexsort((self._order, rows.valid))
         rank = np.empty(len(newest), np.int64)

@@ -7,7 +7,7 @@ import itertools
 from dataclasses import dataclass, field
 
 from progression_definition import END, Progression, Trace, bound
-from state_definition import State, StateDefinition
+from state_definition import Moment, State, StateDefinition
 
 
 @dataclass
@@ -19,18 +19,25 @@ class TickedStates(StateDefinition):
     reach: TickedStates | None = None
 
     def __post_init__(self) -> None:
-        self._reached: dict[int, int] = {}
-        self._steps: dict[int, int] | None = None
+        self._reached: dict[Moment, int] = {}
+        self._moments: list[Moment] | None = None
+        self._left: dict[int, Moment | None] = {}
 
-    def steps(self) -> dict[int, int]:
+    def moments(self) -> list[Moment]:
         if self.reach is not None:
-            return self.reach.steps()
-        if self._steps is None:
-            moments = {*super().steps(), *self.ticks}
-            self._steps = {m: self.reached(m) for m in sorted(moments) if m <= self.watermark}
-        return self._steps
+            return self.reach.moments()
+        if self._moments is None:
+            self._moments = sorted({*super().moments(), *((tick, 0) for tick in self.ticks)})
+        return self._moments
 
-    def reached(self, moment: int) -> int:
+    def left(self, t: int) -> Moment | None:
+        if self.reach is not None:
+            return self.reach.left(t)
+        if t not in self._left:
+            self._left[t] = super().left(t)
+        return self._left[t]
+
+    def reached(self, moment: Moment) -> int:
         if self.reach is not None:
             return self.reach.reached(moment)
         if moment not in self._reached:
@@ -120,13 +127,15 @@ class Timeline:
 
     def verdicts(self) -> dict[tuple[str, ...], list[Verdict | None]]:
         """Of each binding, in order of start; None: not decided yet."""
-        steps = self.definition.steps()
         for tick in self.definition.ticks:
-            count = sum(s.left <= tick for s in self.states[: self.before_end])
+            moment = (tick, 0)
+            count = sum(s.moment <= moment for s in self.states[: self.before_end])
             self.decide(count, None)
             if count:
                 # By the clock, and no state, later states are known to be later.
-                self.horizon[count - 1] = max(self.horizon[count - 1], steps[tick] - 1)
+                self.horizon[count - 1] = max(
+                    self.horizon[count - 1], self.definition.reached(moment) - 1
+                )
                 self.decide(count, tick)
         self.decide(len(self.states), None)
         if self.states and self.moment is not None:

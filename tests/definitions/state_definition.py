@@ -5,10 +5,14 @@ Slow on purpose; shares nothing with the product.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 LEAST, GREATEST = -(2**63), 2**63 - 1
+Moment: TypeAlias = tuple[int, int]
+"""An available time, and 1 after the samples of that instant, 0 before them (by the clock)."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class State:
     left: int
     present: set[tuple[str, str]]
     values: dict[tuple[tuple[str, tuple[str, ...]], tuple[str, ...]], object]
+    moment: Moment | None = field(default=None, compare=False)
+    """That of ``left``."""
 
 
 @dataclass
@@ -52,65 +58,88 @@ class StateDefinition:
     wider: Mapping[str, tuple[str, ...]]
     """The sorts that include a sort."""
 
-    def steps(self) -> dict[int, int]:
-        """Of each moment, the time reached: states before it leave."""
-        instants = {s.available for s in self.samples if s.available < self.watermark}
-        return {m: self.reached(m) for m in sorted(instants | {self.watermark})}
+    def moments(self) -> list[Moment]:
+        """When states may leave: with a sample."""
+        return sorted({(s.available, 1) for s in self.before_watermark()})
 
-    def reached(self, moment: int) -> int:
+    def reached(self, moment: Moment) -> int:
+        """The time reached at a moment: states before it have left."""
+        time, is_instant = moment
         if self.delay is not None:
-            return moment - self.delay
+            # The state of t leaves at t + delay, with the samples of that instant.
+            return time - self.delay + is_instant
         found = GREATEST
         for source, has_ended in enumerate(self.ended):
             own = [s for s in self.samples if s.source == source]
-            before = [s for s in own if s.available < moment]
-            if not (has_ended and len(before) == len(own)):
-                found = min(found, max((s.valid for s in before), default=LEAST))
+            if not (has_ended and all(s.available < time for s in own)):
+                before = (s.valid for s in own if (s.available, 1) <= moment)
+                found = min(found, max(before, default=LEAST))
         if all(self.ended):
-            found = min(found, max((s.valid for s in self.samples), default=LEAST))
+            known = (s.valid for s in self.samples if (s.available, 1) <= moment)
+            found = min(found, max(known, default=LEAST))
         return found
+
+    def left(self, t: int) -> Moment | None:
+        """When the state of time t leaves; None if it has not."""
+        if self.delay is not None:
+            found = (t + self.delay, 1)
+            return found if found < (self.watermark, 0) else None
+        return next((m for m in self.moments() if self.reached(m) > t), None)
 
     def late(self, came: list[Sample]) -> list[Sample]:
         """Those that came after the state of their valid time had left."""
-        return [s for s in came if self.reached(s.available) > s.valid]
+        return [s for s in came if self.has_left(s.valid, (s.available, 1))]
+
+    def has_left(self, t: int, moment: Moment) -> bool:
+        """Whether the state of time t leaves before a moment."""
+        left = self.left(t)
+        return left is not None and left < moment
 
     def before_watermark(self) -> list[Sample]:
         return [s for s in self.samples if s.available < self.watermark]
 
     def states(self) -> list[State]:
         """The states that have left at the watermark."""
-        steps = self.steps()
         found = []
-        for t in self.times(self.before_watermark(), steps[self.watermark] - 1):
-            left = min(m for m, reached in steps.items() if reached > t)
-            found.append(self.state(t, left))
+        for t in self.times(self.before_watermark()):
+            left = self.left(t)
+            if left is None:
+                break
+            found.append(self.state(t, max(left, self.begun())))
         return found
 
     def last_states(self, moment: int) -> list[State]:
         """Those that leave at ``moment``, when all sources have ended and all samples have come."""
         last = max((s.valid for s in self.samples), default=LEAST)
-        times = self.times(self.samples, last)
-        return [self.state(t, moment) for t in times if self.reached(self.watermark) <= t]
+        times = itertools.takewhile(lambda t: t <= last, self.times(self.samples))
+        return [self.state(t, (moment, 1)) for t in times if self.left(t) is None]
 
-    def times(self, came: list[Sample], last: int) -> list[int]:
-        """The times of states up to ``last``."""
+    def begun(self) -> Moment:
+        """The moment of the first sample, which begins a grid."""
+        if self.period is None or self.start is not None:
+            return (LEAST, 0)
+        return (min(s.available for s in self.samples), 1)
+
+    def times(self, came: list[Sample]) -> Iterator[int]:
+        """The times of states, in order."""
         first = LEAST if self.start is None else self.start
-        last = last if self.end is None else min(last, self.end)
+        last = GREATEST if self.end is None else self.end
         if self.period is None:
-            in_time = {s.valid for s in came if self.reached(s.available) <= s.valid}
-            return sorted(t for t in in_time if first <= t <= last)
+            in_time = {s.valid for s in came if not self.has_left(s.valid, (s.available, 1))}
+            yield from sorted(t for t in in_time if first <= t <= last)
+            return
         if self.start is None:
             if not came:
-                return []
+                return
             instant = min(s.available for s in came)
             first = min(s.valid for s in came if s.available == instant)
-        return list(range(first, last + 1, self.period))
+        yield from itertools.takewhile(lambda t: t <= last, itertools.count(first, self.period))
 
-    def state(self, t: int, left: int) -> State:
+    def state(self, t: int, left: Moment) -> State:
         counted = [
             (s.valid, s.available, s.source, arrival)
             for arrival, s in enumerate(self.samples)
-            if s.available < left and s.valid <= t
+            if (s.available, 1) <= left and s.valid <= t
         ]
         values = {}
         last = {}
@@ -124,7 +153,7 @@ class StateDefinition:
                     for sort in (argument, *self.wider.get(argument, ())):
                         last[sort, iri] = s.valid
         present = {key for key, valid in last.items() if self.is_present(t, valid)}
-        return State(t, left, present, values)
+        return State(t, left[0], present, values, left)
 
     def is_present(self, t: int, last: int) -> bool:
         """Whether an object is there at ``t`` whose last sample is valid at ``last``."""

@@ -190,7 +190,7 @@ class Playing:
         case = self.case
         for tick in case.ticks:
             self._until(tick)
-            self._advance(tick)
+            self._advance(tick, by_clock=True)
         self._until(case.after)
         if self._watermark < case.watermark:
             self._advance(case.watermark)
@@ -253,10 +253,10 @@ class Playing:
             np.array([s.value for s in part], np.bool_),
         )
 
-    def _advance(self, watermark: int) -> None:
+    def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         self._watermark = watermark
         if not self.is_over:
-            self._take(self.monitoring.advance(watermark))
+            self._take(self.monitoring.advance(watermark, by_clock=by_clock))
             self.is_over = self.monitoring.is_over
 
     def _take(self, found: Reported) -> None:
@@ -339,7 +339,7 @@ def rows_told(formula, report: Report, rows, *, once: bool = False) -> list[tupl
             break
     else:
         monitoring.ended(0)
-        found += [monitoring.advance(rows[-1][0] + 1), monitoring.finish(rows[-1][0] + 1)]
+        found += [monitoring.advance(rows[-1][0] + 1), monitoring.finish(rows[-1][0])]
     return [
         told
         for each in found
@@ -370,9 +370,9 @@ def test_changes_before_the_first_state() -> None:
 def test_a_run_that_is_open_at_the_end_is_available_then() -> None:
     rows = [(1, "a", True), (1, "b", True), (4, "a", True), (5, "b", False)]
     assert rows_told(P, Report.CHANGES, rows) == [
-        (6, "b", 1, 1, 1),
-        (6, "a", 1, 1, 4),
-        (6, "b", 5, 0, 5),
+        (5, "b", 1, 1, 1),
+        (5, "a", 1, 1, 4),
+        (5, "b", 5, 0, 5),
     ]
 
 
@@ -381,17 +381,17 @@ def test_a_run_is_known_with_those_before_it() -> None:
     rows = [(1, "a", True), (2, "a", False), (3, "a", False), (12, "a", False)]
     formula = Or(And(P, never), And(Not(P), Previous(P)))
     assert rows_told(formula, Report.CHANGES, rows) == [
-        (13, "a", 1, 0, 1),
-        (13, "a", 2, 1, 2),
-        (13, "a", 3, 0, 12),
+        (12, "a", 1, 0, 1),
+        (12, "a", 2, 1, 2),
+        (12, "a", 3, 0, 12),
     ]
 
 
 def test_a_single_start_is_a_run() -> None:
     rows = [(1, "a", True), (2, "a", False), (5, "b", False), (6, "b", True)]
-    assert rows_told(P, Report.CHANGES, rows, once=True) == [(2, "a", 1, 1, 1), (6, "b", 5, 0, 5)]
+    assert rows_told(P, Report.CHANGES, rows, once=True) == [(1, "a", 1, 1, 1), (5, "b", 5, 0, 5)]
 
 
 def test_each_object_has_a_single_start() -> None:
     rows = [(1, "a", True), (2, "a", False), (5, "b", False), (6, "b", True)]
-    assert rows_told(P, Report.VERDICTS, rows, once=True) == [(2, "a", 1, 1, 1), (6, "b", 5, 0, 5)]
+    assert rows_told(P, Report.VERDICTS, rows, once=True) == [(1, "a", 1, 1, 1), (5, "b", 5, 0, 5)]

@@ -83,7 +83,7 @@ def test_json(tmp_path: Path, heights: Path) -> None:
         "event": "sample",
         "stream": "low",
         "sequence": 1,
-        "available": "2021-10-07T00:00:03Z",
+        "available": "2021-10-07T00:00:02Z",
         "valid": "2021-10-07T00:00:00Z",
         "values": {
             "x": "b",

@@ -22,8 +22,8 @@ MOOD = """@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
 dyknow:mood a o:UnaryFeature ."""
 SPEEDS = [(1, 10.0), (2, 20.0), (3, 30.0), (4, 10.0), (8, 5.0)]
 """Of a UAV in m/s: at second 3 it is faster than 100 km/h."""
-VIOLATIONS = [("00:00:04Z", f"00:00:0{start}Z", "00:00:03Z") for start in (1, 2, 3)]
-"""Available, start and deciding state: the state of second 3 has left at the next instant."""
+VIOLATIONS = [("00:00:03Z", f"00:00:0{start}Z", "00:00:03Z") for start in (1, 2, 3)]
+"""Available, start and deciding state: without delay a state leaves at its own time."""
 
 
 @pytest.fixture
