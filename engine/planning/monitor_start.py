@@ -24,7 +24,8 @@ from ...templates.needs import Needs
 from ..configuration.configuration import MTL, Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments
-from ..units.monitor import RESULT_FIELDS, MonitorUnit, TermInput, verdict_schema
+from ..units.monitor import RESULT_FIELDS, MonitorUnit, verdict_schema
+from ..units.term_readers import TermInput
 from .plan_execution import Plans
 from .stream_binding import supplies_of
 from .supply_inputs import merge_inputs

@@ -21,7 +21,9 @@ from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import local_name
+from ...reasoning.mtl.evaluator import TooManyStates
 from ...reasoning.mtl.explanation import Explanation, NoStart
+from ...reasoning.states.state_maker import TooManyDue
 from ...streams.time import format_time
 from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
@@ -33,6 +35,7 @@ from ..model.errors import (
     BadArguments,
     Conflict,
     NoResult,
+    Refused,
     UnknownQuery,
 )
 from ..model.status_changes import Change, ChangeKind
@@ -293,9 +296,10 @@ class RegisteredQueries:
         """The results of kept windows (`KeptWindows.between`). Raises `UnknownQuery`."""
         return self._get(name).started.kept.between(start, end, limit)
 
-    def why(self, name: str, objects: Sequence[str], start: int) -> Explanation:
-        """Explain one verdict of a monitor: see `MonitorUnit.why`. Raises `UnknownQuery`,
-        `BadArguments`, `NoResult` and `Forgotten`."""
+    def why(self, name: str, objects: Sequence[str], start: int) -> Callable[[], Explanation]:
+        """Return the work that explains one verdict of a monitor, for another thread: see
+        `RecalledSamples.explain`. Raises `UnknownQuery` and `BadArguments`; the work raises
+        `NoResult`, `Refused` and `Forgotten`."""
         unit = self._get(name).unit
         if not isinstance(unit, MonitorUnit):
             raise BadArguments(
@@ -308,16 +312,27 @@ class RegisteredQueries:
                 f"{len(objects)} objects are given for a monitor of {len(names)} parameters",
                 f"give `object` once for each of {', '.join(names)}" if names else "give none",
             )
-        try:
-            return unit.why(objects, start)
-        except NoStart as error:
-            around = " and ".join(map(format_time, error.near))
-            raise NoResult(
-                f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
-                f"there are states at {around}"
-                if around
-                else f"GET /streams/{name}/samples lists the verdicts that it reported",
-            ) from error
+        recalled = unit.recall()
+
+        def explain() -> Explanation:
+            try:
+                return recalled.explain(objects, start)
+            except NoStart as error:
+                around = " and ".join(map(format_time, error.near))
+                raise NoResult(
+                    f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
+                    f"there are states at {around}"
+                    if around
+                    else f"GET /streams/{name}/samples lists the verdicts that it reported",
+                ) from error
+            except (TooManyStates, TooManyDue) as error:
+                raise Refused(
+                    f"the retained samples of the streams of {name!r} make more states than an "
+                    "explanation may evaluate",
+                    "keep fewer samples of these streams (`retention`)",
+                ) from error
+
+        return explain
 
     def explain_running(self, name: str) -> str:
         """Explain the stages of a running query. Raises `UnknownQuery`."""

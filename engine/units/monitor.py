@@ -4,51 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ...converters.objects import object_iri, object_name
 from ...languages.mtl.ast import Monitor, Report
-from ...languages.mtl.checked import CheckedMonitor, Kind
+from ...languages.mtl.checked import CheckedMonitor
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
 from ...reasoning.mtl.explanation import Explanation, NoStart, explain_verdict
 from ...reasoning.mtl.formulas import bound_sorts
 from ...reasoning.mtl.monitoring import WORDS, Monitoring, Reported
-from ...reasoning.states.states import Term
 from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
 from ...streams.sample import (
-    Column,
     Field,
     FieldType,
     SampleBatch,
     Schema,
     column_from_values,
 )
-from ...streams.time import TIME_MAX, format_time, parse_time
+from ...streams.time import TIME_MAX, format_time
 from .base import ComputationalUnit
-from .merge import MergeInput, ObjectCodes
+from .term_readers import TermInput, term_readers
 
 VERDICT, DECIDED, LAST = "verdict", "decided", "last"
 RESULT_FIELDS: Final = (VERDICT, DECIDED, LAST)
 """The fields of verdicts beside the objects; `LAST` only where runs are reported."""
-_NUMBERS = (FieldType.FLOAT, FieldType.INTEGER)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TermInput:
-    """A stream that has the values of a term, which are of ``kind``. ``variables``: which of the
-    feature's arguments are variables."""
-
-    term: Term
-    kind: Kind
-    variables: tuple[int, ...]
-    input: MergeInput
 
 
 def verdict_schema(monitor: CheckedMonitor) -> Schema:
@@ -91,8 +73,8 @@ class MonitorUnit(ComputationalUnit):
         self._first: dict[StreamGenerator, int] = {}
         """The available time (ns) of the first sample read of each input."""
         self._wider = wider
-        self._make_readers = partial(_readers, terms, dictionary)
-        self._readers = self._make_readers()
+        self._terms = terms
+        self._readers = term_readers(terms, dictionary)
 
     @property
     def reads(self) -> Sequence[StreamGenerator]:
@@ -111,62 +93,33 @@ class MonitorUnit(ComputationalUnit):
         ]
         return "\n".join([self._explanation, *now])
 
-    def why(self, objects: Sequence[str], start: int) -> Explanation:
-        """Explain the verdict of these objects (as the verdicts name them, or IRIs) that starts at
-        ``start`` (ns), from the retained samples of the inputs.
-
-        Raises `NoStart`, and `Forgotten` if an input has evicted samples that the states may need:
-        those before the first state left, for a value that is not known there, or for a quantifier.
-        Cost: the evaluation of all retained samples.
-        """
-        iris = [object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW) for name in objects]
-        run, evicting = self._again()
-        states = run.states_of(iris)
-        if states is None:
-            raise NoStart("there is no state yet")
-        monitor = run.monitor
-        if evicting and (start < int(states.valid[0]) or bound_sorts(monitor.formula)):
-            raise Forgotten(evicting[0])
-        found = explain_verdict(monitor, self.text, states, start, iris)
-        if evicting and (
-            found.valid[0] == states.valid[0]
-            or any(each.values[0] is None for each in found.features)
-        ):
-            # An evicted sample may have the value, or make a state before.
-            raise Forgotten(evicting[0])
-        return found
-
-    def _again(self) -> tuple[Monitoring, list[FluentStream]]:
-        """Make all states again of the retained samples that the unit has read. Also returns the
-        streams that have evicted some."""
-        run = Monitoring(
-            self.monitoring.monitor,
-            len(self.sources),
-            self._wider,
-            decides=False,
-            grid=self.monitoring.grid,
-        )
-        readers, evicting = self._make_readers(), []
+    def recall(self) -> RecalledSamples:
+        """Return the retained samples that it has read, for explanations."""
+        past, evicting = [], []
         for place, source in enumerate(self.sources):
-            first, past = self._first.get(source), self.past_of(source)
+            first, batch = self._first.get(source), self.past_of(source)
             if first is None:
                 continue
-            past = past.take(past.available >= first)
-            if not len(past) or int(past.available[0]) > first:
+            batch = batch.take(batch.available >= first)
+            if not len(batch) or int(batch.available[0]) > first:
                 evicting.append(source.stream)
-            if len(past):
-                run.came(place, past.available, past.valid)
-                for reader in readers[source]:
-                    reader.read(past, place, run)
-        for source in self._ended:
-            run.ended(self.sources.index(source))
-        if self.all_ended:
-            run.advance(self._end + 1)
-            run.finish(self._end)
-        elif self.least_watermark is not None:
-            least = self.least_watermark
-            run.advance(least, by_clock=self._is_by_clock(least))
-        return run, evicting
+            if len(batch):
+                past.append((place, source, batch))
+        watermark = self._end + 1 if self.all_ended else self.least_watermark
+        return RecalledSamples(
+            self.monitoring.monitor,
+            self.text,
+            tuple(self._terms),
+            self._wider,
+            self.monitoring.grid,
+            len(self.sources),
+            tuple(past),
+            tuple(evicting),
+            frozenset(map(self.sources.index, self._ended)),
+            self._end if self.all_ended else None,
+            watermark,
+            watermark is not None and not self.all_ended and self._is_by_clock(watermark),
+        )
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self.samples += len(batch)
@@ -240,79 +193,66 @@ class MonitorUnit(ComputationalUnit):
         )
 
 
-def _readers(
-    terms: Sequence[TermInput], dictionary: TermDictionary
-) -> dict[StreamGenerator, list[_TermReader]]:
-    """New readers of the terms, by stream."""
-    found: dict[StreamGenerator, list[_TermReader]] = {}
-    for each in terms:
-        found.setdefault(each.input.source, []).append(_TermReader(each, dictionary))
-    return found
+@dataclass(frozen=True, slots=True, eq=False)
+class RecalledSamples:
+    """The retained samples that a monitor has read, and all that its verdicts follow from.
 
+    It shares nothing with the monitor that changes, so another thread may explain verdicts.
+    ``past``: the samples of a stream, with its place and itself; ``evicting``: streams that have
+    evicted some; ``ended``: the places of those that have ended; ``end``: when all have.
+    """
 
-class _TermReader:
-    """Reads the values of one term from one stream."""
+    monitor: CheckedMonitor
+    text: Monitor
+    terms: tuple[TermInput, ...]
+    wider: Mapping[str, Sequence[str]]
+    grid: int | None
+    sources: int
+    past: tuple[tuple[int, StreamGenerator, SampleBatch], ...]
+    evicting: tuple[FluentStream, ...]
+    ended: frozenset[int]
+    end: int | None
+    watermark: int | None
+    by_clock: bool
 
-    def __init__(self, input: TermInput, dictionary: TermDictionary) -> None:
-        self._term = input.term
-        self._kind = input.kind
-        self._variables = input.variables
-        self._input = input.input
-        self._names: list[str] = []
-        """IRIs by their codes."""
-        self._code_of: dict[str, int] = {}
-        self._codes = [
-            ObjectCodes(object, dictionary, self._code, input.input.is_wanted if i == 0 else None)
-            for i, object in enumerate(input.input.objects)
-        ]
+    def explain(self, objects: Sequence[str], start: int) -> Explanation:
+        """Explain the verdict of these objects (as the verdicts name them, or IRIs) that starts at
+        ``start`` (ns).
 
-    def read(self, batch: SampleBatch, place: int, monitoring: Monitoring) -> None:
-        """Add the samples with a value and wanted objects."""
-        column = batch.columns[self._input.field]
-        present = column.present
-        codes = []
-        for encoder in self._codes:
-            own, is_wanted = encoder.encode(batch)
-            codes.append(own)
-            present = present & is_wanted
-        rows = np.flatnonzero(present)
-        if not len(rows):
-            return
-        names = np.array(self._names, object)
-        objects = np.empty((len(rows), len(self._variables)), object)
-        for i, argument in enumerate(self._variables):
-            objects[:, i] = names[codes[argument][rows]]
-        values = self._values(column.take(rows))
-        available, valid = batch.available[rows], batch.valid[rows]
-        monitoring.add(place, self._term, available, valid, objects, values)
+        Raises `NoStart`, `TooManyStates`, and `Forgotten` if a stream has evicted samples that the
+        states may need: those before the first state left, for a value that is not known there, or
+        for a quantifier. Cost: the evaluation of all states of these samples; those of the object
+        where each has its own.
+        """
+        iris = [object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW) for name in objects]
+        states = self._run(iris).states_of(iris)
+        if states is None:
+            raise NoStart("there is no state yet")
+        if self.evicting and (start < int(states.valid[0]) or bound_sorts(self.monitor.formula)):
+            raise Forgotten(self.evicting[0])
+        found = explain_verdict(self.monitor, self.text, states, start, iris)
+        if self.evicting and (
+            found.valid[0] == states.valid[0]
+            or any(each.values[0] is None for each in found.features)
+        ):
+            # An evicted sample may have the value, or make a state before.
+            raise Forgotten(self.evicting[0])
+        return found
 
-    def _code(self, iri: str) -> int:
-        code = self._code_of.setdefault(iri, len(self._names))
-        if code == len(self._names):
-            self._names.append(iri)
-        return code
-
-    def _values(self, column: Column) -> NDArray[Any]:
-        """The values as the formula compares them. Raises `ValueError` for another kind."""
-        match self._kind:
-            case Kind.NUMBER if column.type in _NUMBERS:
-                return np.asarray(self._input.conversion.apply(column.values.astype(np.float64)))
-            case Kind.TRUTH if column.type is FieldType.BOOLEAN:
-                return column.values
-            case Kind.TEXT if column.type is FieldType.STRING:
-                return np.array(column.tolist(), object)
-            case Kind.OBJECT if column.type is FieldType.STRING:
-                return _of_each(column, lambda text: object_iri(text, DYKNOW), object)
-            case Kind.TIME if column.type is FieldType.STRING:
-                return _of_each(column, parse_time, np.int64)
-            case _:
-                raise ValueError(
-                    f"field {self._input.field!r} of stream {self._input.source.name} is "
-                    f"{column.type}, and the formula needs a {self._kind}"
-                )
-
-
-def _of_each(column: Column, convert: Callable[[str], Any], kind: Any) -> NDArray[Any]:
-    texts = [str(value) for value in column.tolist()]
-    found = {text: convert(text) for text in set(texts)}
-    return np.array([found[text] for text in texts], kind)
+    def _run(self, iris: Sequence[str]) -> Monitoring:
+        """Make the states again."""
+        run = Monitoring(
+            self.monitor, self.sources, self.wider, decides=False, grid=self.grid, only=iris
+        )
+        readers = term_readers(self.terms, TermDictionary())
+        for place, source, batch in self.past:
+            run.came(place, batch.available, batch.valid)
+            for reader in readers[source]:
+                reader.read(batch, place, run)
+        for place in self.ended:
+            run.ended(place)
+        if self.watermark is not None:
+            run.advance(self.watermark, by_clock=self.by_clock)
+        if self.end is not None:
+            run.finish(self.end)
+        return run

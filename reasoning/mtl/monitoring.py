@@ -71,13 +71,16 @@ class Monitoring:
         *,
         decides: bool = True,
         grid: int | None = None,
+        only: Sequence[str] | None = None,
     ) -> None:
         """``decides``: whether there are verdicts; otherwise all states are kept. ``grid``: a time
-        (ns) of the grid of ``sample every``; None: as for `StateMaker`."""
+        (ns) of the grid of ``sample every``; None: as for `StateMaker`. ``only``: objects (IRIs);
+        others have no states of their own."""
         self.monitor = monitor
         self._wider = wider or {}
         self._evaluator = MonitorEvaluator if decides else StateKeeper
         self._grid = grid
+        self._only = only
         self.terms: tuple[Term, ...] = tuple(sorted(MonitorEvaluator(monitor).terms))
         self.has_own_states = _has_own_states(monitor)
         self._departures = Departures(monitor.policy, sources)
@@ -142,6 +145,10 @@ class Monitoring:
             places = np.stack(columns, axis=1) if columns else np.empty((len(valid), 0), np.int64)
             maker.add(term, source, Rows(available, valid, places, values))
             return
+        if self._only is not None:
+            named = np.isin(objects[:, 0], self._only)
+            available, valid, values = available[named], valid[named], values[named]
+            objects = objects[named]
         names, group = np.unique(objects[:, 0].astype(str), return_inverse=True)
         for i, iri in enumerate(names.tolist()):
             timeline = self._timelines.get(iri)

@@ -202,7 +202,7 @@ async def explain_verdict(
     moment = time_of(start, "start")
     assert moment is not None
     engine, objects = service.engine, object or []
-    found = engine.queries.why(name, objects, moment)
+    found = await anyio.to_thread.run_sync(engine.queries.why(name, objects, moment))
     # The fields of a verdict begin with the objects.
     names = engine.generator(name).schema.names
     model = WhyModel.of(name, dict(zip(names, objects, strict=False)), found)

@@ -6,8 +6,9 @@ import random
 import pytest
 from feeding import feed, samples
 
-from dyknow.engine.model.errors import BadArguments, NoResult
+from dyknow.engine.model.errors import BadArguments, NoResult, Refused
 from dyknow.engine.model.views import StreamDeclaration
+from dyknow.reasoning.states import state_maker
 from dyknow.streams.history import Retention
 from dyknow.streams.past_queries import Forgotten
 from dyknow.streams.sample import Field, FieldType
@@ -26,6 +27,7 @@ FORMULAS = [
     "historically [0s, 2s] speed(?x) > 30 -> eventually speed(?x) > 118",
     "forall ?y in UAV (speed(?y) > 20 or speed(?x) > speed(?y))",
 ]
+OTHERS = ("uav1", "uav2", "uav3")
 POLICIES = [
     "sample every 1s, max delay 0s, use most recent",
     "sample every 2s, max delay 1s",
@@ -61,7 +63,7 @@ def test_an_explanation_says_what_the_stream_says(flying, formula, policy):
     assert len(told) > 20
     for seconds, sample in told[:: len(told) // 10]:
         start = int(seconds * SECOND)
-        found = flying.queries.why("m", [sample["x"]], start)
+        found = flying.queries.why("m", [sample["x"]], start)()
         assert found.start == start
         assert found.verdict == sample["verdict"]
         assert found.decided == parse_time(sample["decided"])
@@ -82,7 +84,7 @@ def test_the_values_of_parts_and_features(flying):
     )
     speeds = [(1, 120.0, 60.0), (2, 90.0, 10.0), (3, 120.0, 10.0), (4, 120.0, 10.0)]
     feed(flying, "s5", [(t, {"id": "uav1", "spd": s, "alt": a}) for t, s, a in speeds])
-    found = flying.queries.why("m", ["uav1"], SECOND)
+    found = flying.queries.why("m", ["uav1"], SECOND)()
     assert found.verdict == "false"
     assert found.valid == (SECOND, 2 * SECOND, 3 * SECOND)
     assert [(each.text, each.values) for each in found.features] == [
@@ -96,7 +98,7 @@ def test_the_values_of_parts_and_features(flying):
         (2, ("true", "false", "false")),
     ]
     # The last state that has left decides nothing for its own window.
-    open_one = flying.queries.why("m", ["uav1"], 2 * SECOND)
+    open_one = flying.queries.why("m", ["uav1"], 2 * SECOND)()
     assert open_one.verdict == "false"
 
 
@@ -105,7 +107,7 @@ def test_a_verdict_that_is_not_decided_yet(flying):
         "monitor m(?x in UAV) = eventually [0s, 9s] speed(?x) > 100 with any change"
     )
     feed(flying, "s5", [(t, {"id": "uav1", "spd": 1.0, "alt": 1.0}) for t in range(1, 5)])
-    found = flying.queries.why("m", ["uav1"], SECOND)
+    found = flying.queries.why("m", ["uav1"], SECOND)()
     assert (found.verdict, found.decided) == ("open", None)
     assert found.formulas[1].values == ("false",) * len(found.valid)
 
@@ -113,21 +115,21 @@ def test_a_verdict_that_is_not_decided_yet(flying):
 def test_what_cannot_be_explained(flying):
     flying.queries.register("monitor m(?x in UAV) = speed(?x) > 100 with sample every 1s")
     with pytest.raises(NoResult, match="no state yet"):
-        flying.queries.why("m", ["uav1"], SECOND)
+        flying.queries.why("m", ["uav1"], SECOND)()
     feed(flying, "s5", [(t, {"id": "uav1", "spd": 1.0, "alt": 1.0}) for t in range(1, 5)])
     with pytest.raises(NoResult, match="no state at this time") as refused:
-        flying.queries.why("m", ["uav1"], SECOND + 1)
+        flying.queries.why("m", ["uav1"], SECOND + 1)()
     assert "1970-01-01T00:00:01Z and 1970-01-01T00:00:02Z" in refused.value.hint
     with pytest.raises(NoResult, match="uav9 is not there"):
-        flying.queries.why("m", ["uav9"], SECOND)
+        flying.queries.why("m", ["uav9"], SECOND)()
     with pytest.raises(BadArguments, match="0 objects are given for a monitor of 1"):
-        flying.queries.why("m", [], SECOND)
+        flying.queries.why("m", [], SECOND)()
     flying.queries.register(
         "REGISTER QUERY q AS SELECT ?v FROM STREAM <http://www.ida.liu.se/dyknow/s5.trdf> "
         "[RANGE 2s STEP 1s] WHERE { ?o dyknow:speed ?v }"
     )
     with pytest.raises(BadArguments, match="only verdicts of monitors"):
-        flying.queries.why("q", [], SECOND)
+        flying.queries.why("q", [], SECOND)()
 
 
 def test_forgotten_samples_are_not_guessed(engine):
@@ -141,12 +143,12 @@ def test_forgotten_samples_are_not_guessed(engine):
     # The grid is the one that began at the first second; of 15 s the state before is not known.
     for second in (1, 13, 15):
         with pytest.raises(Forgotten):
-            engine.queries.why("m", ["uav1"], second * SECOND)
-    assert engine.queries.why("m", ["uav1"], 17 * SECOND).verdict == "false"
+            engine.queries.why("m", ["uav1"], second * SECOND)()
+    assert engine.queries.why("m", ["uav1"], 17 * SECOND)().verdict == "false"
     with pytest.raises(NoResult):
-        engine.queries.why("m", ["uav1"], 18 * SECOND)
+        engine.queries.why("m", ["uav1"], 18 * SECOND)()
     with pytest.raises(Forgotten):
-        engine.queries.why("all", [], 17 * SECOND)
+        engine.queries.why("all", [], 17 * SECOND)()
 
 
 def test_a_monitor_that_begins_later_has_its_own_grid(flying):
@@ -157,4 +159,25 @@ def test_a_monitor_that_begins_later_has_its_own_grid(flying):
     feed(flying, "s5", [(t, {"id": "uav1", "spd": 1.0, "alt": 1.0}) for t in (4, 5, 6, 7, 8)])
     starts = [int(seconds * SECOND) for seconds, _ in samples(flying, "m")]
     assert starts[0] == 4 * SECOND
-    assert flying.queries.why("m", ["uav1"], starts[0]).verdict == "false"
+    assert flying.queries.why("m", ["uav1"], starts[0])().verdict == "false"
+
+
+def test_more_states_than_can_be_evaluated(flying, monkeypatch):
+    flying.queries.register("monitor m(?x in UAV) = speed(?x) > 100 with sample every 1s")
+    feed(flying, "s5", [(t, {"id": "uav1", "spd": 1.0, "alt": 1.0}) for t in range(1, 5)])
+    work = flying.queries.why("m", ["uav1"], SECOND)
+    monkeypatch.setattr(state_maker, "MOST_STATES", 1)
+    with pytest.raises(Refused, match="more states"):
+        work()
+
+
+def test_samples_that_come_meanwhile_change_no_explanation(flying):
+    flying.queries.register(
+        "monitor m(?x in UAV) = always [0s, 9s] speed(?x) < 100 with max delay 0s"
+    )
+    rows = [(t, {"id": name, "spd": 1.0, "alt": 1.0}) for t in range(1, 5) for name in OTHERS]
+    feed(flying, "s5", rows)
+    work = flying.queries.why("m", ["uav1"], SECOND)
+    feed(flying, "s5", [(t, {"id": "uav1", "spd": 200.0, "alt": 1.0}) for t in (6, 7)])
+    assert work().verdict == "open"
+    assert flying.queries.why("m", ["uav1"], SECOND)().verdict == "false"

@@ -1,0 +1,112 @@
+"""The values of a formula's terms in the samples of streams, for monitors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...converters.objects import object_iri
+from ...languages.mtl.checked import Kind
+from ...rdf.dictionary import TermDictionary
+from ...rdf.namespaces import DYKNOW
+from ...reasoning.mtl.monitoring import Monitoring
+from ...reasoning.states.states import Term
+from ...streams.generator import StreamGenerator
+from ...streams.sample import Column, FieldType, SampleBatch
+from ...streams.time import parse_time
+from .merge import MergeInput, ObjectCodes
+
+_NUMBERS: Final = (FieldType.FLOAT, FieldType.INTEGER)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TermInput:
+    """A stream that has the values of a term, which are of ``kind``. ``variables``: which of the
+    feature's arguments are variables."""
+
+    term: Term
+    kind: Kind
+    variables: tuple[int, ...]
+    input: MergeInput
+
+
+def term_readers(
+    terms: Sequence[TermInput], dictionary: TermDictionary
+) -> dict[StreamGenerator, list[TermReader]]:
+    """Return new readers of the terms, by stream."""
+    found: dict[StreamGenerator, list[TermReader]] = {}
+    for each in terms:
+        found.setdefault(each.input.source, []).append(TermReader(each, dictionary))
+    return found
+
+
+class TermReader:
+    """Reads the values of one term from one stream."""
+
+    def __init__(self, input: TermInput, dictionary: TermDictionary) -> None:
+        self._term = input.term
+        self._kind = input.kind
+        self._variables = input.variables
+        self._input = input.input
+        self._names: list[str] = []
+        """IRIs by their codes."""
+        self._code_of: dict[str, int] = {}
+        self._codes = [
+            ObjectCodes(object, dictionary, self._code, input.input.is_wanted if i == 0 else None)
+            for i, object in enumerate(input.input.objects)
+        ]
+
+    def read(self, batch: SampleBatch, place: int, monitoring: Monitoring) -> None:
+        """Add the samples with a value and wanted objects."""
+        column = batch.columns[self._input.field]
+        present = column.present
+        codes = []
+        for encoder in self._codes:
+            own, is_wanted = encoder.encode(batch)
+            codes.append(own)
+            present = present & is_wanted
+        rows = np.flatnonzero(present)
+        if not len(rows):
+            return
+        names = np.array(self._names, object)
+        objects = np.empty((len(rows), len(self._variables)), object)
+        for i, argument in enumerate(self._variables):
+            objects[:, i] = names[codes[argument][rows]]
+        values = self._values(column.take(rows))
+        available, valid = batch.available[rows], batch.valid[rows]
+        monitoring.add(place, self._term, available, valid, objects, values)
+
+    def _code(self, iri: str) -> int:
+        code = self._code_of.setdefault(iri, len(self._names))
+        if code == len(self._names):
+            self._names.append(iri)
+        return code
+
+    def _values(self, column: Column) -> NDArray[Any]:
+        """The values as the formula compares them. Raises `ValueError` for another kind."""
+        match self._kind:
+            case Kind.NUMBER if column.type in _NUMBERS:
+                return np.asarray(self._input.conversion.apply(column.values.astype(np.float64)))
+            case Kind.TRUTH if column.type is FieldType.BOOLEAN:
+                return column.values
+            case Kind.TEXT if column.type is FieldType.STRING:
+                return np.array(column.tolist(), object)
+            case Kind.OBJECT if column.type is FieldType.STRING:
+                return _of_each(column, lambda text: object_iri(text, DYKNOW), object)
+            case Kind.TIME if column.type is FieldType.STRING:
+                return _of_each(column, parse_time, np.int64)
+            case _:
+                raise ValueError(
+                    f"field {self._input.field!r} of stream {self._input.source.name} is "
+                    f"{column.type}, and the formula needs a {self._kind}"
+                )
+
+
+def _of_each(column: Column, convert: Callable[[str], Any], kind: Any) -> NDArray[Any]:
+    texts = [str(value) for value in column.tolist()]
+    found = {text: convert(text) for text in set(texts)}
+    return np.array([found[text] for text in texts], kind)
