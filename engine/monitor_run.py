@@ -23,7 +23,7 @@ from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import StreamAnnotation
 from ..ontology.errors import OntologyError
 from ..ontology.formats import FORMATS
-from ..reasoning.mtl.monitoring import WORDS
+from ..reasoning.mtl.monitoring import DECIDED, LAST, RESULT_FIELDS, VERDICT, WORDS
 from ..streams.generator import StreamGenerator
 from ..streams.history import Retention
 from ..streams.sample import SampleBatch
@@ -31,7 +31,7 @@ from ..streams.time import FOREVER, SECOND, parse_time
 from .engine import Engine
 from .model.errors import BadArguments, NoPlan, NotAnnotated
 from .model.views import StreamDeclaration
-from .units.monitor import DECIDED, LAST, RESULT_FIELDS, VERDICT, MonitorUnit
+from .units.monitor import MonitorUnit
 
 Recorded: TypeAlias = Path | str | Iterable[Mapping[str, Any]]
 """The file of a table, or samples as dicts with ``valid``, optionally ``available``, and values."""

@@ -30,22 +30,7 @@ class OntologyNames:
     def iris(self, name: str, span: Span) -> tuple[str, ...]:
         """Return the possible IRIs of a name, best first: ``speed``, ``dyknow:speed``,
         ``<IRI>``."""
-        if name.startswith("<"):
-            try:
-                return (NamedNode(name[1:-1]).value,)
-            except ValueError as error:
-                raise self._error(f"`{name}` is not an IRI: {error}", span) from None
-        prefix, colon, local = name.partition(":")
-        if not colon:
-            spaces = (self.namespace,) if self.namespace == DYKNOW else (self.namespace, DYKNOW)
-            return tuple(space + name for space in spaces)
-        if prefix not in PREFIXES:
-            raise self._error(
-                f"the prefix `{prefix}:` is not known",
-                span,
-                f"write the IRI as <…>, or one of {', '.join(f'{p}:' for p in PREFIXES)}",
-            )
-        return (PREFIXES[prefix] + local,)
+        return possible_iris(name, span, self.source, self.namespace)
 
     def find_sort(self, name: str, span: Span) -> str | None:
         """Return the IRI of a sort; None if the name is no sort's."""
@@ -105,3 +90,24 @@ class OntologyNames:
 
     def _error(self, message: str, span: Span, hint: str = "") -> LanguageError:
         return LanguageError(message, self.source, span, hint)
+
+
+def possible_iris(name: str, span: Span, source: str, namespace: str = DYKNOW) -> tuple[str, ...]:
+    """Return the possible IRIs of a name, best first. Raises `LanguageError`."""
+    if name.startswith("<"):
+        try:
+            return (NamedNode(name[1:-1]).value,)
+        except ValueError as error:
+            raise LanguageError(f"`{name}` is not an IRI: {error}", source, span) from None
+    prefix, colon, local = name.partition(":")
+    if not colon:
+        spaces = (namespace,) if namespace == DYKNOW else (namespace, DYKNOW)
+        return tuple(space + name for space in spaces)
+    if prefix not in PREFIXES:
+        raise LanguageError(
+            f"the prefix `{prefix}:` is not known",
+            source,
+            span,
+            f"write the IRI as <…>, or one of {', '.join(f'{p}:' for p in PREFIXES)}",
+        )
+    return (PREFIXES[prefix] + local,)

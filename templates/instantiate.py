@@ -16,6 +16,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.hints import count
+from ..languages.templates import AnyTemplate
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import DYKNOW, shorten
@@ -53,13 +54,8 @@ def instantiate(
     or predicate; for a subject that is no IRI; for a number that is malformed, infinite or NaN; and
     for a variable where the body binds no value (a threshold).
     """
+    check_count(template, arguments)
     parameters = template.parameters
-    if len(arguments) != len(parameters):
-        raise ArgumentError(
-            f"{shorten(template.name)} takes {count(len(parameters), 'argument')}, "
-            f"not {len(arguments)}",
-            hint=f"write {_signature(template)}",
-        )
     stand = places(body_tree(template.query), vocabulary)
     required = required_parameters(template)
     bindings: dict[Variable, Term] = {}
@@ -72,9 +68,22 @@ def instantiate(
             if place in kinds:
                 _check_term(argument, place, index, parameter, vocabulary)
         if isinstance(argument, BlankNode):
-            raise _error("a blank node names nothing outside its own text", index, parameter)
+            raise argument_error(
+                "a blank node names nothing outside its own text", index, parameter
+            )
         bindings[parameter] = argument
     return bind(template.query, bindings)
+
+
+def check_count(template: AnyTemplate, arguments: Sequence[Term | Variable]) -> None:
+    """Raise `ArgumentError` for a wrong number of arguments."""
+    parameters = template.parameters
+    if len(arguments) != len(parameters):
+        raise ArgumentError(
+            f"{shorten(template.name)} takes {count(len(parameters), 'argument')}, "
+            f"not {len(arguments)}",
+            hint=f"write {_signature(template)}",
+        )
 
 
 def _check_variable(
@@ -87,7 +96,7 @@ def _check_variable(
     argument = arguments[index]
     if required:
         needed = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
-        raise _error(
+        raise argument_error(
             f"?{parameter.value} must be given: nothing in the template finds a value for it",
             index,
             parameter,
@@ -95,7 +104,7 @@ def _check_variable(
             + (", for example 100" if "num" in needed else ""),
         )
     if argument in arguments[:index]:
-        raise _error(
+        raise argument_error(
             f"{argument} is used for two arguments",
             index,
             parameter,
@@ -111,18 +120,22 @@ def _check_term(
             iri = _iri(argument, place, index, parameter, "dyknow:UAV")
             if not vocabulary.is_sort(iri):
                 hint = suggestion(iri, vocabulary.suggest(iri, "sort"))
-                raise _error(f"{shorten(iri)} is not a known sort", index, parameter, hint)
+                raise argument_error(f"{shorten(iri)} is not a known sort", index, parameter, hint)
         case Place.PREDICATE:
             iri = _iri(argument, place, index, parameter, "dyknow:speed")
             if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
                 hint = suggestion(iri, vocabulary.suggest(iri, "feature"))
-                raise _error(f"{shorten(iri)} is not a known feature", index, parameter, hint)
+                raise argument_error(
+                    f"{shorten(iri)} is not a known feature", index, parameter, hint
+                )
         case Place.SUBJECT:
             _iri(argument, place, index, parameter, "dyknow:uav1")
         case Place.NUMBER:
             problem = number_problem(argument)
             if problem:
-                raise _error(problem, index, parameter, "give a finite number, for example 100")
+                raise argument_error(
+                    problem, index, parameter, "give a finite number, for example 100"
+                )
         case _:
             assert_never(place)
 
@@ -131,7 +144,7 @@ def _iri(argument: Term, place: Place, index: int, parameter: Variable, example:
     if isinstance(argument, NamedNode):
         return argument.value
     given = "a blank node" if isinstance(argument, BlankNode) else f"the literal {_text(argument)}"
-    raise _error(
+    raise argument_error(
         f"?{parameter.value} stands for {place.value}: expected an IRI, found {given}",
         index,
         parameter,
@@ -170,7 +183,8 @@ def suggestion(iri: str, near: Sequence[str]) -> str:
     return "did you mean " + " or ".join(f"{namespace}{name}" for name in near) + "?"
 
 
-def _error(message: str, index: int, parameter: Variable, hint: str = "") -> ArgumentError:
+def argument_error(message: str, index: int, parameter: Variable, hint: str = "") -> ArgumentError:
+    """Return the error of the argument at ``index``, from 0."""
     return ArgumentError(
         f"argument {index + 1} (?{parameter.value}): {message}", index, parameter.value, hint
     )
@@ -182,6 +196,6 @@ def _text(term: Term) -> str:
     return str(term) if isinstance(term, BlankNode) else term_text(term)
 
 
-def _signature(template: Template) -> str:
+def _signature(template: AnyTemplate) -> str:
     names = ", ".join(f"?{parameter.value}" for parameter in template.parameters)
     return f"{shorten(template.name)}({names})"

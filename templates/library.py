@@ -9,13 +9,20 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+from collections.abc import Sequence
 from importlib.resources import files
 
-from ..languages.csparql import parse_template
-from ..languages.csparql.ast import ContinuousQuery, Template
+from pyoxigraph import Variable
+
+from ..languages.csparql.ast import ContinuousQuery
 from ..languages.errors import LanguageError
+from ..languages.mtl import FormulaTemplate
+from ..languages.templates import AnyTemplate, parse_any_template
 from ..ontology.ontology import Ontology
+from ..rdf.dictionary import Term
 from ..rdf.namespaces import DYKNOW, PREFIXES, local_name, shorten
+from .formulas import BoundFormula, bound_template, template_wants
+from .instantiate import instantiate
 from .needs import Needs, NeedsError, is_static_in, needs, open_predicates
 
 
@@ -53,22 +60,22 @@ class TemplateLibrary:
 
     def __init__(self, ontology: Ontology) -> None:
         self._ontology = ontology
-        self._templates: dict[str, Template] = {}
+        self._templates: dict[str, AnyTemplate] = {}
         self.broken: dict[str, str] = {}
         """Stored texts that no longer parse, by event, with the reason; they stay stored."""
         for event, source in ontology.registered.templates.items():
             try:
-                self._templates[event] = parse_template(source)
+                self._templates[event] = parse_any_template(source)
             except LanguageError as error:
                 self.broken[event] = str(error)
 
-    def register(self, text: str, *, replace: bool = False) -> Template:
+    def register(self, text: str, *, replace: bool = False) -> AnyTemplate:
         """Parse, check and store the template; its event becomes a concept of the ontology.
 
         Raises `LanguageError` for the text; `TemplateRefused` if it uses unknown features or sorts,
         or if its name is one; `TemplateExists` unless ``replace``.
         """
-        template = parse_template(text)
+        template = parse_any_template(text)
         if template.name in self._templates and not replace:
             raise TemplateExists(template.name)
         self._check(template)
@@ -76,12 +83,12 @@ class TemplateLibrary:
         self._templates[template.name] = template
         return template
 
-    def get(self, name: str) -> Template:
+    def get(self, name: str) -> AnyTemplate:
         """Return a template by IRI, ``<IRI>``, prefixed name, or local name. Raises
         `NoSuchTemplate`."""
         return self._templates[self._resolve(name)]
 
-    def remove(self, name: str) -> Template:
+    def remove(self, name: str) -> AnyTemplate:
         """Remove the template and return it. Raises `NoSuchTemplate`."""
         iri = self._resolve(name)
         del self._ontology.registered.templates[iri]
@@ -101,11 +108,22 @@ class TemplateLibrary:
         source = self._templates[self._resolve(name)].source
         return hashlib.sha256(source.encode()).hexdigest()[:32]
 
-    def needs(self, query: ContinuousQuery) -> Needs:
+    def instantiate(
+        self, template: AnyTemplate, arguments: Sequence[Term | Variable]
+    ) -> ContinuousQuery | BoundFormula:
+        """Return the query or formula of a template with these arguments. Raises `ArgumentError`;
+        for a formula `LanguageError` and `NeedsError` too, where the ontology has changed."""
+        if isinstance(template, FormulaTemplate):
+            return bound_template(template, arguments, self._ontology.vocabulary)
+        return instantiate(template, arguments, self._ontology.vocabulary)
+
+    def needs(self, query: ContinuousQuery | BoundFormula) -> Needs:
         """Return the `needs` of a query by this library's ontology. Raises `NeedsError`."""
+        if isinstance(query, BoundFormula):
+            return query.needs
         return needs(query, self._ontology.vocabulary, is_static_in(self._ontology.static_store))
 
-    def _check(self, template: Template) -> None:
+    def _check(self, template: AnyTemplate) -> None:
         vocabulary = self._ontology.vocabulary
         name = template.name
         for is_taken, kind in ((vocabulary.is_feature, "feature"), (vocabulary.is_sort, "sort")):
@@ -116,12 +134,12 @@ class TemplateLibrary:
                 )
         try:
             # The argument of a parameter in a predicate position is unknown yet.
-            if not open_predicates(template.query):
+            if isinstance(template, FormulaTemplate) or not open_predicates(template.query):
                 self._check_circle(template)
         except NeedsError as error:
             raise TemplateRefused(error.message, error.hint) from error
 
-    def _check_circle(self, template: Template) -> None:
+    def _check_circle(self, template: AnyTemplate) -> None:
         """Raise `TemplateRefused` if the event would need itself ([Events14 §VI])."""
         came_from: dict[str, str] = {}
         waiting = [template]
@@ -129,7 +147,7 @@ class TemplateLibrary:
             user = waiting.pop()
             try:
                 events = self._events_of(user)
-            except NeedsError:
+            except (NeedsError, LanguageError):
                 if user is template:
                     raise
                 continue  # a registered template whose terms the ontology no longer has
@@ -147,11 +165,14 @@ class TemplateLibrary:
                     came_from[event] = user.name
                     waiting.append(self._templates[event])
 
-    def _events_of(self, template: Template) -> tuple[str, ...]:
+    def _events_of(self, template: AnyTemplate) -> tuple[str, ...]:
         """Return the events that a template needs."""
-        if open_predicates(template.query):
+        if isinstance(template, FormulaTemplate):
+            wants = template_wants(template, self._ontology.vocabulary)
+        elif open_predicates(template.query):
             return ()
-        wants = self.needs(template.query).wants
+        else:
+            wants = self.needs(template.query).wants
         is_event = self._ontology.vocabulary.is_event
         own = template.name
         events = (w.feature for w in wants if is_event(w.feature) or w.feature == own)

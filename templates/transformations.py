@@ -8,24 +8,33 @@ threshold) needs a value in a direct request; matching cannot supply one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple, TypeAlias
 
 from pyoxigraph import NamedNode, Variable
 
 from ..converters.to_samples import ID, field_names
 from ..languages.csparql import body_tree, required_parameters
 from ..languages.csparql.ast import ContinuousQuery, Form, Template
+from ..languages.errors import LanguageError
+from ..languages.mtl import FormulaTemplate, check_formula_template
+from ..languages.mtl.checked import ObjectSlot, Parameter
 from ..languages.ssl.annotation import Argument, PortAnnotation
+from ..languages.templates import AnyTemplate
 from ..matching.space import EventDescription
 from ..matching.subject import Subject
 from ..matching.want import Want
 from ..ontology.vocabulary import THING, Vocabulary
 from ..rdf.namespaces import shorten
+from ..reasoning.mtl.monitoring import VERDICT
+from .formulas import BoundFormula, bound_template, template_wants
 from .instantiate import ArgumentError, instantiate
 from .needs import Needs, NeedsError
 from .patterns import head_subjects, patterns
+
+NeedsOf: TypeAlias = Callable[[ContinuousQuery | BoundFormula], Needs]
 
 
 @dataclass(frozen=True)
@@ -36,9 +45,9 @@ class EventTransformation(EventDescription):
     (`TemplateLibrary.needs`).
     """
 
-    template: Template | None = None
+    template: AnyTemplate | None = None
     vocabulary: Callable[[], Vocabulary] | None = field(default=None, compare=False)
-    needs_of: Callable[[ContinuousQuery], Needs] | None = field(default=None, compare=False)
+    needs_of: NeedsOf | None = field(default=None, compare=False)
 
     @cached_property
     def _wants_cache(self) -> dict[tuple[int, Subject], tuple[Want, ...] | None]:
@@ -53,10 +62,14 @@ class EventTransformation(EventDescription):
             self._wants_cache[key] = self._wants(key[1])
         return self._wants_cache[key]
 
-    def query(self, subject: Subject) -> ContinuousQuery:
+    def query(self, subject: Subject) -> ContinuousQuery | BoundFormula:
         """Return the template's query for ``subject``. Raises `ArgumentError`."""
-        assert self.template is not None
         assert self.vocabulary is not None
+        if isinstance(self.template, FormulaTemplate):
+            # `lacks` leaves out templates of several parameters.
+            object = Variable("o") if subject.object is None else NamedNode(subject.object)
+            return bound_template(self.template, [object], self.vocabulary())
+        assert self.template is not None
         own, sorts = _parameters(self.template)
         arguments: list[NamedNode | Variable] = []
         for parameter in self.template.parameters:
@@ -70,31 +83,95 @@ class EventTransformation(EventDescription):
 
     def is_selective(self, subject: Subject) -> bool:
         """Return whether a parameter stands for the object."""
+        if subject.object is None:
+            return False
+        if isinstance(self.template, FormulaTemplate):
+            return True
         assert self.template is not None
-        return subject.object is not None and _parameters(self.template)[0] is not None
+        return _parameters(self.template)[0] is not None
 
     def _wants(self, subject: Subject) -> tuple[Want, ...] | None:
         assert self.needs_of is not None
         try:
             return self.needs_of(self.query(subject)).wants or None
-        except (ArgumentError, NeedsError):
+        except (ArgumentError, LanguageError, NeedsError):
             return None
 
 
 def event_transformation(
-    template: Template,
+    template: AnyTemplate,
     vocabulary: Callable[[], Vocabulary],
-    needs_of: Callable[[ContinuousQuery], Needs],
+    needs_of: NeedsOf,
 ) -> EventTransformation:
     """Return a template as a transformation; ``lacks`` states why it allows direct
     requests only."""
+    description = (
+        _formula(template, vocabulary())
+        if isinstance(template, FormulaTemplate)
+        else _query(template, needs_of)
+    )
+    inputs = tuple(
+        PortAnnotation(want.feature, want.feature, (), (Argument("o", want.wanted_sort),))
+        for want in description.wants
+    )
+    argument = Argument("o", description.sort, None, None)
+    return EventTransformation(
+        shorten(template.name),
+        inputs,
+        PortAnnotation(description.value, template.name, (), (argument,)),
+        lacks=description.lacks,
+        id_field=description.id_field,
+        template=template,
+        vocabulary=vocabulary,
+        needs_of=needs_of,
+    )
+
+
+class _Description(NamedTuple):
+    """``value`` and ``id_field`` are the fields of the event's value and object."""
+
+    wants: tuple[Want, ...]
+    sort: str
+    value: str
+    id_field: str
+    lacks: str
+
+
+def _formula(template: FormulaTemplate, vocabulary: Vocabulary) -> _Description:
+    names = [slot.variable.name for slot in template.slots]
+    lacks, sort = "", THING
+    wants: tuple[Want, ...] = ()
+    try:
+        slots = check_formula_template(template, vocabulary).slots
+        wants = template_wants(template, vocabulary)
+    except (LanguageError, NeedsError) as error:
+        lacks = error.message
+    else:
+        match slots:
+            case (ObjectSlot(sort=sort),):
+                pass
+            case _:
+                values = [f"?{slot.name}" for slot in slots if isinstance(slot, Parameter)]
+                lacks = (
+                    _must_be_given(template, values)
+                    if values
+                    else "it is no event of a single object"
+                )
+    return _Description(wants, sort, VERDICT, names[0] if names else ID, lacks)
+
+
+def _must_be_given(template: AnyTemplate, parameters: Sequence[str]) -> str:
+    names = " and ".join(parameters)
+    return f"{names} must be given: request {shorten(template.name)} with a value"
+
+
+def _query(template: Template, needs_of: NeedsOf) -> _Description:
     query = template.query
     lacks, sort, value = "", THING, "value"
     wants: tuple[Want, ...] = ()
     required = required_parameters(template)
     if required:
-        names = " and ".join(f"?{parameter.value}" for parameter in required)
-        lacks = f"{names} must be given: request {shorten(template.name)} with a value"
+        lacks = _must_be_given(template, [f"?{parameter.value}" for parameter in required])
     elif query.form is not Form.CONSTRUCT:
         lacks = "its results are a table, not a stream of an event"
     else:
@@ -111,21 +188,7 @@ def event_transformation(
                 sort = product.sorts[0]
             elif product is not None and len(product.sorts) > 1:
                 lacks = "its head is about several kinds of objects"
-    inputs = tuple(
-        PortAnnotation(want.feature, want.feature, (), (Argument("o", want.wanted_sort),))
-        for want in wants
-    )
-    output = PortAnnotation(value, template.name, (), (Argument("o", sort, None, None),))
-    return EventTransformation(
-        shorten(template.name),
-        inputs,
-        output,
-        lacks=lacks,
-        id_field=ID,
-        template=template,
-        vocabulary=vocabulary,
-        needs_of=needs_of,
-    )
+    return _Description(wants, sort, value, ID, lacks)
 
 
 def _predicates(query: ContinuousQuery) -> list[str]:

@@ -431,10 +431,14 @@ class Configuration:
                 self._gather_upstream(producer, found, visited)
         found[unit] = None
 
-    def newest_upstream(self, unit: ComputationalUnit) -> int:
-        """Return the greatest available time (ns) of the samples in the streams upstream of
-        ``unit``; `TIME_MIN` if there is none."""
-        read = {source for part in self.upstream_units(unit) for source in part.inputs}
+    def newest_sample(self, *generators: StreamGenerator) -> int:
+        """Return the greatest available time (ns) of the samples in streams and upstream of them;
+        `TIME_MIN` if there is none."""
+        read = set(generators)
+        for generator in generators:
+            unit = self.units.get(generator.name)
+            for part in () if unit is None else self.upstream_units(unit):
+                read.update(part.inputs)
         times = (source.stream.last_available for source in read)
         return max((time for time in times if time is not None), default=TIME_MIN)
 

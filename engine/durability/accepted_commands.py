@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 from ...continuous.algebra.options import Options
-from ...languages.csparql import parse_template
 from ...languages.errors import LanguageError
 from ...languages.ssl import ast, parse_ssl
+from ...languages.templates import parse_any_template
 from ...rdf.namespaces import local_name, shorten
 from ..engine import Engine
 from ..model.beginning import Beginning, parse_beginning, start_from_retained
@@ -309,7 +309,7 @@ def _keys_in_text(command: Command) -> tuple[Key, ...]:
     """The keys of the objects that a text defines. Raises `LanguageError`."""
     match command:
         case RegisterTemplate(text=text):
-            return (Key("template", parse_template(text).name),)
+            return (Key("template", parse_any_template(text).name),)
         case Annotate(ssl=ssl) | RegisterAnnotatedTransformation(ssl=ssl):
             return tuple(
                 Key("annotation" if isinstance(each, ast.StreamDeclaration) else _UNIT, each.name)

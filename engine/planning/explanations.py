@@ -19,11 +19,12 @@ from ...languages.csparql.ast import (
     CountWindow,
     EventRequest,
     LandmarkWindow,
-    Template,
     TimeWindow,
     Window,
 )
+from ...languages.mtl import FormulaTemplate
 from ...languages.ssl.annotation import StreamAnnotation
+from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.plan import Node, streams_of
 from ...matching.plan_value import cost_of, quality_of
@@ -36,10 +37,12 @@ from ...ontology.units import Conversion, UnitError, conversion
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
 from ...streams.time import TIME_MIN, format_duration, format_time
+from ...templates.formulas import BoundFormula
 from ...templates.needs import Needs
 from ..configuration.configuration import Configuration
 from ..model.views import MatchView, PlanView, UnitView
 from ..units.base import ComputationalUnit
+from .monitor_start import explain_monitor
 
 
 def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background:
@@ -136,9 +139,9 @@ def match_view(
     )
 
 
-def explain_template(template: Template) -> str:
+def explain_template(template: AnyTemplate) -> str:
     """Explain a template: parameters, window, text."""
-    window = template.query.window
+    window = None if isinstance(template, FormulaTemplate) else template.query.window
     lines = [
         f"template {shorten(template.name)}",
         "parameters: " + ", ".join(f"?{parameter.value}" for parameter in template.parameters),
@@ -201,9 +204,9 @@ def explain_running_query(
 
 
 def explain_request(
-    template: Template,
+    template: AnyTemplate,
     request: EventRequest,
-    bound: ContinuousQuery,
+    bound: ContinuousQuery | BoundFormula,
     wanted: Needs,
     matches: Sequence[Match],
     ontology: Ontology,
@@ -214,6 +217,9 @@ def explain_request(
         f"request\n  {request.source.strip()}",
         f"template\n{_indent(template.source.strip())}",
     ]
+    if isinstance(bound, BoundFormula):
+        parts += _found(wanted, matches)
+        return "\n\n".join([*parts, f"evaluation\n{_indent(explain_monitor(bound.monitor))}"])
     return "\n\n".join([*parts, *_matching_stages(bound, wanted, matches, ontology, dictionary)])
 
 
@@ -225,10 +231,7 @@ def _matching_stages(
     dictionary: TermDictionary,
 ) -> list[str]:
     """Explain needed features and matching; if all are found, the query and its plans too."""
-    parts = [
-        "features needed\n" + "\n".join(f"  {want}" for want in wanted.wants),
-        "semantic matching\n" + "\n".join(_indent(render(match)) for match in matches),
-    ]
+    parts = _found(wanted, matches)
     streams = [name for m in matches if m.supply is not None for name in streams_of(m.supply)]
     if all(match.supply is not None for match in matches):
         names = list(dict.fromkeys(streams))
@@ -237,6 +240,13 @@ def _matching_stages(
         parts.append(f"query\n{_indent(format_query(filled))}")
         parts.append(f"evaluation\n{_indent(evaluator.explain())}")
     return parts
+
+
+def _found(wanted: Needs, matches: Sequence[Match]) -> list[str]:
+    return [
+        "features needed\n" + "\n".join(f"  {want}" for want in wanted.wants),
+        "semantic matching\n" + "\n".join(_indent(render(match)) for match in matches),
+    ]
 
 
 def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView:

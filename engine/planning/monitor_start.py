@@ -2,124 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
-from ...languages.mtl import CheckedMonitor, Monitor, check_mtl
-from ...languages.mtl.checked import ObjectConstant, ObjectVariable, Reading
-from ...matching.match import Match
-from ...matching.plan import Supply
-from ...matching.subject import Sorts, Subject
-from ...matching.want import Want
+from ...languages.mtl import CheckedMonitor
+from ...languages.mtl.checked import ObjectVariable
+from ...languages.ssl.annotation import Content, Role, StreamAnnotation
+from ...languages.ssl.annotation_text import with_ssl_source
+from ...matching.plan import Node, Supply
+from ...matching.subject import Sorts
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import shorten
 from ...reasoning.mtl.evaluator import sorts_of
-from ...reasoning.mtl.formulas import reach_of, readings_of
+from ...reasoning.mtl.formulas import reach_of
+from ...reasoning.mtl.monitoring import VERDICT
 from ...reasoning.mtl.nodes import term_of
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Approximation
 from ...streams.time import format_duration
-from ...templates.needs import Needs
+from ...templates.formulas import BoundFormula
 from ..configuration.configuration import MTL, Configuration
 from ..model.beginning import Beginning
-from ..model.errors import BadArguments
-from ..units.monitor import RESULT_FIELDS, MonitorUnit, verdict_schema
+from ..units.monitor import MonitorUnit, verdict_schema
 from ..units.term_readers import TermInput
-from .plan_execution import Plans
-from .stream_binding import supplies_of
 from .supply_inputs import merge_inputs
 
 
-@dataclass(frozen=True, slots=True)
-class MonitorNeeds:
-    """A monitor, and the features that it needs: for each want the readings that it serves."""
-
-    monitor: CheckedMonitor
-    text: Monitor
-    readings: dict[Want, list[Reading]]
-
-    @property
-    def needs(self) -> Needs:
-        return Needs(tuple(self.readings), None)
-
-
-def monitor_needs(monitor: Monitor, source: str, ontology: Ontology) -> MonitorNeeds:
-    """Return what a monitor needs. Raises `LanguageError`, and `BadArguments` for a parameter whose
-    objects no feature gives."""
-    checked = check_mtl(monitor, source, ontology.vocabulary)
-    sorts = sorts_of(checked)
-    readings: dict[Want, list[Reading]] = {}
-    for reading in dict.fromkeys(readings_of(checked.formula)):
-        readings.setdefault(_want(reading, sorts), []).append(reading)
-    arguments = (a for reading in readings_of(checked.formula) for a in reading.arguments)
-    named = {argument.name for argument in arguments if isinstance(argument, ObjectVariable)}
-    for name, sort in sorts.items():
-        if name not in named:
-            raise BadArguments(
-                f"no feature of `?{name}` is in the formula, so its objects are not known",
-                f"read a feature of it, such as `speed(?{name})`, or leave `?{name} in "
-                f"{shorten(sort)}` out",
-            )
-    for name, _ in checked.parameters:
-        if name in (*RESULT_FIELDS, "available", "valid"):
-            raise BadArguments(
-                f"`?{name}` cannot be a parameter: the verdicts have a field {name!r}",
-                "give the variable another name",
-            )
-    return MonitorNeeds(checked, monitor, readings)
-
-
 class MonitorStarter:
-    """Starts the units of monitors."""
+    """Starts the units of monitors. ``obtain`` returns the stream of a plan node."""
 
     def __init__(
         self,
         ontology: Ontology,
         dictionary: TermDictionary,
         configuration: Configuration,
-        plans: Plans,
+        obtain: Callable[[Node, Beginning], StreamGenerator],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
         self._configuration = configuration
-        self._plans = plans
+        self._obtain = obtain
 
     def start(
         self,
-        name: str,
-        source: str,
-        needed: MonitorNeeds,
-        matches: Sequence[Match],
+        formula: BoundFormula,
+        supplies: Sequence[Supply],
         since: Beginning,
+        *,
+        name: str | None = None,
+        request: str | None = None,
     ) -> MonitorUnit:
-        """Start the units of the ``matches``, one for each want, and the monitor over them."""
-        supplies = supplies_of(matches)
-        terms = [each for supply in supplies for each in self._inputs(needed, supply, since)]
+        """Start the units of the ``supplies``, one for each want, and the monitor over them. Its
+        stream gets ``name``, or the next reserved one. ``request``: the text of the request that
+        has the arguments of a template."""
+        terms = [each for supply in supplies for each in self._inputs(formula, supply, since)]
         sources = dict.fromkeys(each.input.source for each in terms)
 
         def make(output: StreamGenerator) -> MonitorUnit:
+            parameters = {"query": formula.source}
+            if request is not None:
+                parameters = {"request": request, **parameters}
             return MonitorUnit(
-                *self._configuration.identity(MTL, list(sources), output, {"query": source}),
-                monitor=needed.monitor,
+                *self._configuration.identity(MTL, list(sources), output, parameters),
+                monitor=formula.monitor,
                 terms=terms,
                 dictionary=self._dictionary,
-                wider=self._wider(needed.monitor),
-                text=needed.text,
-                explanation=explain_monitor(needed.monitor),
-                newest=self._configuration.newest_upstream,
+                wider=self._wider(formula.monitor),
+                text=formula.text,
+                explanation=explain_monitor(formula.monitor),
+                newest=self._configuration.newest_sample,
             )
 
-        return self._configuration.start_query(verdict_schema(needed.monitor), make, since, name)
+        return self._configuration.start_query(verdict_schema(formula.monitor), make, since, name)
 
-    def _inputs(self, needed: MonitorNeeds, supply: Supply, since: Beginning) -> list[TermInput]:
-        streams = [self._plans.obtain(source.node, since) for source in supply.sources]
+    def _inputs(self, formula: BoundFormula, supply: Supply, since: Beginning) -> list[TermInput]:
+        streams = [self._obtain(source.node, since) for source in supply.sources]
         inputs = merge_inputs(
             supply, streams, self._configuration, lambda: self._ontology.vocabulary
         )
-        sorts = sorts_of(needed.monitor)
+        sorts = sorts_of(formula.monitor)
         # Readings of one term share its values, under whatever variables.
-        terms = {term_of(reading, sorts): reading for reading in needed.readings[supply.want]}
+        terms = {term_of(reading, sorts): reading for reading in formula.readings[supply.want]}
         return [
             TermInput(
                 term,
@@ -166,11 +128,14 @@ def explain_monitor(monitor: CheckedMonitor) -> str:
     )
 
 
-def _want(reading: Reading, sorts: dict[str, str]) -> Want:
-    first, *others = (
-        Subject(None, argument.iri)
-        if isinstance(argument, ObjectConstant)
-        else Subject(sorts[argument.name], None)
-        for argument in reading.arguments
+def verdict_annotation(stream: str, event: str, monitor: CheckedMonitor) -> StreamAnnotation | None:
+    """Return the annotation of a stream of verdicts that are the values of ``event`` (an IRI); None
+    without objects."""
+    objects = dict(monitor.fixed)
+    roles = tuple(
+        Role(objects[sort], sort, name) if sort in objects else Role(sort, None, name)
+        for name, sort in monitor.parameters
     )
-    return Want(reading.feature, first.sort, first.object, tuple(others))
+    if not roles:
+        return None
+    return with_ssl_source(StreamAnnotation(stream, (Content(event, VERDICT, (), roles),), ""))

@@ -42,6 +42,7 @@ from ...streams.past_queries import Moment
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MIN
+from ...templates.formulas import BoundFormula
 from ...templates.transformations import EventTransformation
 from ..catalog.transformation_library import (
     BuiltIn,
@@ -70,6 +71,7 @@ from ..units.selection import SelectionUnit
 from ..units.source import SourceUnit
 from ..units.synchronization import SynchronizationUnit, TakenField, schema_of
 from ..units.user_transformation import TransformationUnit
+from .monitor_start import MonitorStarter
 from .query_units import Queries
 from .unit_shapes import is_implied
 
@@ -97,6 +99,8 @@ class Plans:
         self._runner = runner
         self.queries = Queries(ontology, dictionary, configuration, self.obtain, budget)
         """Starts continuous queries over plans."""
+        self.monitors = MonitorStarter(ontology, dictionary, configuration, self.obtain)
+        """Starts monitors over plans."""
         self._begins_after: dict[str, int] = {}
         """The last available time before the first sample, for streams of units that began with
         new samples or at a moment."""
@@ -266,7 +270,12 @@ class Plans:
             Supply(want, (source,), complete=True)
             for want, source in zip(node.wants, node.sources, strict=True)
         ]
-        unit = self.queries.start(event.query(node.subject), supplies, since).unit
+        query = event.query(node.subject)
+        unit: ComputationalUnit = (
+            self.monitors.start(query, supplies, since)
+            if isinstance(query, BoundFormula)
+            else self.queries.start(query, supplies, since).unit
+        )
         self._annotate(node, unit, since)
         return unit
 

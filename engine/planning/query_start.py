@@ -25,6 +25,7 @@ from ...matching.want import THING
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...streams.generator import StreamGenerator
+from ...templates.formulas import BoundFormula, bound_monitor
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError
 from ..configuration.configuration import Configuration
@@ -37,7 +38,6 @@ from ..model.views import Since
 from ..units.monitor import MonitorUnit
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
-from .monitor_start import MonitorStarter, monitor_needs
 from .plan_execution import Plans
 from .query_sharing import FormInstance, QuerySharing, shared_key
 from .query_units import QuerySettings
@@ -90,7 +90,6 @@ class QueryStarter:
         self._space = space
         self._converter_of = converter_of
         self._sharing = QuerySharing(configuration.find_shared)
-        self._monitors = MonitorStarter(ontology, dictionary, configuration, plans)
 
     def start(self, name: str, query: AnyQuery, submission: Submission) -> StartedQuery:
         """Start ``query`` with the output stream ``name``. Raises the errors of
@@ -138,13 +137,14 @@ class QueryStarter:
         return StartedQuery(unit, kept, matches, reads, converter, instance, unshared)
 
     def _start_monitor(self, name: str, monitor: Monitor, submission: Submission) -> StartedQuery:
-        needed = monitor_needs(monitor, submission.source, self._ontology)
+        formula = formula_of(monitor, submission.source, self._ontology)
         matches = find_streams(
-            self._plans, needed.needs, submission.strategy, submission.since, f"monitor {name}"
+            self._plans, formula.needs, submission.strategy, submission.since, f"monitor {name}"
         )
-        since = self._plans.resolve_duration(submission.since, supplies_of(matches))
+        supplies = supplies_of(matches)
+        since = self._plans.resolve_duration(submission.since, supplies)
         try:
-            unit = self._monitors.start(name, submission.source, needed, matches, since)
+            unit = self._plans.monitors.start(formula, supplies, since, name=name)
         except Exception:
             # Units of its plan may have started before the error.
             self._configuration.release_unused()
@@ -258,6 +258,15 @@ class QueryStarter:
             self._dictionary,
             ranges=dict.fromkeys(form.iri_predicates, THING),
         )
+
+
+def formula_of(monitor: Monitor, source: str, ontology: Ontology) -> BoundFormula:
+    """Return a monitor with what it needs. Raises `LanguageError`, and `BadArguments` for a
+    parameter whose objects no feature gives."""
+    try:
+        return bound_monitor(monitor, source, ontology.vocabulary)
+    except NeedsError as error:
+        raise BadArguments(error.message, error.hint) from error
 
 
 @contextmanager

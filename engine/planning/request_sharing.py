@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pyoxigraph import NamedNode, Variable
 
 from ...languages.csparql.ast import ContinuousQuery, EventRequest, Template
+from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.plan import (
     Compute,
@@ -123,7 +124,7 @@ class RequestSharing:
         if not self._alone[shareable.key]:
             del self._alone[shareable.key]
 
-    def forget(self, template: Template) -> None:
+    def forget(self, template: AnyTemplate) -> None:
         """Drop the cache of a removed template."""
         self._agreements.pop(template.name, None)
 

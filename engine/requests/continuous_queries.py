@@ -41,13 +41,14 @@ from ..model.errors import (
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
 from ..planning import explanations
-from ..planning.monitor_start import explain_monitor, monitor_needs
+from ..planning.monitor_start import explain_monitor
 from ..planning.plan_execution import Plans
 from ..planning.query_start import (
     QueryStarter,
     RegisteredUnit,
     StartedQuery,
     bad_arguments_for_unsupported,
+    formula_of,
 )
 from ..planning.registrations import (
     AnyQuery,
@@ -352,9 +353,9 @@ class RegisteredQueries:
         query = parse_registered(text)
         context = self._ontology, self._dictionary
         if isinstance(query, Monitor):
-            needed = monitor_needs(query, text, self._ontology)
-            found = self._plans.match(needed.needs.wants, "fast", explained=True)
-            how = explain_monitor(needed.monitor)
+            formula = formula_of(query, text, self._ontology)
+            found = self._plans.match(formula.needs.wants, "fast", explained=True)
+            how = explain_monitor(formula.monitor)
             return explanations.explain_monitor_plan(text, found, how)
         with bad_arguments_for_unsupported():
             if query.streams:

@@ -10,12 +10,13 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from pyoxigraph import Literal, Variable
 
 from ...languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ...languages.ssl.annotation import StreamAnnotation
+from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.space import StreamSpace
 from ...matching.strategy import Kind
@@ -23,7 +24,8 @@ from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import XSD, shorten
 from ...streams.past_queries import Moment
-from ...templates.instantiate import ArgumentError, instantiate
+from ...templates.formulas import BoundFormula
+from ...templates.instantiate import ArgumentError
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError
 from ..configuration.configuration import Configuration
@@ -32,6 +34,7 @@ from ..model.errors import BadArguments, NoPlan, UnknownRequest
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
 from ..planning import explanations
+from ..planning.monitor_start import verdict_annotation
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
 from ..planning.request_sharing import RequestSharing, ShareableQuery
@@ -41,6 +44,7 @@ from ..planning.stream_binding import (
     mean_the_same,
     supplies_of,
 )
+from ..units.monitor import MonitorUnit
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
 from .empty_reasons import why_empty
@@ -54,13 +58,17 @@ _SHORT = {
 """The literals that SPARQL can write without quotes and datatype."""
 
 
+Body: TypeAlias = ContinuousQuery | BoundFormula
+"""What a template says, with the arguments of a request."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Running:
-    """A C-SPARQL unit that answers requests. ``annotation`` is that of its stream; by ``rdf`` its
+    """A unit that answers requests. ``annotation`` is that of its stream; by ``rdf`` its
     samples convert to triples; ``shareable`` is the query that it could share, while it runs alone.
     """
 
-    unit: QueryUnit | InstanceUnit
+    unit: QueryUnit | InstanceUnit | MonitorUnit
     matches: tuple[Match, ...]
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
@@ -108,7 +116,7 @@ class EventRequests:
         self._number = 0
 
     def start(
-        self, template: Template, request: EventRequest, strategy: str, since: Beginning
+        self, template: AnyTemplate, request: EventRequest, strategy: str, since: Beginning
     ) -> EventView:
         """Start the answer to ``request``. Raises `BadArguments`, `NoPlan` and `Forgotten`."""
         plan = None
@@ -164,7 +172,7 @@ class EventRequests:
                 self._sharing.remove_alone(running.shareable)
         self._configuration.release(running.unit)
 
-    def forget(self, template: Template) -> None:
+    def forget(self, template: AnyTemplate) -> None:
         """Drop caches of a removed template."""
         self._sharing.forget(template)
 
@@ -223,7 +231,7 @@ class EventRequests:
         view = explanations.plan_view(self._configuration, unit)
         return f"{view.text.rstrip()}\n\n{unit.explain()}"
 
-    def explain(self, template: Template, request: EventRequest) -> str:
+    def explain(self, template: AnyTemplate, request: EventRequest) -> str:
         """Explain the stages of answering ``request`` without starting it."""
         query, wanted = self._query(template, request)
         matches = self._plans.match(wanted.wants, str(Kind.FAST), explained=True)
@@ -237,10 +245,9 @@ class EventRequests:
             raise UnknownRequest(f"there is no request {id!r}", "GET /events lists those that run")
         return found
 
-    def _query(self, template: Template, request: EventRequest) -> tuple[ContinuousQuery, Needs]:
-        vocabulary = self._ontology.vocabulary
+    def _query(self, template: AnyTemplate, request: EventRequest) -> tuple[Body, Needs]:
         try:
-            query = instantiate(template, request.arguments, vocabulary)
+            query = self._templates.instantiate(template, request.arguments)
             return query, self._templates.needs(query)
         except ArgumentError as error:
             raise BadArguments(error.message, error.hint) from error
@@ -248,24 +255,28 @@ class EventRequests:
             raise NoPlan(error.message, (), error.hint) from error
 
     def _plan(
-        self, template: Template, request: EventRequest, strategy: str, since: Beginning
-    ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
+        self, template: AnyTemplate, request: EventRequest, strategy: str, since: Beginning
+    ) -> tuple[Body, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
-        check_graphs(self._ontology, query)
+        if not isinstance(query, BoundFormula):
+            check_graphs(self._ontology, query)
         event = shorten(request.event)
         return query, find_streams(self._plans, wanted, strategy, since, event)
 
     def _build(
         self,
-        template: Template,
+        template: AnyTemplate,
         request: EventRequest,
-        query: ContinuousQuery,
+        query: Body,
         matches: Sequence[Match],
         strategy: str,
         since: Beginning,
     ) -> _Running:
         """Start the units of the matches, then the query unit, or an instance of a shared query."""
         supplies = supplies_of(matches)
+        if isinstance(query, BoundFormula):
+            return self._build_monitor(request, query, matches, since)
+        assert isinstance(template, Template)
         shareable = None
         if since is Since.NOW:
             shareable = self._sharing.find_shareable(template, request, query, matches, strategy)
@@ -280,6 +291,18 @@ class EventRequests:
         else:
             built = self._plans.queries.start(query, supplies, since)
         return _Running(built.unit, tuple(matches), built.annotation, built.rdf, shareable)
+
+    def _build_monitor(
+        self,
+        request: EventRequest,
+        formula: BoundFormula,
+        matches: Sequence[Match],
+        since: Beginning,
+    ) -> _Running:
+        text = request.source.strip()
+        unit = self._plans.monitors.start(formula, supplies_of(matches), since, request=text)
+        annotation = verdict_annotation(unit.output.name, request.event, formula.monitor)
+        return _Running(unit, tuple(matches), annotation, annotation, None)
 
     def _is_valid(self, running: _Running) -> bool:
         """Whether the unit works, and its streams have the annotations that they had."""
@@ -299,7 +322,7 @@ class EventRequests:
 
 
 def _key(
-    template: Template, request: EventRequest, strategy: str, since: Beginning
+    template: AnyTemplate, request: EventRequest, strategy: str, since: Beginning
 ) -> tuple[object, ...]:
     """Return the key of a request. Equal keys share a stream; names of variables do not matter."""
     arguments = tuple(

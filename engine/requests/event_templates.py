@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ...languages.csparql.ast import EventRequest, Template
+from ...languages.csparql.ast import EventRequest
+from ...languages.mtl import FormulaTemplate
+from ...languages.templates import AnyTemplate
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.namespaces import shorten
 from ...templates.library import NoSuchTemplate, TemplateExists, TemplateLibrary, TemplateRefused
 from ...templates.transformations import event_transformation
 from ..catalog.name_resolution import did_you_mean
-from ..configuration.configuration import C_SPARQL
+from ..configuration.configuration import C_SPARQL, MTL
 from ..model.errors import AlreadyExists, Conflict, Refused, UnknownEvent, UnknownTemplate
 from ..model.status_changes import Change, ChangeKind, KnownTransformation
 from ..model.views import TemplateView
@@ -75,7 +77,7 @@ class EventTemplates:
         """The view of a template by local name, prefixed name or IRI. Raises `UnknownTemplate`."""
         return self._view(self.find(name))
 
-    def find(self, name: str) -> Template:
+    def find(self, name: str) -> AnyTemplate:
         """Return a template. Raises `UnknownTemplate`."""
         try:
             return self._library.get(name)
@@ -84,7 +86,7 @@ class EventTemplates:
                 f"there is no template {name!r}", did_you_mean(error.suggestions)
             ) from error
 
-    def of(self, request: EventRequest) -> Template:
+    def of(self, request: EventRequest) -> AnyTemplate:
         """Return the template of a request's event. Raises `UnknownEvent`."""
         try:
             return self._library.get(request.event)
@@ -104,17 +106,18 @@ class EventTemplates:
             transformation = event_transformation(
                 template, lambda: self._ontology.vocabulary, self._library.needs
             )
+            kind = MTL if isinstance(template, FormulaTemplate) else C_SPARQL
             if transformation != self._space.transformations.get(transformation.name):
                 self._report(
                     Change(
                         ChangeKind.TRANSFORMATION_ANNOTATED,
                         transformation=transformation.name,
                         specification=template.source,
-                        described=KnownTransformation(transformation, C_SPARQL),
+                        described=KnownTransformation(transformation, kind),
                     )
                 )
 
-    def _view(self, template: Template) -> TemplateView:
+    def _view(self, template: AnyTemplate) -> TemplateView:
         return TemplateView(
             name=template.name,
             local_name=shorten(template.name).removeprefix("dyknow:"),

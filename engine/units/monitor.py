@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from ...converters.objects import object_iri, object_name
 from ...languages.mtl.ast import Monitor, Report
@@ -13,7 +13,15 @@ from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
 from ...reasoning.mtl.explanation import Explanation, NoStart, explain_verdict
 from ...reasoning.mtl.formulas import bound_sorts
-from ...reasoning.mtl.monitoring import WORDS, Monitoring, Reported
+from ...reasoning.mtl.monitoring import (
+    DECIDED,
+    LAST,
+    RESULT_FIELDS,
+    VERDICT,
+    WORDS,
+    Monitoring,
+    Reported,
+)
 from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
@@ -27,10 +35,6 @@ from ...streams.sample import (
 from ...streams.time import TIME_MAX, format_time
 from .base import ComputationalUnit
 from .term_readers import TermInput, term_readers
-
-VERDICT, DECIDED, LAST = "verdict", "decided", "last"
-RESULT_FIELDS: Final = (VERDICT, DECIDED, LAST)
-"""The fields of verdicts beside the objects; `LAST` only where runs are reported."""
 
 
 def verdict_schema(monitor: CheckedMonitor) -> Schema:
@@ -46,8 +50,8 @@ class MonitorUnit(ComputationalUnit):
 
     A verdict is valid at its start, and available when the state that decides it leaves: under
     ``max delay`` that long after the state's time, otherwise with the sample that shows that later
-    samples are valid later. ``newest``: the greatest available time (ns) of the samples upstream of
-    a unit; a later watermark comes from the clock.
+    samples are valid later. ``newest`` returns the greatest available time (ns) of the samples in
+    streams and upstream of them; a later watermark comes from the clock.
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: see `Monitoring`.
     """
@@ -61,7 +65,7 @@ class MonitorUnit(ComputationalUnit):
         wider: Mapping[str, Sequence[str]],
         text: Monitor,
         explanation: str,
-        newest: Callable[[ComputationalUnit], int],
+        newest: Callable[[*tuple[StreamGenerator, ...]], int],
     ) -> None:
         super().__init__(*args)
         self._newest = newest
@@ -115,7 +119,7 @@ class MonitorUnit(ComputationalUnit):
             len(self.sources),
             tuple(past),
             tuple(evicting),
-            frozenset(map(self.sources.index, self._ended)),
+            {self.sources.index(source): self._newest(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
             watermark is not None and not self.all_ended and self._is_by_clock(watermark),
@@ -134,12 +138,14 @@ class MonitorUnit(ComputationalUnit):
         if least is None or self.output.is_ended:
             return
         self.monitoring.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
-        self._advance(least, by_clock=self._is_by_clock(least))
+        by_clock = self._is_by_clock(least)
+        self._advance(least, by_clock=by_clock)
         if self.monitoring.is_over:
             self._leave_inputs()
             self.output.end()
         else:
-            self.output.advance(least)
+            # The end is at the newest sample, and may follow.
+            self.output.advance(least if by_clock else min(least, self._newest(*self.sources)))
 
     def resume(self, source: StreamGenerator) -> None:
         if self.output.is_ended:
@@ -149,7 +155,7 @@ class MonitorUnit(ComputationalUnit):
     def finish(self, source: StreamGenerator) -> None:
         if self.output.is_ended:
             return
-        self.monitoring.ended(self.sources.index(source))
+        self.monitoring.ended(self.sources.index(source), self._newest(source))
         if self.all_ended:
             self._advance(self._end + 1)
             self._emit(self.monitoring.finish(self._end))
@@ -158,11 +164,11 @@ class MonitorUnit(ComputationalUnit):
     @property
     def _end(self) -> int:
         """The available time (ns) of the end of all inputs, whichever of them ended first."""
-        return min(max([self.last_processed, *self._watermarks.values()]), TIME_MAX - 1)
+        return min(self._newest(*self.sources), TIME_MAX - 1)
 
     def _is_by_clock(self, watermark: int) -> bool:
         # After a sample of time t the watermark of a stream is t or t + 1.
-        return watermark > self._newest(self) + 1
+        return watermark > self._newest(*self.sources) + 1
 
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.monitoring.late
@@ -199,7 +205,7 @@ class RecalledSamples:
 
     It shares nothing with the monitor that changes, so another thread may explain verdicts.
     ``past``: the samples of a stream, with its place and itself; ``evicting``: streams that have
-    evicted some; ``ended``: the places of those that have ended; ``end``: when all have.
+    evicted some; ``ended``: when streams have ended, by their places; ``end``: when all have.
     """
 
     monitor: CheckedMonitor
@@ -210,7 +216,7 @@ class RecalledSamples:
     sources: int
     past: tuple[tuple[int, StreamGenerator, SampleBatch], ...]
     evicting: tuple[FluentStream, ...]
-    ended: frozenset[int]
+    ended: Mapping[int, int]
     end: int | None
     watermark: int | None
     by_clock: bool
@@ -249,8 +255,8 @@ class RecalledSamples:
             run.came(place, batch.available, batch.valid)
             for reader in readers[source]:
                 reader.read(batch, place, run)
-        for place in self.ended:
-            run.ended(place)
+        for place, moment in self.ended.items():
+            run.ended(place, moment)
         if self.watermark is not None:
             run.advance(self.watermark, by_clock=self.by_clock)
         if self.end is not None:

@@ -10,6 +10,8 @@ from dataclasses import field as attribute
 from enum import StrEnum
 from typing import TypeAlias
 
+from pyoxigraph import Variable as RdfVariable
+
 from ...ontology.units import Unit
 from ...streams.policies.policy import SynchronizationPolicy
 from ..errors import Span
@@ -75,6 +77,15 @@ class Number:
 
     value: float
     unit: Unit | None
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """``?limit [km.h-1]``: a parameter of a template, and the unit of its value."""
+
+    variable: Variable
+    unit: Unit
     span: Span = attribute(compare=False)
 
 
@@ -213,6 +224,7 @@ Formula: TypeAlias = (
     | Symbol
     | Text
     | Number
+    | Measured
     | TimePoint
     | Arithmetic
     | Negative
@@ -246,3 +258,31 @@ class Monitor:
     once: bool
     present_for: int | None
     span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """``?x``, or ``?x in Car``: a parameter of a template."""
+
+    variable: Variable
+    sort: Symbol | None
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True)
+class FormulaTemplate:
+    """``REGISTER TEMPLATE name(?x, ?limit) AS formula with options``: an abstract event.
+
+    ``name`` is the IRI of the event concept. ``monitor`` has the formula and the options; its
+    parameters are those of a request.
+    """
+
+    name: str
+    slots: tuple[Slot, ...]
+    monitor: Monitor
+    source: str = attribute(compare=False)
+
+    @property
+    def parameters(self) -> tuple[RdfVariable, ...]:
+        """The parameters, as those of a C-SPARQL template."""
+        return tuple(RdfVariable(slot.variable.name) for slot in self.slots)

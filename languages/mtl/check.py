@@ -9,14 +9,15 @@ is a number.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final, assert_never
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Final, assert_never
 
 from ...ontology.units import Unit, UnitError, conversion, dimension, format_unit
-from ...ontology.vocabulary import Vocabulary
+from ...ontology.vocabulary import THING, Vocabulary
 from ...rdf.datatypes import NUMBERS
 from ...rdf.namespaces import XSD
 from ..errors import LanguageError, Span
+from ..object_cache import ObjectCache
 from ..ontology_names import OntologyNames
 from . import ast
 from .checked import (
@@ -25,13 +26,16 @@ from .checked import (
     Atom,
     Calculation,
     CheckedMonitor,
+    CheckedTemplate,
     Constant,
     Formula,
     Kind,
     Not,
     ObjectConstant,
+    ObjectSlot,
     ObjectVariable,
     Or,
+    Parameter,
     Previous,
     Quantified,
     Reading,
@@ -68,6 +72,76 @@ def check_mtl(monitor: ast.Monitor, source: str, vocabulary: Vocabulary) -> Chec
     )
 
 
+@ObjectCache
+def check_formula_template(
+    template: ast.FormulaTemplate, vocabulary: Vocabulary
+) -> CheckedTemplate:
+    """Return the meaning of a template. A parameter with a sort, or one that is an argument of a
+    feature, stands for objects; another one stands for a value. Raises `LanguageError`."""
+    monitor = template.monitor
+    used, arguments = _variables(monitor.formula)
+    values = []
+    checker = _Checker(OntologyNames(template.source, vocabulary))
+    scope: dict[str, _Bound] = {}
+    for slot in template.slots:
+        name = slot.variable.name
+        if slot.sort is not None:
+            scope = checker.bind(ast.Binding(slot.variable, slot.sort, slot.span), scope)
+        elif name in arguments:
+            scope = {**scope, name: checker.bound(name, THING)}
+        elif name in used:
+            values.append(name)
+        else:
+            raise checker.error(
+                f"the formula does not use `?{name}`",
+                slot.span,
+                "use it, as in `speed(?x) > ?limit`, or leave it out",
+            )
+    checker.values = frozenset(values)
+    formula = checker.formula(monitor.formula, scope)
+    kinds = checker.kinds_of(formula)
+    slots = tuple(
+        Parameter(name, kinds[name][0]) if name in kinds else ObjectSlot(name, scope[name].sort)
+        for name in (slot.variable.name for slot in template.slots)
+    )
+    for name, found in kinds.items():
+        if len(found) > 1:
+            raise checker.error(
+                f"`?{name}` is compared as {' and as '.join(map(_article, found))}",
+                next(slot.span for slot in template.slots if slot.variable.name == name),
+                "a parameter is of one kind: use two",
+            )
+    return CheckedTemplate(
+        slots,
+        CheckedMonitor(
+            monitor.name,
+            tuple((slot.name, slot.sort) for slot in slots if isinstance(slot, ObjectSlot)),
+            formula,
+            monitor.policy,
+            monitor.report,
+            monitor.once,
+            monitor.present_for,
+        ),
+    )
+
+
+def _variables(formula: ast.Formula) -> tuple[set[str], set[str]]:
+    """Return the names of the variables in a formula as written, and of those among them that are
+    arguments of features."""
+    used: set[str] = set()
+    arguments: set[str] = set()
+    waiting: list[Any] = [formula]
+    for node in waiting:
+        match node:
+            case ast.Variable(name):
+                used.add(name)
+            case ast.FeatureTerm():
+                arguments |= {a.name for a in node.arguments if isinstance(a, ast.Variable)}
+            case _ if is_dataclass(node):
+                waiting += [getattr(node, field.name) for field in fields(node)]
+    return used, arguments
+
+
 @dataclass(frozen=True, slots=True)
 class _Bound:
     """A variable in scope: its unique name in the checked formula, and the IRI of its sort."""
@@ -93,6 +167,8 @@ class _Checker:
     def __init__(self, names: OntologyNames) -> None:
         self._names = names
         self._used: set[str] = set()
+        self.values: frozenset[str] = frozenset()
+        """Parameters of a template that stand for values."""
 
     def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
         return LanguageError(message, self._names.source, span, hint)
@@ -100,18 +176,32 @@ class _Checker:
     def bind(self, binding: ast.Binding, scope: _Scope) -> dict[str, _Bound]:
         """Return ``scope`` with a variable more, whose name in the checked formula is new."""
         name = binding.variable.name
-        if name in scope:
+        if name in scope or name in self.values:
             raise self.error(
                 f"`?{name}` is bound twice",
                 binding.variable.span,
                 "give the inner variable another name",
             )
+        sort = self._names.sort(binding.sort.text, binding.sort.span)
+        return {**scope, name: self.bound(name, sort)}
+
+    def bound(self, name: str, sort: str) -> _Bound:
+        """Return a variable whose name in the checked formula is new."""
         unique, number = name, 2
         while unique in self._used:
             unique, number = f"{name}_{number}", number + 1
         self._used.add(unique)
-        sort = self._names.sort(binding.sort.text, binding.sort.span)
-        return {**scope, name: _Bound(unique, sort)}
+        return _Bound(unique, sort)
+
+    def kinds_of(self, checked: Any) -> dict[str, tuple[Kind, ...]]:
+        """Return the kinds as which each parameter is compared."""
+        if isinstance(checked, Parameter):
+            return {checked.name: (checked.kind,)}
+        found: dict[str, tuple[Kind, ...]] = {}
+        for field in fields(checked) if is_dataclass(checked) else ():
+            for name, kinds in self.kinds_of(getattr(checked, field.name)).items():
+                found[name] = tuple(dict.fromkeys((*found.get(name, ()), *kinds)))
+        return found
 
     # -- formulas ----------------------------------------------------------------------------
 
@@ -196,6 +286,17 @@ class _Checker:
                 return _Typed(Constant(value, Kind.TIME), Kind.TIME, None)
             case ast.Truth(value):
                 return _Typed(Constant(value, Kind.TRUTH), Kind.TRUTH, None)
+            case ast.Measured(variable, unit):
+                self.check_unit(unit, node.span)
+                if variable.name not in self.values:
+                    raise self.error(
+                        f"`?{variable.name}` is no number, so it has no unit",
+                        node.span,
+                        "a unit follows a number, or a parameter of a template that is one",
+                    )
+                return _Typed(Parameter(variable.name, Kind.NUMBER), Kind.NUMBER, unit)
+            case ast.Variable(name) if name in self.values:
+                return _Typed(Parameter(name, Kind.NUMBER), None, None)
             case ast.Variable():
                 return _Typed(self.variable(node, scope), Kind.OBJECT, None)
             case ast.FeatureTerm():
@@ -337,7 +438,7 @@ def _article(kind: Kind | None) -> str:
 
 def _as(found: _Typed, kind: Kind) -> _Typed:
     """Return a value of unknown kind as one of ``kind``."""
-    if found.kind is not None or not isinstance(found.value, Reading):
+    if found.kind is not None or not isinstance(found.value, Reading | Parameter):
         return found
     return _Typed(replace(found.value, kind=kind), kind, found.unit)
 

@@ -64,6 +64,14 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value that a request of a template gives: in a template, in place of a constant."""
+
+    name: str
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
 class Calculation:
     """``left + right`` of numbers; the operator is one of ``+ - * /``. A division by 0 is
     unknown."""
@@ -73,7 +81,7 @@ class Calculation:
     right: Value
 
 
-Value: TypeAlias = Reading | Constant | Calculation | ObjectVariable | ObjectConstant
+Value: TypeAlias = Reading | Constant | Parameter | Calculation | ObjectVariable | ObjectConstant
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +155,11 @@ Formula: TypeAlias = Truth | Atom | Not | Previous | And | Or | Within | Until |
 @dataclass(frozen=True, slots=True)
 class CheckedMonitor:
     """A monitor: a verdict for each binding of ``parameters`` (variable, IRI of its sort) and start
-    state. See `ast.Monitor` for the options."""
+    state. See `ast.Monitor` for the options.
+
+    ``fixed``: sorts of one object: its IRI, and the IRI of the sort to which it is taken to belong.
+    A request of a template gives a parameter such a sort.
+    """
 
     name: str
     parameters: tuple[tuple[str, str], ...]
@@ -156,3 +168,21 @@ class CheckedMonitor:
     report: Report
     once: bool
     present_for: int | None
+    fixed: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectSlot:
+    """A parameter of a template that stands for objects of a sort (IRI)."""
+
+    name: str
+    sort: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedTemplate:
+    """A formula with parameters, in the order of requests: objects, which may be free, and values,
+    which a request gives. ``monitor`` is about all objects, and has the values as `Parameter`."""
+
+    slots: tuple[ObjectSlot | Parameter, ...]
+    monitor: CheckedMonitor

@@ -6,6 +6,7 @@ Names are not resolved here, and truth is not told from number; `check` does tha
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from functools import reduce
 from typing import Final
@@ -13,6 +14,7 @@ from typing import Final
 from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
+from ...rdf.namespaces import local_name
 from ...streams.policies.policy import SynchronizationPolicy
 from ...streams.time import parse_duration, parse_time
 from ..errors import LanguageError, Span
@@ -20,6 +22,7 @@ from ..kpl import ast as kpl
 from ..kpl.constraints import to_synchronization
 from ..kpl.parser import read_constraint
 from ..kpl.printer import DEFAULT_UNIT
+from ..ontology_names import possible_iris
 from ..ssl.parser import read_units
 from ..syntax import (
     check_names,
@@ -34,6 +37,7 @@ from ..syntax import (
 from ..text_cache import TextCache
 from . import ast
 
+_STARTS: Final = ("start", "formula_text", "template_text")
 DEEPEST: Final = 64
 """The greatest nesting of a formula."""
 _LONGEST: Final = 2**62
@@ -59,7 +63,19 @@ _DURATION: Final = re.compile(r"([0-9.]+)[ \t]*([A-Za-z]+)\Z")
 _DURATION_HINT: Final = "units are ns, us, ms, s, m, h and d: `5s`, `1.5h`"
 
 
-_MONITOR = re.compile(r"(?:\s|(?:#|//)[^\n\r]*)*monitor(?![A-Za-z0-9_:])")
+# A comment reaches to the end of its line: without the assertion a line of many `#` would match in
+# 2^n ways.
+_SPACE: Final = r"(?:\s|(?:#|//)[^\n\r]*(?=[\n\r]|\Z))*"
+_MONITOR: Final = re.compile(_SPACE + r"monitor(?![A-Za-z0-9_:])")
+_TEMPLATE: Final = re.compile(
+    _SPACE
+    + r"(?i:register)\s+(?i:template)\s[^()]*\([^()]*\)\s*(?i:as)\b"
+    + _SPACE
+    + r"(?!(?i:select|construct|ask|describe|prefix|base|pattern|chronicle)\b)"
+    r"(?:(?:always|eventually|historically|once|previous|not|forall|exists|true|false)\b"
+    r"|[(\"?0-9-]|(?:[A-Za-z_][\w-]*:)?[A-Za-z_]\w*\s*[(<>=!+*/-]|<[^<>\s]*>\s*\()"
+)
+"""A template whose body begins like a formula and not with a keyword of another language."""
 
 
 @TextCache
@@ -78,6 +94,18 @@ def is_monitor(source: str) -> bool:
 
 
 @TextCache
+def parse_formula_template(source: str) -> ast.FormulaTemplate:
+    """Parse ``REGISTER TEMPLATE name(?x, ?limit) AS formula with options``. Raises
+    `LanguageError`."""
+    return _Reader(source).template(_parse(source, "template_text"))
+
+
+def is_formula_template(source: str) -> bool:
+    """Whether a text registers a formula rather than a query: the word after ``AS`` says so."""
+    return _TEMPLATE.match(source) is not None
+
+
+@TextCache
 def parse_formula(source: str) -> ast.Formula:
     """Parse a formula by itself. Raises `LanguageError`."""
     return _Reader(source).formula(_parse(source, "formula_text").children[0])
@@ -86,7 +114,9 @@ def parse_formula(source: str) -> ast.Formula:
 def _parse(source: str, start: str) -> Tree[Token]:
     _check_depth(source)
     try:
-        tree = grammar("mtl/mtl.lark", "start", "formula_text").parse(source, start=start)
+        tree = grammar("mtl/mtl.lark", "start", "formula_text", "template_text").parse(
+            source, start=start
+        )
     except UnexpectedInput as error:
         raise syntax_error(error, source, _syntax_hint) from None
     check_names(tree, source)
@@ -148,18 +178,50 @@ class _Reader:
     # -- monitors ----------------------------------------------------------------------------
 
     def monitor(self, tree: Tree[Token]) -> ast.Monitor:
-        # The formula may be a bare token, so children are told apart by their order.
-        rest = [c for c in tree.children if not (isinstance(c, Token) and c.type in _MARKS)]
-        name = rest.pop(0)
+        name, *rest = _unmarked(tree)
         parameters: tuple[ast.Binding, ...] = ()
         if isinstance(head := rest[0], Tree) and head.data == "parameters":
             parameters = tuple(map(self.binding, trees(head)))
             rest.pop(0)
-        formula = self.formula(rest.pop(0))
+        return self.body(str(name), parameters, rest, span_of(tree))
+
+    def template(self, tree: Tree[Token]) -> ast.FormulaTemplate:
+        symbol, *rest = _unmarked(tree)
+        assert isinstance(symbol, Tree)
+        name = self.symbol(symbol)
+        iri = possible_iris(name.text, name.span, self._source)[0]
+        slots: list[ast.Slot] = []
+        while isinstance(head := rest[0], Tree) and head.data == "slot":
+            slots.append(self.slot(head, slots))
+            rest.pop(0)
+        monitor = self.body(local_name(iri), (), rest, span_of(tree))
+        return ast.FormulaTemplate(iri, tuple(slots), monitor, self._source)
+
+    def slot(self, tree: Tree[Token], before: Sequence[ast.Slot]) -> ast.Slot:
+        variable = self.variable(tokens(tree, "VARIABLE")[0])
+        if variable in (slot.variable for slot in before):
+            raise LanguageError(
+                f"`?{variable.name}` is a parameter twice",
+                self._source,
+                variable.span,
+                "give the second another name",
+            )
+        sorts = trees(tree)
+        return ast.Slot(variable, self.symbol(sorts[0]) if sorts else None, span_of(tree))
+
+    def body(
+        self,
+        name: str,
+        parameters: tuple[ast.Binding, ...],
+        rest: Sequence[Tree[Token] | Token],
+        span: Span,
+    ) -> ast.Monitor:
+        first, *options = rest
+        formula = self.formula(first)
         constraints: list[kpl.Constraint] = []
         report, once, present_for = ast.Report.VIOLATIONS, False, None
         given: dict[str, Span] = {}
-        for option in rest:
+        for option in options:
             assert isinstance(option, Tree)
             self.check_once(option, given)
             match option.data:
@@ -172,14 +234,14 @@ class _Reader:
                 case _:
                     constraints.append(read_constraint(option, self._source))
         return ast.Monitor(
-            str(name),
+            name,
             parameters,
             formula,
-            self.policy(constraints, span_of(tree)),
+            self.policy(constraints, span),
             report,
             once,
             present_for,
-            span_of(tree),
+            span,
         )
 
     def check_once(self, option: Tree[Token], given: dict[str, Span]) -> None:
@@ -276,6 +338,9 @@ class _Reader:
                 return value if children[0] == "+" else ast.Negative(value, span)
             case "quantity":
                 return self.quantity(tree)
+            case "measured":
+                unit = read_units(trees(tree)[0], self._source)
+                return ast.Measured(self.variable(tokens(tree)[0]), unit, span)
             case _:
                 assert tree.data == "feature", tree.data
                 return self.feature(tree)
@@ -370,8 +435,16 @@ class _Reader:
         return found
 
 
-_MARKS: Final = frozenset({"MONITOR", "WITH", "EQUAL", "COMMA"})
+_MARKS: Final = frozenset(
+    {"MONITOR", "REGISTER", "TEMPLATE", "AS", "WITH", "EQUAL", "COMMA", "LPAR", "RPAR"}
+)
 _CONNECTIVES: Final = frozenset({"ARROW", "OR", "AND", "UNTIL", "SINCE"})
+
+
+def _unmarked(tree: Tree[Token]) -> list[Tree[Token] | Token]:
+    """The children without keywords. The formula may be a bare token, so their order tells them
+    apart."""
+    return [c for c in tree.children if not (isinstance(c, Token) and c.type in _MARKS)]
 
 
 def _is_connective(node: Tree[Token] | Token) -> bool:

@@ -19,13 +19,26 @@ def format_monitor(monitor: ast.Monitor) -> str:
     """Return the monitor as text, on one line. Law: `parse_monitor` reads it back."""
     parameters = ", ".join(map(_binding, monitor.parameters))
     head = f"monitor {monitor.name}{f'({parameters})' if parameters else ''}"
+    return f"{head} = {_body(monitor)}"
+
+
+def format_formula_template(template: ast.FormulaTemplate) -> str:
+    """Return the template as text, on one line. Law: `parse_formula_template` reads it back."""
+    slots = ", ".join(
+        f"?{slot.variable.name}" + (f" in {slot.sort.text}" if slot.sort else "")
+        for slot in template.slots
+    )
+    return f"REGISTER TEMPLATE <{template.name}>({slots}) AS {_body(template.monitor)}"
+
+
+def _body(monitor: ast.Monitor) -> str:
     options = [format_policy(monitor.policy)]
     if monitor.present_for is not None:
         options.append(f"present for {format_duration(monitor.present_for)}")
     if monitor.once:
         options.append("once")
     options.append(f"report {monitor.report}")
-    return f"{head} = {format_formula(monitor.formula)} with {', '.join(options)}"
+    return f"{format_formula(monitor.formula)} with {', '.join(options)}"
 
 
 def format_formula(formula: ast.Formula, strength: int = _IMPLIES) -> str:
@@ -68,6 +81,8 @@ def _format(formula: ast.Formula) -> tuple[int, str]:
         case ast.Number(value, unit):
             shown = "" if unit is None else f" {_unit(format_unit(unit))}"
             return _FACTOR, f"{_number(value)}{shown}"
+        case ast.Measured(variable, unit):
+            return _FACTOR, f"?{variable.name} {_unit(format_unit(unit))}"
         case ast.Truth(value):
             return _FACTOR, "true" if value else "false"
         case ast.TimePoint(value):

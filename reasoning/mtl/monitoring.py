@@ -18,6 +18,9 @@ from ..states.states import States, Term
 from .evaluator import MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import bound_sorts, readings_of
 
+VERDICT, DECIDED, LAST = "verdict", "decided", "last"
+RESULT_FIELDS: Final = (VERDICT, DECIDED, LAST)
+"""The fields of a stream of verdicts beside the objects; `LAST` only where runs are reported."""
 WORDS: Final = {1: "true", 0: "false", -1: "unknown"}
 """The word for each verdict."""
 
@@ -163,9 +166,9 @@ class Monitoring:
         """Take the times of all samples of a stream, in order of available time."""
         self._departures.add(source, available, valid)
 
-    def ended(self, source: int) -> None:
-        """Wait no longer for a stream."""
-        self._departures.end(source)
+    def ended(self, source: int, moment: int) -> None:
+        """Wait for a stream no longer after the available time ``moment``, when it ended."""
+        self._departures.end(source, moment)
 
     def set_idle(self, sources: Iterable[int]) -> None:
         """Wait for these streams no longer, until they have samples again."""

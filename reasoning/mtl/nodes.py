@@ -21,6 +21,7 @@ from ...languages.mtl.checked import (
     ObjectConstant,
     ObjectVariable,
     Or,
+    Parameter,
     Previous,
     Quantified,
     Reading,
@@ -235,6 +236,8 @@ class Pass:
                 return self._calculation(operator, left, right)
             case Reading():
                 return self._reading(value)
+            case Parameter(name):
+                raise AssertionError(f"?{name} of a template has no value")
             case _:
                 assert_never(value)
 

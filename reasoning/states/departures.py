@@ -54,8 +54,9 @@ class Departures:
 
     With a ``max_delay`` D, the state of time t leaves at the available time t + D. Without one the
     streams are taken to be in order of valid time: reached is the least of the greatest valid times
-    of the streams. A stream that has ended is not waited for after its last sample. Nothing is
-    reached before each of the others has a sample.
+    of the streams. A stream is not waited for after its end, which may be later than its last
+    sample: that of a selection is the end of the whole stream. Nothing is reached before each of
+    the others has a sample.
 
     Law (tests/laws/reasoning): the steps do not depend on batch cuts, nor on the order in which the
     streams deliver. Cost: a sort of the new samples.
@@ -68,20 +69,21 @@ class Departures:
         self._newest = [TIME_MIN] * sources
         """The greatest available time of each stream's samples before the watermark."""
         self._greatest = [TIME_MIN] * sources
-        self._ended: set[int] = set()
+        self._ended: dict[int, int] = {}
+        """When each stream that has ended did so."""
         self._reached = TIME_MIN
         self.idle: frozenset[int] = frozenset()
         """Streams that have fallen silent, and are not waited for meanwhile."""
 
     def add(self, source: int, available: Times, valid: Times) -> None:
         """Take samples of a stream, in order of available time."""
-        self._ended.discard(source)
+        self._ended.pop(source, None)
         if self._delay is None:
             self._waiting[source].append((available, valid))
 
-    def end(self, source: int) -> None:
-        """Wait no longer for a stream."""
-        self._ended.add(source)
+    def end(self, source: int, moment: int) -> None:
+        """Wait for a stream no longer after the available time ``moment``, when it ended."""
+        self._ended[source] = moment
 
     def advance(self, watermark: int, *, by_clock: bool) -> Steps:
         """Return the steps at the instants before ``watermark``; ``by_clock`` also the one there.
@@ -95,7 +97,7 @@ class Departures:
         if by_clock:
             moments = np.append(moments, watermark)
         reached = np.full(len(moments), TIME_MAX, np.int64)
-        silent = self._ended | self.idle
+        silent = self._ended.keys() | self.idle
         for source, ((available, valid), _) in enumerate(due):
             # What the samples up to each moment, and earlier ones, have reached.
             greatest = np.maximum.accumulate(np.append(self._greatest[source], valid))
@@ -104,7 +106,8 @@ class Departures:
                 self._newest[source] = int(available[-1])
                 self._greatest[source] = int(greatest[-1])
             if source in silent and not self._waiting[source]:
-                known = np.where(moments > self._newest[source], TIME_MAX, known)
+                last = self._ended.get(source, self._newest[source])
+                known = np.where(moments > last, TIME_MAX, known)
             reached = np.minimum(reached, known)
         if len(silent) == len(self._waiting):
             # The last states leave at the end of all streams (`StateMaker.end`).

@@ -13,12 +13,14 @@ from typing import Final
 import anyio
 import anyio.to_thread
 
-from ...languages.csparql import body_tree, parse_query, parse_template
+from ...languages.csparql import body_tree, parse_query
+from ...languages.csparql.ast import Template
 from ...languages.kpl import parse_kpl
 from ...languages.kpl.ast import Specification
 from ...languages.mtl import is_monitor, parse_monitor
 from ...languages.ssl import parse_ssl
 from ...languages.ssl.ast import Declaration
+from ...languages.templates import parse_any_template
 from ...templates.patterns import patterns
 from ..config.text_bounds import LONGEST, MOST_DECLARATIONS, MOST_WORDS, words
 from .problems import Problem
@@ -79,7 +81,9 @@ async def parse_aside(parse: Callable[[str], object], text: str) -> None:
 
 def parse_registration(text: str) -> None:
     """Parse a template, and its body as registering it does: for `parse_aside`."""
-    body_tree(parse_template(text).query)
+    template = parse_any_template(text)
+    if isinstance(template, Template):
+        body_tree(template.query)
 
 
 def parse_continuous(text: str) -> None:

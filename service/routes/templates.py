@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from ...engine.durability.commands import RegisterTemplate, RemoveTemplate
 from ...engine.model.errors import UnknownTemplate
 from ...engine.model.views import TemplateView
-from ...languages.csparql import parse_template
+from ...languages.templates import parse_any_template
 from ...rdf.namespaces import local_name, shorten
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
 from ..http.negotiation import accepted, text_body
@@ -105,7 +105,7 @@ async def put_template(
     """Register the template of this name, or replace it. Running requests keep the old one."""
     text = await text_body(request, TEXTS)
     await parse_aside(parse_registration, text)
-    registered = parse_template(text).name
+    registered = parse_any_template(text).name
     if name not in (registered, f"<{registered}>", shorten(registered), local_name(registered)):
         raise Problem(
             409,

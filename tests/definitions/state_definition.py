@@ -42,12 +42,12 @@ class State:
 
 @dataclass
 class StateDefinition:
-    """``samples``: those of one source in order of arrival. ``ended``, of each source: whether it
-    ended at once after its last sample. ``watermark``: every sample available before it has come.
-    """
+    """``samples``: those of one source in order of arrival. ``ended``: when each source ended, with
+    its last sample or later; None: it has not. ``watermark``: every sample available before it has
+    come."""
 
     samples: list[Sample]
-    ended: list[bool]
+    ended: list[int | None]
     watermark: int
     delay: int | None
     period: int | None
@@ -69,12 +69,12 @@ class StateDefinition:
             # The state of t leaves at t + delay, with the samples of that instant.
             return time - self.delay + is_instant
         found = GREATEST
-        for source, has_ended in enumerate(self.ended):
+        for source, end in enumerate(self.ended):
             own = [s for s in self.samples if s.source == source]
-            if not (has_ended and all(s.available < time for s in own)):
+            if end is None or time <= end:
                 before = (s.valid for s in own if (s.available, 1) <= moment)
                 found = min(found, max(before, default=LEAST))
-        if all(self.ended):
+        if None not in self.ended:
             known = (s.valid for s in self.samples if (s.available, 1) <= moment)
             found = min(found, max(known, default=LEAST))
         return found

@@ -23,8 +23,17 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
-from dyknow.languages.mtl import check_mtl, format_monitor, parse_monitor
-from dyknow.languages.mtl.checked import Reading
+from dyknow.languages.mtl import (
+    check_formula_template,
+    check_mtl,
+    format_formula_template,
+    format_monitor,
+    is_formula_template,
+    is_monitor,
+    parse_formula_template,
+    parse_monitor,
+)
+from dyknow.languages.mtl.checked import Parameter, Reading
 from dyknow.languages.specification import (
     format_specification,
     parse_specification,
@@ -145,13 +154,27 @@ def print_specification(text: str) -> str:
 
 
 def print_mtl(text: str) -> str:
-    """The monitor as it is printed, then the feature values that it reads."""
-    monitor = parse_monitor(text)
-    printed = format_monitor(monitor)
+    """The monitor or template as it is printed, then its parameters and the feature values that it
+    reads."""
     # What is printed says the same.
-    assert parse_monitor(printed) == monitor
-    checked = check_mtl(monitor, text, vocabulary())
-    lines = [f"  ?{variable} in {shorten(sort)}" for variable, sort in checked.parameters]
+    if "TEMPLATE" in text.upper():
+        template = parse_formula_template(text)
+        printed = format_formula_template(template)
+        assert parse_formula_template(printed) == template
+        found = check_formula_template(template, vocabulary())
+        lines = [
+            f"  ?{slot.name}: {slot.kind}"
+            if isinstance(slot, Parameter)
+            else f"  ?{slot.name} in {shorten(slot.sort)}"
+            for slot in found.slots
+        ]
+        checked = found.monitor
+    else:
+        monitor = parse_monitor(text)
+        printed = format_monitor(monitor)
+        assert parse_monitor(printed) == monitor
+        checked = check_mtl(monitor, text, vocabulary())
+        lines = [f"  ?{variable} in {shorten(sort)}" for variable, sort in checked.parameters]
     for each in dict.fromkeys(readings(checked.formula)):
         names = ", ".join(
             shorten(argument.iri) if hasattr(argument, "iri") else f"?{argument.name}"
@@ -202,3 +225,26 @@ def test_case(path: Path) -> None:
 def test_every_case_file_is_of_a_known_language() -> None:
     for language in PRINTERS:
         assert list(CASES.glob(f"{language}/*.case"))
+
+
+@pytest.mark.parametrize(
+    ("text", "is_formula"),
+    [
+        ("REGISTER TEMPLATE dyknow:R(?x in Car) AS (speed(?x) > 3)", True),
+        ("# a\nregister template R(?x, ?y)\nas # b\n speed(?x) > ?y", True),
+        ("REGISTER TEMPLATE R(?x) AS <http://example.org/f>(?x)", True),
+        ("REGISTER TEMPLATE R() AS wind > 3", True),
+        ("REGISTER TEMPLATE R(?x) COMPUTE EVERY 1s AS SELECT", False),
+        ("REGISTER TEMPLATE R(?x) AS PREFIX a: <b>", False),
+        ("REGISTER TEMPLATE R(?x) AS select (?x as", False),
+        ("REGISTER TEMPLATE R(?x) AS CONSTRUCT{", False),
+        ("REGISTER TEMPLATE R(?x) AS chronicle (", False),
+        # A comment matches in one way: otherwise these texts would not end.
+        ("#" * 40_000 + "\nx", False),
+        ("register template R(?x) as" + "\n#" * 20_000 + "a" * 20_000, False),
+        ("register template R" + "(" * 40_000, False),
+    ],
+)
+def test_what_follows_as_tells_the_language(text: str, is_formula: bool) -> None:
+    assert is_formula_template(text) is is_formula
+    assert not is_monitor(text)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any, TypeVar
 
-from state_definition import Sample, StateDefinition
+from state_definition import LEAST, Sample, StateDefinition
 
 from dyknow.streams.policies.policy import (
     AnyChange,
@@ -22,7 +23,7 @@ class StateCase:
     """Samples of some streams, and the policy of their states; see `StateDefinition`."""
 
     streams: list[list[Sample]]
-    ended: list[bool]
+    ended: list[int | None]
     watermark: int
     delay: int | None
     period: int | None
@@ -30,6 +31,20 @@ class StateCase:
     approximation: Approximation
     present_for: int | None
     wider: dict[str, tuple[str, ...]]
+
+    def ends(self, random: Random) -> list[int | None]:
+        """When each stream ended: all have, or some."""
+        last = [each[-1].available if each else LEAST for each in self.streams]
+        share = random.choice([1.0, 0.5])
+        return [
+            min(t + random.choice([0, 0, 3]), self.latest) if random.random() < share else None
+            for t in last
+        ]
+
+    @property
+    def latest(self) -> int:
+        """The available time of the last sample."""
+        return max((s.available for each in self.streams for s in each), default=0)
 
     @property
     def policy(self) -> SynchronizationPolicy:

@@ -65,13 +65,13 @@ class Case(FormulaDrawing, StateCase):
         self.once = draw.random() < 0.15
         sources = draw.choice([1, 2, 2, 3])
         self.streams = [self.stream(source) for source in range(sources)]
-        self.ended = draw.choice([[True] * sources, [draw.random() < 0.5 for _ in range(sources)]])
-        self.after = 1 + max((s.available for each in self.streams for s in each), default=0)
+        self.ended = self.ends(draw)
+        self.after = 1 + self.latest
         self.ticks = self.drawn_ticks()
         last = [each[-1].available if each else LEAST for each in self.streams]
-        waited = [t for t, ended in zip(last, self.ended, strict=True) if not ended]
+        waited = [t for t, end in zip(last, self.ended, strict=True) if end is None]
         self.watermark = max([min(waited, default=self.after), *self.ticks])
-        self.moment = self.watermark + draw.choice([0, 7]) if all(self.ended) else None
+        self.moment = self.watermark + draw.choice([0, 7]) if None not in self.ended else None
 
     def whole(self, names: list[str]):
         depth = self.random.choice([1, 2, 2, 3])
@@ -235,8 +235,9 @@ class Playing:
 
     def _end(self, source: int) -> None:
         is_last = self._given[source] == len(self.case.streams[source])
-        if is_last and self.case.ended[source]:
-            self.monitoring.ended(source)
+        end = self.case.ended[source]
+        if is_last and end is not None:
+            self.monitoring.ended(source, end)
             self._ended.add(source)
 
     def _add(self, source: int, term, part: list[Sample]) -> None:
@@ -338,7 +339,7 @@ def rows_told(formula, report: Report, rows, *, once: bool = False) -> list[tupl
         if monitoring.is_over:
             break
     else:
-        monitoring.ended(0)
+        monitoring.ended(0, rows[-1][0])
         found += [monitoring.advance(rows[-1][0] + 1), monitoring.finish(rows[-1][0])]
     return [
         told

@@ -49,10 +49,10 @@ class Drawing(StateCase):
         self.period = draw.choice([None, 1, 3])
         self.approximation = draw.choice([*Approximation])
         self.present_for = draw.choice([None, None, 0, 4])
-        self.ended = draw.choice([[True] * sources, [draw.random() < 0.5 for _ in range(sources)]])
-        self.after = 1 + max((s.available for each in self.streams for s in each), default=0)
+        self.ended = self.ends(draw)
+        self.after = 1 + self.latest
         last = [each[-1].available if each else LEAST for each in self.streams]
-        waited = [t for t, ended in zip(last, self.ended, strict=True) if not ended]
+        waited = [t for t, end in zip(last, self.ended, strict=True) if end is None]
         self.watermark = min(waited, default=self.after + draw.choice([0, 4]))
 
     def stream(self, source: int) -> list[Sample]:
@@ -120,8 +120,9 @@ class Playing:
             for term in {s.term: None for s in part}:
                 self.maker.add(term, source, self._rows([s for s in part if s.term == term]))
         is_last = self._given[source] == len(stream)
-        if is_last and self.case.ended[source] and self.random.random() < 0.7:
-            self.departures.end(source)
+        end = self.case.ended[source]
+        if is_last and end is not None and self.random.random() < 0.7:
+            self.departures.end(source, end)
             self._ended.add(source)
 
     def _rows(self, part: list[Sample]) -> Rows:
@@ -202,7 +203,7 @@ def compared(seed: int) -> Counter[str]:
         assert played.states == expected, seed
         assert played.maker.late == len(late), seed
     last = []
-    if all(case.ended):
+    if None not in case.ended:
         moment = case.watermark + case.random.choice([0, 7])
         last = definition.last_states(moment)
         for played in plays:
@@ -228,8 +229,8 @@ def contents(case: Drawing, states: list[State]) -> dict[str, int]:
         "wider": sum(len(state.present - objects) for state in states),
         "waiting": any(each and each[-1].available >= case.watermark for each in case.streams),
         "ended early": any(
-            ended and each and each[-1].available < case.watermark - 1
-            for each, ended in zip(case.streams, case.ended, strict=True)
+            end is not None and each and each[-1].available < case.watermark - 1
+            for each, end in zip(case.streams, case.ended, strict=True)
         ),
     }
 
