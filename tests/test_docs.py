@@ -22,7 +22,11 @@ from pyoxigraph import RdfFormat, parse
 
 from dyknow.engine.engine import Engine
 from dyknow.languages.kpl import parse_kpl
-from dyknow.languages.mtl import parse_monitor
+from dyknow.languages.mtl import (
+    is_formula_template,
+    parse_formula_template,
+    parse_monitor,
+)
 from dyknow.languages.ssl import parse_ssl
 from dyknow.service.app import create_app
 from dyknow.service.cli.main import COMMANDS, command
@@ -141,7 +145,10 @@ def test_blocks_are_of_their_language(page: Path) -> None:
                 parse_ssl(block.text)
             case "mtl":
                 # Refused texts are compared by tests/languages/test_formulas_page.py.
-                assert block.file == "refused" or parse_monitor(block.text)
+                if is_formula_template(block.text):
+                    parse_formula_template(block.text)
+                else:
+                    assert block.file == "refused" or parse_monitor(block.text)
             case other:
                 assert other in UNCHECKED, other
 

@@ -33,7 +33,10 @@ WINDOW [RANGE 5s STEP 1s]"""
 BODY = {
     "requestBody": {
         "required": True,
-        "content": {kind: text_schema("a REGISTER TEMPLATE text", EXAMPLE) for kind in TEXTS},
+        "content": {
+            kind: text_schema("a REGISTER TEMPLATE text, of a query or a formula", EXAMPLE)
+            for kind in TEXTS
+        },
     }
 }
 TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {

@@ -11,7 +11,12 @@ from pyoxigraph import RdfFormat, parse
 
 from dyknow.engine.engine import Engine
 from dyknow.languages.errors import LanguageError
-from dyknow.languages.mtl import check_mtl, format_monitor, parse_monitor
+from dyknow.languages.mtl import (
+    check_mtl,
+    format_monitor,
+    is_formula_template,
+    parse_monitor,
+)
 from dyknow.languages.mtl.ast import Report
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
@@ -20,6 +25,7 @@ from dyknow.reasoning.states.states import States, Values
 
 PAGE = (ROOT / "docs" / "reference" / "formulas.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```mtl\n(.*?)```", PAGE, re.S)
+TEMPLATES = re.findall(r"```mtl template\n(.*?)```", PAGE, re.S)
 REFUSED = re.findall(r"```mtl refused\n(.*?)```\n\n```text\n(.*?)```", PAGE, re.S)
 TIMELINES = re.findall(r"```text timeline\n(.*?)```", PAGE, re.S)
 
@@ -100,6 +106,15 @@ def test_examples_are_right(text: str) -> None:
     check_mtl(monitor, text, Engine(epoch="e1").ontology.vocabulary)
 
 
+@pytest.mark.parametrize("text", TEMPLATES)
+def test_templates_are_right(text: str) -> None:
+    assert is_formula_template(text)
+    engine = Engine(epoch="e1")
+    engine.register_template(text)
+    request = engine.parse_request("Reckless(?car, 100)")
+    assert "dyknow:speed of every dyknow:Thing" in engine.explain(event=request.source)
+
+
 @pytest.mark.parametrize(("text", "error"), REFUSED)
 def test_errors(text: str, error: str) -> None:
     with pytest.raises(LanguageError) as caught:
@@ -114,5 +129,6 @@ def test_the_page_shows_each_operator() -> None:
         assert re.search(rf"\b{word}\b", shown), word
     assert "->" in shown
     assert len(EXAMPLES) >= 3
+    assert TEMPLATES
     assert len(REFUSED) >= 4
     assert all(f"report {each}" in PAGE for each in Report)
