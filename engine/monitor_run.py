@@ -23,7 +23,14 @@ from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import StreamAnnotation
 from ..ontology.errors import OntologyError
 from ..ontology.formats import FORMATS
-from ..reasoning.mtl.monitoring import DECIDED, LAST, RESULT_FIELDS, VERDICT, WORDS
+from ..reasoning.mtl.monitoring import (
+    DECIDED,
+    LAST,
+    RESULT_FIELDS,
+    ROBUSTNESS,
+    VERDICT,
+    WORDS,
+)
 from ..streams.generator import StreamGenerator
 from ..streams.history import Retention
 from ..streams.sample import SampleBatch
@@ -49,7 +56,8 @@ class Verdict(NamedTuple):
     ``start``: the valid time (ns) of the state at which the formula was started; of a run that of
     its first, and ``last`` that of its last. ``objects``: the objects of the monitor's parameters,
     by their names. ``verdict``: None is unknown. ``decided``: the valid time (ns) of the state that
-    decided it.
+    decided it. ``robustness``: how far the values are from another verdict, in the units of the
+    features; None without that option, for an unknown verdict, and where no number changes it.
     """
 
     start: int
@@ -57,6 +65,7 @@ class Verdict(NamedTuple):
     verdict: bool | None
     decided: int
     last: int
+    robustness: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,13 +251,14 @@ def _parts(recordings: Mapping[str, Recording]) -> Iterator[tuple[str, Incoming]
 def _verdicts(batch: SampleBatch) -> Iterator[Verdict]:
     for _, start, values in batch.rows():
         objects = {name: str(value) for name, value in values.items() if name not in RESULT_FIELDS}
-        last = values.get(LAST)
+        last, robustness = values.get(LAST), values.get(ROBUSTNESS)
         yield Verdict(
             start,
             objects,
             _TRUTHS[str(values[VERDICT])],
             parse_time(str(values[DECIDED])),
             start if last is None else parse_time(str(last)),
+            None if robustness is None else float(robustness),
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from ...converters.objects import object_iri, object_name
@@ -16,7 +17,7 @@ from ...reasoning.mtl.formulas import bound_sorts
 from ...reasoning.mtl.monitoring import (
     DECIDED,
     LAST,
-    RESULT_FIELDS,
+    ROBUSTNESS,
     VERDICT,
     WORDS,
     Monitoring,
@@ -39,10 +40,14 @@ from .term_readers import TermInput, term_readers
 
 def verdict_schema(monitor: CheckedMonitor) -> Schema:
     """Return the fields of a monitor's verdicts: the objects by the names of the parameters, the
-    verdict, the time of the deciding state; and of a run the time of its last start."""
+    verdict, the time of the deciding state; of a run the time of its last start; and by how much
+    the verdict holds, where that is asked for."""
     names = [name for name, _ in monitor.parameters]
-    results = RESULT_FIELDS if monitor.report is Report.CHANGES else (VERDICT, DECIDED)
-    return Schema(tuple(Field(name, FieldType.STRING) for name in (*names, *results)))
+    results = [VERDICT, DECIDED, *([LAST] if monitor.report is Report.CHANGES else [])]
+    fields = [Field(name, FieldType.STRING) for name in (*names, *results)]
+    if monitor.robustness:
+        fields.append(Field(ROBUSTNESS, FieldType.FLOAT))
+    return Schema(tuple(fields))
 
 
 class MonitorUnit(ComputationalUnit):
@@ -179,20 +184,26 @@ class MonitorUnit(ComputationalUnit):
     def _emit(self, found: Reported) -> None:
         if not len(found):
             return
-        columns: dict[str, list[str]] = {}
+        columns: dict[str, list[Any]] = {}
         for (name, _), iris in zip(self.monitoring.monitor.parameters, found.objects, strict=True):
             names = {iri: object_name(iri, DYKNOW) for iri in set(iris)}
             columns[name] = [names[iri] for iri in iris]
         columns[VERDICT] = [WORDS[value] for value in found.value.tolist()]
         columns[DECIDED] = list(map(format_time, found.decided.tolist()))
         columns[LAST] = list(map(format_time, found.last.tolist()))
+        if found.robustness is not None:
+            # An infinite margin is one that no number changes.
+            margins = found.robustness.tolist()
+            columns[ROBUSTNESS] = [each if isfinite(each) else None for each in margins]
         pools = self.output.stream.pools
         self.output.emit(
             SampleBatch(
                 self.output.stamps_at(found.available),
                 found.valid,
                 {
-                    field.name: column_from_values(field, columns[field.name], pools[field.name])
+                    field.name: column_from_values(
+                        field, columns[field.name], pools.get(field.name)
+                    )
                     for field in self.output.schema.fields
                 },
             )

@@ -247,7 +247,8 @@ class Monitor:
 
     ``policy`` says when there are states; without an option for that, at any change.
     ``present_for``: ns that an object stays present after its last sample; None: the default of
-    SPEC §8. ``once``: a single start, the first state.
+    SPEC §8. ``once``: a single start, the first state. ``robustness``: whether verdicts say by how
+    much they hold.
     """
 
     name: str
@@ -257,6 +258,7 @@ class Monitor:
     report: Report
     once: bool
     present_for: int | None
+    robustness: bool
     span: Span = attribute(compare=False)
 
 

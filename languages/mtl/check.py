@@ -69,6 +69,7 @@ def check_mtl(monitor: ast.Monitor, source: str, vocabulary: Vocabulary) -> Chec
         monitor.report,
         monitor.once,
         monitor.present_for,
+        robustness=monitor.robustness,
     )
 
 
@@ -121,6 +122,7 @@ def check_formula_template(
             monitor.report,
             monitor.once,
             monitor.present_for,
+            robustness=monitor.robustness,
         ),
     )
 
@@ -253,7 +255,7 @@ class _Checker:
         return Atom("=", replace(found.value, kind=Kind.TRUTH), Constant(True, Kind.TRUTH))
 
     def comparison(self, node: ast.Comparison, scope: _Scope) -> Atom:
-        left, right = self.value(node.left, scope), self.value(node.right, scope)
+        left, right = self.sides(node, scope)
         kind = left.kind or right.kind or Kind.NUMBER
         left, right = _as(left, kind), _as(right, kind)
         if left.kind is not right.kind:
@@ -271,6 +273,29 @@ class _Checker:
         if kind is Kind.NUMBER:
             left, right, _ = self.in_one_unit(left, right, node.span)
         return Atom(node.operator, left.value, right.value)
+
+    def sides(self, node: ast.Comparison, scope: _Scope) -> tuple[_Typed, _Typed]:
+        """Return the sides of a comparison. A name beside a variable is an object, also of one that
+        the ontology does not know."""
+        variables = [
+            isinstance(side, ast.Variable) and side.name not in self.values
+            for side in (node.left, node.right)
+        ]
+        found = []
+        for side, is_beside in zip((node.left, node.right), reversed(variables), strict=True):
+            if is_beside and isinstance(side, ast.FeatureTerm) and self.is_new(side):
+                iri = self._names.object(side.feature.text, side.feature.span)
+                found.append(_Typed(ObjectConstant(iri), Kind.OBJECT, None))
+            else:
+                found.append(self.value(side, scope))
+        return found[0], found[1]
+
+    def is_new(self, node: ast.FeatureTerm) -> bool:
+        """Whether this is a name that the ontology does not know."""
+        vocabulary = self._names.vocabulary
+        iris = self._names.iris(node.feature.text, node.feature.span)
+        known = (vocabulary.is_feature, vocabulary.is_event, vocabulary.is_object)
+        return not node.arguments and not any(is_it(iri) for is_it in known for iri in iris)
 
     # -- values ------------------------------------------------------------------------------
 

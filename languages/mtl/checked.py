@@ -169,6 +169,7 @@ class CheckedMonitor:
     once: bool
     present_for: int | None
     fixed: tuple[tuple[str, str], ...] = ()
+    robustness: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ _LONGEST: Final = 2**62
 _OPTIONS: Final = frozenset({"SAMPLE", "MAX", "REPORT", "PRESENT"})
 _OPTION_HINT: Final = (
     "an option is `sample every t`, `any change`, `max delay t`, `use most recent`, "
-    "`no approximation`, `from a to b`, `present for t`, `once` or "
+    "`no approximation`, `from a to b`, `present for t`, `once`, `robustness` or "
     "`report violations | changes | verdicts`"
 )
 _SPELLED_OUT: Final = {
@@ -219,7 +219,7 @@ class _Reader:
         first, *options = rest
         formula = self.formula(first)
         constraints: list[kpl.Constraint] = []
-        report, once, present_for = ast.Report.VIOLATIONS, False, None
+        report, once, robustness, present_for = ast.Report.VIOLATIONS, False, False, None
         given: dict[str, Span] = {}
         for option in options:
             assert isinstance(option, Tree)
@@ -229,10 +229,19 @@ class _Reader:
                     report = ast.Report(str(tokens(option)[-1]))
                 case "once_only":
                     once = True
+                case "robustness":
+                    robustness = True
                 case "present_for":
                     present_for = self.duration(tokens(trees(option)[0])[0])
                 case _:
                     constraints.append(read_constraint(option, self._source))
+        if robustness and report is ast.Report.CHANGES and not once:
+            raise LanguageError(
+                "`robustness` is that of a start, and `report changes` tells of runs of starts",
+                self._source,
+                given["robustness"],
+                "write `report verdicts` or `report violations`",
+            )
         return ast.Monitor(
             name,
             parameters,
@@ -241,6 +250,7 @@ class _Reader:
             report,
             once,
             present_for,
+            robustness,
             span,
         )
 

@@ -37,6 +37,8 @@ def _body(monitor: ast.Monitor) -> str:
         options.append(f"present for {format_duration(monitor.present_for)}")
     if monitor.once:
         options.append("once")
+    if monitor.robustness:
+        options.append("robustness")
     options.append(f"report {monitor.report}")
     return f"{format_formula(monitor.formula)} with {', '.join(options)}"
 

@@ -28,10 +28,11 @@ from ...languages.mtl.checked import (
     Within,
 )
 from ...streams.sample import Mask, Times
-from ...streams.time_arithmetic import earlier
+from ...streams.time_arithmetic import earlier, later
 from ..states.states import States, Term, Values
-from .formulas import bound_sorts, parts_of, readings_of
+from .formulas import bound_sorts, parts_of, reach_of, readings_of
 from .nodes import END, Pass, spread_node, term_of
+from .robustness import margins
 from .windows import NEVER
 
 
@@ -54,6 +55,9 @@ class Verdicts:
     decided_time: Times
     value: NDArray[np.int8]
     binding: NDArray[np.int64]
+    robustness: NDArray[np.float64] | None = None
+    """The margin of each verdict (`robustness.margins`), NaN for an unknown one; None: not asked
+    for."""
 
     def __len__(self) -> int:
         return len(self.start)
@@ -182,13 +186,16 @@ class MonitorEvaluator:
             upper = spread_node(once.node(formula, True), self._axes, rows.is_decided.shape)
             unknown = np.maximum(lower.false, upper.true)
             decided = np.minimum(np.minimum(lower.true, upper.false), unknown)
+        if self._monitor.robustness:
+            over = self._over(states)
+            decided = np.maximum(decided, over.reshape((-1,) + (1,) * (decided.ndim - 1)))
         is_there = self._present(states)
         new = (decided < NEVER) & ~rows.is_decided & is_there
         rows.is_decided |= new | ~is_there
         places = np.nonzero(new)
         moment = decided[places]
         value = np.where(
-            lower.true[places] == moment, 1, np.where(upper.false[places] == moment, 0, -1)
+            lower.true[places] <= moment, 1, np.where(upper.false[places] <= moment, 0, -1)
         ).astype(np.int8)
         # The places are in the order of axes; parameters are in that of the text.
         by_name = dict(zip(self._axes, places[1:], strict=True))
@@ -203,8 +210,31 @@ class MonitorEvaluator:
             states.valid[moment[order]],
             value[order],
             binding[order],
+            self._robustness(once, value, places)[order] if self._monitor.robustness else None,
         )
         self._forget(rows)
+        return found
+
+    def _over(self, states: States) -> Times:
+        """From which state on no later state counts for each start."""
+        reach = reach_of(self._monitor.formula)
+        count = len(states.valid)
+        end = np.full(count, END) if reach is None else later(states.valid, reach)
+        closed = np.searchsorted(states.horizon, end, "left")
+        return np.where(closed == count, NEVER, np.maximum(closed, np.arange(count)))
+
+    def _robustness(
+        self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
+    ) -> NDArray[np.float64]:
+        """The margin of verdicts at these places, in the reading that decides them."""
+        found = np.full(len(value), np.nan)
+        by_name = dict(zip(self._axes, places[1:], strict=True))
+        for is_upper, verdict in ((False, 1), (True, 0)):
+            mine = np.flatnonzero(value == verdict)
+            if len(mine):
+                axes, table = margins(once, self._monitor.formula, is_upper=is_upper)
+                at = (places[0][mine], *(by_name[name][mine] for name in axes))
+                found[mine] = table[at]
         return found
 
     def _present(self, states: States) -> Mask:

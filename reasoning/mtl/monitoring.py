@@ -18,9 +18,10 @@ from ..states.states import States, Term
 from .evaluator import MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import bound_sorts, readings_of
 
-VERDICT, DECIDED, LAST = "verdict", "decided", "last"
-RESULT_FIELDS: Final = (VERDICT, DECIDED, LAST)
-"""The fields of a stream of verdicts beside the objects; `LAST` only where runs are reported."""
+VERDICT, DECIDED, LAST, ROBUSTNESS = "verdict", "decided", "last", "robustness"
+RESULT_FIELDS: Final = (VERDICT, DECIDED, LAST, ROBUSTNESS)
+"""The fields of a stream of verdicts beside the objects; `LAST` only where runs are reported, and
+`ROBUSTNESS` only where it is asked for."""
 WORDS: Final = {1: "true", 0: "false", -1: "unknown"}
 """The word for each verdict."""
 
@@ -40,6 +41,7 @@ class Reported:
     last: Times
     value: NDArray[np.int8]
     objects: NDArray[Any]
+    robustness: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.valid)
@@ -52,6 +54,7 @@ class Reported:
             self.last[rows],
             self.value[rows],
             self.objects[:, rows],
+            None if self.robustness is None else self.robustness[rows],
         )
 
 
@@ -270,7 +273,15 @@ class _Timeline:
         columns = [names[found.binding[:, i]] for i, names in enumerate(self.objects)]
         objects = np.stack(columns) if columns else np.empty((0, len(found)), object)
         start = found.start_time
-        return Reported(available, start, found.decided_time, start, found.value, objects)
+        return Reported(
+            available,
+            start,
+            found.decided_time,
+            start,
+            found.value,
+            objects,
+            found.robustness,
+        )
 
 
 class _Runs:
@@ -346,6 +357,7 @@ def _in_order(found: Reported) -> Reported:
 
 def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
     parts = [part for part in parts if len(part)]
+    found = [part.robustness for part in parts if part.robustness is not None]
     if not parts:
         none = np.empty(0, np.int64)
         objects = np.empty((parameters, 0), object)
@@ -357,6 +369,7 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
         np.concatenate([part.last for part in parts]),
         np.concatenate([part.value for part in parts]),
         np.concatenate([part.objects for part in parts], axis=1),
+        np.concatenate(found) if found else None,
     )
 
 

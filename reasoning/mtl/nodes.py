@@ -42,7 +42,7 @@ Axes: TypeAlias = tuple[str, ...]
 """The variables that the axes of a table behind the first stand for, in order of their names."""
 END: Final = TIME_MAX
 """The horizon when no further state comes."""
-_OPERATORS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
+OPERATORS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
     "<": np.less,
     "<=": np.less_equal,
     ">": np.greater,
@@ -131,7 +131,7 @@ class Pass:
 
     def _within(self, is_past: bool, interval: Interval, child: Node) -> Node:
         """``eventually``, or ``once``."""
-        first, last = self._bounds(is_past, interval)
+        first, last = self.bounds(is_past, interval)
         flat = _flat(child)
         true = windows.least(flat.true, first, last)
         false = windows.greatest(flat.false, first, last)
@@ -141,7 +141,7 @@ class Pass:
         return _shaped(child, np.maximum(true, known), np.maximum(false, known))
 
     def _until(self, is_past: bool, interval: Interval, left: Node, right: Node) -> Node:
-        first, last = self._bounds(is_past, interval)
+        first, last = self.bounds(is_past, interval)
         own, other = _flat(left), _flat(right)
         tables = own.true, own.false, other.true, other.false
         if is_past:
@@ -160,7 +160,7 @@ class Pass:
         )
         return Node(child.axes, np.maximum(true, known), np.maximum(false, known))
 
-    def _bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
+    def bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
         """The rows in the interval of each state: the first, and the one after the last."""
         valid = self.states.valid
         if is_past:
@@ -213,8 +213,8 @@ class Pass:
         return self.atoms[id(atom)]
 
     def _evaluated(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
-        axes, a, b, known = self._operands(atom.left, atom.right)
-        holds, known = np.broadcast_arrays(_OPERATORS[atom.operator](a, b), known)
+        axes, a, b, known = self.operands(atom.left, atom.right)
+        holds, known = np.broadcast_arrays(OPERATORS[atom.operator](a, b), known)
         # An atom over objects and constants alone has one row.
         shape = (self.rows, *holds.shape[1:])
         holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
@@ -254,17 +254,17 @@ class Pass:
             values = values.reshape(-1)[places]
         return axes, values, known
 
-    def _operands(self, left: Value, right: Value) -> tuple[Axes, NDArray[Any], NDArray[Any], Mask]:
+    def operands(self, left: Value, right: Value) -> tuple[Axes, NDArray[Any], NDArray[Any], Mask]:
         """The values of both sides over the union of their axes, and where both are known."""
         (a_axes, a, a_known), (b_axes, b, b_known) = self.value(left), self.value(right)
         axes = _union(a_axes, b_axes)
-        known = _spread(a_known, a_axes, axes) & _spread(b_known, b_axes, axes)
-        return axes, _spread(a, a_axes, axes), _spread(b, b_axes, axes), known
+        known = spread(a_known, a_axes, axes) & spread(b_known, b_axes, axes)
+        return axes, spread(a, a_axes, axes), spread(b, b_axes, axes), known
 
     def _calculation(
         self, operator: str, left: Value, right: Value
     ) -> tuple[Axes, NDArray[Any], Mask]:
-        axes, a, b, known = self._operands(left, right)
+        axes, a, b, known = self.operands(left, right)
         with np.errstate(all="ignore"):
             match operator:
                 case "+":
@@ -307,18 +307,28 @@ def _aligned(left: Node, right: Node) -> tuple[Node, Node]:
     if left.axes == right.axes:
         return left, right
     axes = _union(left.axes, right.axes)
-    a_true, b_true = (_spread(each.true, each.axes, axes) for each in (left, right))
-    a_false, b_false = (_spread(each.false, each.axes, axes) for each in (left, right))
+    a_true, b_true = (spread(each.true, each.axes, axes) for each in (left, right))
+    a_false, b_false = (spread(each.false, each.axes, axes) for each in (left, right))
     a_true, b_true, a_false, b_false = np.broadcast_arrays(a_true, b_true, a_false, b_false)
     return Node(axes, a_true, a_false), Node(axes, b_true, b_false)
+
+
+def aligned_tables(
+    left: tuple[Axes, NDArray[Any]], right: tuple[Axes, NDArray[Any]]
+) -> tuple[Axes, NDArray[Any], NDArray[Any]]:
+    """Both tables over the union of their axes."""
+    axes = _union(left[0], right[0])
+    a, b = (spread(table, own, axes) for own, table in (left, right))
+    a, b = np.broadcast_arrays(a, b)
+    return axes, a, b
 
 
 def _union(left: Axes, right: Axes) -> Axes:
     return tuple(sorted({*left, *right}))
 
 
-def _spread(table: NDArray[Any], axes: Axes, target: Axes) -> NDArray[Any]:
-    """``table`` with an axis of length 1 for each variable of ``target`` that it lacks."""
+def spread(table: NDArray[Any], axes: Axes, target: Axes) -> NDArray[Any]:
+    """Return ``table`` with an axis of length 1 for each variable of ``target`` that it lacks."""
     if axes == target:
         return table
     return table[(slice(None), *(slice(None) if name in axes else None for name in target))]
@@ -326,7 +336,7 @@ def _spread(table: NDArray[Any], axes: Axes, target: Axes) -> NDArray[Any]:
 
 def spread_node(node: Node, axes: Axes, shape: Sequence[int]) -> Node:
     true, false = (
-        np.broadcast_to(_spread(part, node.axes, axes), shape) for part in (node.true, node.false)
+        np.broadcast_to(spread(part, node.axes, axes), shape) for part in (node.true, node.false)
     )
     return Node(axes, true, false)
 

@@ -34,12 +34,12 @@ def speeds(count: int, seed: int = 7) -> np.ndarray:
     return found
 
 
-def verdicts(formula: str, values: np.ndarray) -> np.ndarray:
-    """Whether the formula is true at each second, in batches of some states."""
-    text = f"monitor m = {formula}"
+def evaluated(formula: str, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the formula is true at each second, and its robustness; in batches of states."""
+    text = f"monitor m = {formula} with robustness"
     evaluator = MonitorEvaluator(check_mtl(parse_monitor(text), text, VOCABULARY))
     (term,) = evaluator.terms
-    true = np.zeros(len(values), np.int8)
+    true, robustness = np.zeros(len(values), np.int8), np.empty(len(values))
     parts = []
     for first in range(0, len(values), 1_000):
         part = values[first : first + 1_000]
@@ -48,11 +48,17 @@ def verdicts(formula: str, values: np.ndarray) -> np.ndarray:
         parts.append(evaluator.push(States(valid, valid, {}, {}, {term: known})))
     for found in (*parts, evaluator.end()):
         true[found.start] = found.value
+        robustness[found.start] = found.robustness
     assert set(true.tolist()) <= {0, 1}
-    return true.astype(bool)
+    return true.astype(bool), robustness
+
+
+def verdicts(formula: str, values: np.ndarray) -> np.ndarray:
+    return evaluated(formula, values)[0]
 
 
 def by_rtamt(formula: str, values: np.ndarray, *, online: bool = False) -> np.ndarray:
+    """The robustness at each second."""
     rtamt = pytest.importorskip("rtamt", reason="rtamt is not installed (pip install rtamt)")
     specification = rtamt.StlDiscreteTimeSpecification()
     specification.declare_var("speed", "float")
@@ -62,9 +68,9 @@ def by_rtamt(formula: str, values: np.ndarray, *, online: bool = False) -> np.nd
     if online:
         specification.pastify()
         rows = enumerate(values.tolist())
-        return np.array([specification.update(i, [("speed", value)]) > 0 for i, value in rows])
+        return np.array([specification.update(i, [("speed", value)]) for i, value in rows])
     told = specification.evaluate({"time": list(range(len(values))), "speed": values.tolist()})
-    return np.array([robustness for _, robustness in told]) > 0
+    return np.array([robustness for _, robustness in told])
 
 
 def by_reelay(formula: str, values: np.ndarray) -> np.ndarray:
@@ -76,10 +82,11 @@ def by_reelay(formula: str, values: np.ndarray) -> np.ndarray:
 def test_violations_of_100_000_samples_by_rtamt() -> None:
     values = speeds(100_000)
     told = by_rtamt("always[0,10]((speed>100) -> (eventually[0,5](speed<90)))", values)
-    own = verdicts(RULE, values)
+    own, robustness = evaluated(RULE, values)
     whole = slice(None, -REACH)
     assert np.count_nonzero(~own[whole]) == 56_376
-    assert np.array_equal(own[whole], told[whole])
+    assert np.array_equal(own[whole], told[whole] > 0)
+    assert np.array_equal(robustness[whole], told[whole])
 
 
 def test_violations_of_100_000_samples_by_reelay() -> None:
@@ -95,7 +102,7 @@ def test_rtamt_online_says_it_as_late_as_its_reach() -> None:
     values = speeds(5_000)
     text = "always[0,10]((not(speed>100)) or (eventually[0,5](speed<90)))"
     told = by_rtamt(text, values, online=True)
-    assert np.array_equal(verdicts(RULE, values)[:-REACH], told[REACH:])
+    assert np.array_equal(evaluated(RULE, values)[1][:-REACH], told[REACH:])
 
 
 # -- random formulas -------------------------------------------------------------------------
@@ -199,9 +206,10 @@ def compared(seed: int, evaluate: Callable[[Drawn, np.ndarray], np.ndarray], *, 
     drawn = formula(draw, draw.choice([1, 2, 3]), past=past)
     values = speeds(200, seed)
     told = evaluate(drawn, values)
-    own = verdicts(drawn.own, values)
+    own, robustness = evaluated(drawn.own, values)
     whole = slice(drawn.back, len(values) - drawn.ahead)
-    assert np.array_equal(own[whole], told[whole]), drawn
+    expected = own if told.dtype == bool else robustness
+    assert np.array_equal(expected[whole], told[whole]), drawn
     return int(np.count_nonzero(~own[whole]))
 
 

@@ -13,6 +13,7 @@ from dyknow.languages.mtl.ast import Interval, Temporal
 from dyknow.languages.mtl.checked import (
     And,
     Atom,
+    Calculation,
     Not,
     ObjectConstant,
     ObjectVariable,
@@ -72,6 +73,8 @@ def bound(f, variable, iri):
             return ObjectConstant(iri) if name == variable else f
         case Atom(operator, left, right):
             return Atom(operator, bound(left, variable, iri), bound(right, variable, iri))
+        case Calculation(operator, left, right):
+            return Calculation(operator, bound(left, variable, iri), bound(right, variable, iri))
         case Not(g):
             return Not(bound(g, variable, iri))
         case Previous(g):

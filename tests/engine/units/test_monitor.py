@@ -1,5 +1,6 @@
-"""Monitors over streams that fall silent."""
+"""Monitors over streams that fall silent; robustness of verdicts."""
 
+import pytest
 from feeding import feed, samples
 
 from dyknow.engine.model.views import StreamDeclaration
@@ -28,3 +29,36 @@ def test_an_idle_stream_holds_no_state_back_and_its_late_samples_are_counted(eng
     assert engine.queries.view("m").late == 1
     feed(engine, "heights", [(20, {"id": "u", "v": 60.0})])
     assert engine.queries.view("m").late == 1
+
+
+def test_robustness_is_a_column_of_numbers(engine):
+    fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+    engine.declare(StreamDeclaration("speeds", fields))
+    engine.annotate("stream speeds contains speed(UAV) = v [km.h-1] for every UAV = id")
+    engine.queries.register(
+        "monitor m(?x in UAV) = always [0s, 2s] (speed(?x) < 36 [m.s-1] or ?x = uav2)"
+        " with report verdicts, robustness, max delay 0s"
+    )
+    speeds = [120.0, 129.5, 100.0, 140.0, None, 90.0]
+    feed(
+        engine,
+        "speeds",
+        [(t, {"id": "uav1", "v": v}) for t, v in enumerate(speeds, 1)]
+        + [(7, {"id": "uav2", "v": 999.0})],
+    )
+    engine.end("speeds")
+    found = [(v, s["x"], s["verdict"], s["robustness"]) for v, s in samples(engine, "m")]
+    limit = 129.6
+    assert [(v, x, verdict) for v, x, verdict, _ in found] == [
+        (1, "uav1", "true"),
+        (2, "uav1", "false"),
+        (3, "uav1", "false"),
+        (4, "uav1", "false"),
+        (6, "uav1", "true"),
+        (7, "uav2", "true"),
+    ]
+    margins = [each[-1] for each in found]
+    expected = [limit - 129.5, limit - 140, limit - 140, limit - 140, limit - 90]
+    assert margins[:-1] == pytest.approx(expected)
+    # No speed changes a verdict on uav2.
+    assert margins[-1] is None
