@@ -28,11 +28,11 @@ from ...languages.mtl.checked import (
     Within,
 )
 from ...streams.sample import Mask, Times
-from ...streams.time_arithmetic import earlier, later
+from ...streams.time_arithmetic import earlier
 from ..states.states import States, Term, Values
 from .formulas import bound_sorts, parts_of, reach_of, readings_of
 from .nodes import END, Pass, spread_node, term_of
-from .robustness import margins
+from .robustness import Margins
 from .windows import NEVER
 
 
@@ -56,7 +56,7 @@ class Verdicts:
     value: NDArray[np.int8]
     binding: NDArray[np.int64]
     robustness: NDArray[np.float64] | None = None
-    """The margin of each verdict (`robustness.margins`), NaN for an unknown one; None: not asked
+    """The margin of each verdict (`robustness.Margins`), NaN for an unknown one; None: not asked
     for."""
 
     def __len__(self) -> int:
@@ -187,7 +187,7 @@ class MonitorEvaluator:
             unknown = np.maximum(lower.false, upper.true)
             decided = np.minimum(np.minimum(lower.true, upper.false), unknown)
         if self._monitor.robustness:
-            over = self._over(states)
+            over = once.over(reach_of(formula))
             decided = np.maximum(decided, over.reshape((-1,) + (1,) * (decided.ndim - 1)))
         is_there = self._present(states)
         new = (decided < NEVER) & ~rows.is_decided & is_there
@@ -215,24 +215,17 @@ class MonitorEvaluator:
         self._forget(rows)
         return found
 
-    def _over(self, states: States) -> Times:
-        """From which state on no later state counts for each start."""
-        reach = reach_of(self._monitor.formula)
-        count = len(states.valid)
-        end = np.full(count, END) if reach is None else later(states.valid, reach)
-        closed = np.searchsorted(states.horizon, end, "left")
-        return np.where(closed == count, NEVER, np.maximum(closed, np.arange(count)))
-
     def _robustness(
         self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
     ) -> NDArray[np.float64]:
         """The margin of verdicts at these places, in the reading that decides them."""
         found = np.full(len(value), np.nan)
         by_name = dict(zip(self._axes, places[1:], strict=True))
+        margins = Margins(once)
         for is_upper, verdict in ((False, 1), (True, 0)):
             mine = np.flatnonzero(value == verdict)
             if len(mine):
-                axes, table = margins(once, self._monitor.formula, is_upper=is_upper)
+                axes, table = margins.of(self._monitor.formula, is_upper)
                 at = (places[0][mine], *(by_name[name][mine] for name in axes))
                 found[mine] = table[at]
         return found

@@ -137,7 +137,7 @@ class Pass:
         false = windows.greatest(flat.false, first, last)
         known = np.arange(self.rows)[:, None]
         if not is_past:
-            np.maximum(false, self._closed(interval)[:, None], out=false)
+            np.maximum(false, self.over(interval.end)[:, None], out=false)
         return _shaped(child, np.maximum(true, known), np.maximum(false, known))
 
     def _until(self, is_past: bool, interval: Interval, left: Node, right: Node) -> Node:
@@ -147,7 +147,7 @@ class Pass:
         if is_past:
             true, false = windows.since(*tables, first, last)
         else:
-            true, false = windows.until(*tables, first, last, self._closed(interval))
+            true, false = windows.until(*tables, first, last, self.over(interval.end))
         return _shaped(left, true, false)
 
     def _previous(self, child: Node) -> Node:
@@ -164,24 +164,20 @@ class Pass:
         """The rows in the interval of each state: the first, and the one after the last."""
         valid = self.states.valid
         if is_past:
-            last = np.searchsorted(valid, earlier(valid, interval.start), "right")
+            last = windows.places(valid, earlier(valid, interval.start), after=True)
             if interval.end is None:
                 return np.zeros(self.rows, np.int64), last
-            return np.searchsorted(valid, earlier(valid, interval.end), "left"), last
-        first = np.searchsorted(valid, later(valid, interval.start), "left")
+            return windows.places(valid, earlier(valid, interval.end), after=False), last
+        first = windows.places(valid, later(valid, interval.start), after=False)
         if interval.end is None:
             return first, np.full(self.rows, self.rows)
-        return first, np.searchsorted(valid, later(valid, interval.end), "right")
+        return first, windows.places(valid, later(valid, interval.end), after=True)
 
-    def _closed(self, interval: Interval) -> Times:
-        """From which state on no later state is in the interval of each state."""
-        horizon = self.states.horizon
-        end = (
-            np.full(self.rows, END)
-            if interval.end is None
-            else later(self.states.valid, interval.end)
-        )
-        closed = np.searchsorted(horizon, end, "left")
+    def over(self, reach: int | None) -> Moments:
+        """From which state on no later state is valid up to ``reach`` (ns) after each state; None:
+        no later state comes at all."""
+        end = np.full(self.rows, END) if reach is None else later(self.states.valid, reach)
+        closed = windows.places(self.states.horizon, end, after=False)
         return np.where(closed == self.rows, NEVER, np.maximum(closed, np.arange(self.rows)))
 
     def _exists(self, variable: str, sort: str, child: Node) -> Node:

@@ -1,13 +1,11 @@
 """Robustness: how far values are from another verdict (quantitative semantics, SPEC §8).
 
 The margin of ``f > c`` is ``f - c``. `and` and `always` have the least margin of their parts, `or`
-and `eventually` the greatest, `not` the opposite. The operators compare margins and never calculate
-with them. So they work on *ranks* among all margins, with the loops that work on moments.
+and `eventually` the greatest, `not` the opposite.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, assert_never
 
@@ -29,57 +27,41 @@ from ...languages.mtl.checked import (
 )
 from ...streams.time import SECOND
 from . import windows
-from .formulas import parts_of
 from .nodes import OPERATORS, Axes, Pass, aligned_tables
 
-Ranks: TypeAlias = NDArray[np.int64]
-"""Places in the order of all margins, shape ``(n, objects of each axis)``: greater is better, and
-the rank of the opposite margin is ``top - rank``."""
-
-
-def margins(once: Pass, formula: Formula, *, is_upper: bool) -> tuple[Axes, NDArray[np.float64]]:
-    """Return the margin of ``formula`` at each state, shape ``(n, objects of each axis)``.
-
-    It is above 0 where the formula holds and below 0 where it fails. An unknown atom has the margin
-    -oo in the lower reading and oo in the upper one, a comparison of texts, truths or objects one
-    of the two. Times are compared in seconds. Contract: every state that the intervals reach is in
-    ``once``. Cost: a sort of the atoms' margins, and that of the nodes.
-    """
-    found = _Margins(once)
-    axes, ranks = found.of(formula, is_upper)
-    return axes, found.levels(formula)[ranks]
+Table: TypeAlias = NDArray[np.float64]
+"""Margins; shape ``(n, objects of each axis)``."""
 
 
 @dataclass(slots=True, eq=False)
-class _Margins:
+class Margins:
+    """The margins of formulas at the states of one evaluation."""
+
     once: Pass
-    atoms: dict[tuple[int, bool], tuple[Axes, NDArray[np.float64]]] = field(default_factory=dict)
-    sorted: NDArray[np.float64] | None = None
+    memo: dict[tuple[int, bool], tuple[Axes, Table]] = field(default_factory=dict)
 
-    def levels(self, formula: Formula) -> NDArray[np.float64]:
-        """All margins of a formula and their opposites, in order."""
-        if self.sorted is None:
-            parts = [self.atom(atom, is_upper)[1] for atom, is_upper in _atoms(formula)]
-            every = np.concatenate([np.array([0.0, np.inf]), *(part.reshape(-1) for part in parts)])
-            self.sorted = np.unique(np.concatenate([every, -every]))
-        return self.sorted
+    def of(self, formula: Formula, is_upper: bool) -> tuple[Axes, Table]:
+        """Return the margin of ``formula`` at each state.
 
-    @property
-    def top(self) -> int:
-        assert self.sorted is not None
-        return len(self.sorted) - 1
+        It is not below 0 where the formula holds, and not above 0 where it fails. An unknown atom
+        has the margin -oo in the lower reading and oo in the upper one, a comparison of texts,
+        truths or objects one of the two. Times are compared in seconds. Contract: every state that
+        the intervals reach is there. Cost: that of the nodes.
+        """
+        key = id(formula), is_upper and not self.once.is_known(formula)
+        if key not in self.memo:
+            self.memo[key] = self._of(formula, key[1])
+        return self.memo[key]
 
-    def of(self, formula: Formula, is_upper: bool) -> tuple[Axes, Ranks]:
-        levels = self.levels(formula)
+    def _of(self, formula: Formula, is_upper: bool) -> tuple[Axes, Table]:
         match formula:
             case Truth(value):
-                return (), np.full(self.once.rows, self.top if value else 0)
+                return (), np.full(self.once.rows, np.inf if value else -np.inf)
             case Atom():
-                axes, table = self.atom(formula, is_upper)
-                return axes, np.searchsorted(levels, table)
+                return self._atom(formula, is_upper)
             case Not(operand):
-                axes, ranks = self.of(operand, not is_upper)
-                return axes, self.top - ranks
+                axes, table = self.of(operand, not is_upper)
+                return axes, -table
             case And(left, right):
                 axes, a, b = aligned_tables(self.of(left, is_upper), self.of(right, is_upper))
                 return axes, np.minimum(a, b)
@@ -87,72 +69,59 @@ class _Margins:
                 axes, a, b = aligned_tables(self.of(left, is_upper), self.of(right, is_upper))
                 return axes, np.maximum(a, b)
             case Previous(operand):
-                axes, ranks = self.of(operand, is_upper)
-                return axes, np.concatenate([np.zeros_like(ranks[:1]), ranks[:-1]])
+                axes, table = self.of(operand, is_upper)
+                return axes, np.concatenate([np.full_like(table[:1], -np.inf), table[:-1]])
             case Within(operator, interval, operand):
-                axes, ranks = self.of(operand, is_upper)
-                return axes, self.within(operator, interval, ranks)
+                axes, table = self.of(operand, is_upper)
+                first, last = self.once.bounds(operator.is_past, interval)
+                is_least = operator in (Temporal.ALWAYS, Temporal.HISTORICALLY)
+                fold = windows.least if is_least else windows.greatest
+                return axes, fold(_flat(table), first, last).reshape(table.shape)
             case Until(is_past, interval, left, right):
                 axes, a, b = aligned_tables(self.of(left, is_upper), self.of(right, is_upper))
-                return axes, self.until(is_past, interval, a, b)
+                return axes, self._until(is_past, interval, a, b)
             case Quantified(is_universal, variable, sort, operand):
-                return self.over_objects(is_universal, variable, sort, *self.of(operand, is_upper))
+                return self._over_objects(is_universal, variable, sort, *self.of(operand, is_upper))
             case _:
                 assert_never(formula)
 
-    def atom(self, atom: Atom, is_upper: bool) -> tuple[Axes, NDArray[np.float64]]:
-        key = id(atom), is_upper
-        if key not in self.atoms:
-            axes, a, b, known = self.once.operands(atom.left, atom.right)
-            with np.errstate(all="ignore"):
-                table = _margin(atom.operator, a, b)
-            shape = (self.once.rows, *np.broadcast_shapes(table.shape, known.shape)[1:])
-            known = np.broadcast_to(known, shape) & ~np.isnan(table)
-            self.atoms[key] = axes, np.where(known, table, np.inf if is_upper else -np.inf)
-        return self.atoms[key]
+    def _atom(self, atom: Atom, is_upper: bool) -> tuple[Axes, Table]:
+        axes, a, b, known = self.once.operands(atom.left, atom.right)
+        with np.errstate(all="ignore"):
+            table = _margin(atom.operator, a, b)
+        shape = (self.once.rows, *np.broadcast_shapes(table.shape, known.shape)[1:])
+        known = np.broadcast_to(known, shape) & ~np.isnan(table)
+        return axes, np.where(known, table, np.inf if is_upper else -np.inf)
 
-    def within(self, operator: Temporal, interval: Interval, ranks: Ranks) -> Ranks:
-        first, last = self.once.bounds(operator.is_past, interval)
-        flat = ranks.reshape(len(ranks), -1)
-        if operator in (Temporal.ALWAYS, Temporal.HISTORICALLY):
-            found = np.minimum(windows.least(flat, first, last), self.top)
-        else:
-            found = np.maximum(windows.greatest(flat, first, last), 0)
-        return found.reshape(ranks.shape)
-
-    def until(self, is_past: bool, interval: Interval, left: Ranks, right: Ranks) -> Ranks:
-        """The loops look for the least of the greatest moments: a margin is a moment that is the
-        later the smaller it is, and later than all states, since nothing is known before its
-        start."""
+    def _until(self, is_past: bool, interval: Interval, left: Table, right: Table) -> Table:
         first, last = self.once.bounds(is_past, interval)
-        latest = self.top + self.once.rows
-        own, other = (latest - part.reshape(len(part), -1) for part in (left, right))
-        tables = own, own, other, other
-        if is_past:
-            moments, _ = windows.since(*tables, first, last)
-        else:
-            moments, _ = windows.until(*tables, first, last, last)
-        return np.maximum(latest - moments, 0).reshape(left.shape)
+        work = windows.since_of_margins if is_past else windows.until_of_margins
+        return work(_flat(left), _flat(right), first, last).reshape(left.shape)
 
-    def over_objects(
-        self, is_universal: bool, variable: str, sort: str, axes: Axes, ranks: Ranks
-    ) -> tuple[Axes, Ranks]:
+    def _over_objects(
+        self, is_universal: bool, variable: str, sort: str, axes: Axes, table: Table
+    ) -> tuple[Axes, Table]:
         """Over the objects of the sort that are there at each state."""
         present = self.once.states.present[sort]
-        empty = self.top if is_universal else 0
+        empty = np.inf if is_universal else -np.inf
         if variable not in axes:
-            some = present.any(axis=1).reshape((-1,) + (1,) * (ranks.ndim - 1))
-            return axes, np.where(some, ranks, empty)
+            some = present.any(axis=1).reshape((-1,) + (1,) * (table.ndim - 1))
+            return axes, np.where(some, table, empty)
         axis = 1 + axes.index(variable)
-        shape = [1] * ranks.ndim
+        shape = [1] * table.ndim
         shape[0], shape[axis] = present.shape
-        there = np.where(present.reshape(tuple(shape)), ranks, empty)
+        there = np.where(present.reshape(tuple(shape)), table, empty)
         rest = tuple(each for each in axes if each != variable)
         fold = np.min if is_universal else np.max
         return rest, np.asarray(fold(there, axis=axis, initial=empty))
 
 
-def _margin(operator: str, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+def _flat(table: Table) -> Table:
+    """The same with one axis behind the states."""
+    return table.reshape(len(table), int(np.prod(table.shape[1:], dtype=np.int64)))
+
+
+def _margin(operator: str, a: NDArray[Any], b: NDArray[Any]) -> Table:
     """How far ``a operator b`` is from the opposite."""
     kinds = {part.dtype.kind for part in (a, b)}
     if not kinds <= {"f", "i"}:
@@ -169,13 +138,3 @@ def _margin(operator: str, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float
             return -np.abs(difference)
         case _:
             return np.abs(difference)
-
-
-def _atoms(formula: Any) -> Iterator[tuple[Atom, bool]]:
-    """The atoms of a formula, in both readings."""
-    if isinstance(formula, Atom):
-        yield formula, False
-        yield formula, True
-        return
-    for part in parts_of(formula):
-        yield from _atoms(part)

@@ -2,12 +2,14 @@
 
 Arrays of *moments* have shape ``(n, c)``: for each of n states and c columns (bindings of
 variables) the index of the state at which something is determined, `NEVER` if it is not yet.
+Arrays of *margins* have the same shape and are floats. What holds of least moments holds of
+greatest margins, with infinity for `NEVER`: the same loops serve both.
 States ``first[s] .. last[s] - 1`` are those in the interval of start s; neither bound decreases.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,8 @@ from numpy.typing import NDArray
 from ...streams.jit import JIT, Kernel
 
 Moments = NDArray[np.int64]
-NEVER: Final = np.int64(2**62)
+Table = TypeVar("Table", NDArray[np.int64], NDArray[np.float64])
+NEVER: Final = 2**62
 """Not determined by the states seen."""
 _WIDE: Final = 16
 """Columns from which on rows are compared as vectors."""
@@ -23,27 +26,32 @@ _CELLS: Final = 1 << 15
 """Cells that are compared at once: they fit into a core's cache."""
 
 
-def least(moments: Moments, first: Moments, last: Moments) -> Moments:
-    """Return the least of ``moments`` in each interval, `NEVER` if it is empty. Cost: O(n c), or
-    O(n c log w) vector operations for many columns and w states in the longest interval."""
-    return _least(moments, first, last, 1)
+def least(table: Table, first: Moments, last: Moments) -> Table:
+    """Return the least of ``table`` in each interval, `NEVER` or infinity if it is empty. Cost:
+    O(n c), or O(n c log w) vector operations for many columns and w states in the longest
+    interval."""
+    return _least(table, first, last, 1)
 
 
-def greatest(moments: Moments, first: Moments, last: Moments) -> Moments:
-    """Return the greatest of ``moments`` in each interval, below 0 if it is empty. Cost: as
+def greatest(table: Table, first: Moments, last: Moments) -> Table:
+    """Return the greatest of ``table`` in each interval, below 0 or -oo if it is empty. Cost: as
     `least`."""
-    return _least(moments, first, last, -1)
+    return _least(table, first, last, -1)
 
 
-def _least(moments: Moments, first: Moments, last: Moments, sign: int) -> Moments:
-    """The least of ``sign * moments``, times ``sign``."""
-    out = np.empty_like(moments)
-    rows, columns = moments.shape
+def _least(table: Table, first: Moments, last: Moments, sign: int) -> Table:
+    """The least of ``sign * table``, times ``sign``."""
+    out = np.empty_like(table)
+    rows, columns = table.shape
+    is_margin = table.dtype.kind == "f"
+    empty = np.inf if is_margin else NEVER
     if columns < _WIDE:
-        _run(_least_queue, moments, first, last, np.empty(rows, np.int64), out, sign)
+        kernel = _least_queue_of_margins if is_margin else _least_queue
+        _run(kernel, table, first, last, np.empty(rows, np.int64), out, sign, empty)
     else:
-        block = np.empty((rows, min(columns, max(_WIDE, _CELLS // max(rows, 1)))), np.int64)
-        _run(_least_wide, moments, first, last, block, out, sign)
+        kernel = _least_wide_of_margins if is_margin else _least_wide
+        width = min(columns, max(_WIDE, _CELLS // max(rows, 1)))
+        _run(kernel, table, first, last, np.empty((rows, width), table.dtype), out, sign, empty)
     return out
 
 
@@ -80,12 +88,40 @@ def since(
     return out
 
 
+def until_of_margins(
+    left: NDArray[np.float64], right: NDArray[np.float64], first: Moments, last: Moments
+) -> NDArray[np.float64]:
+    """Return the margin of ``left until right``. Cost: as `until`."""
+    out = np.empty_like(left)
+    _run(_until_of_margins, left, right, first, last, out)
+    return out
+
+
+def since_of_margins(
+    left: NDArray[np.float64], right: NDArray[np.float64], first: Moments, last: Moments
+) -> NDArray[np.float64]:
+    """Return the margin of ``left since right``. Cost: as `until`."""
+    out = np.empty_like(left)
+    _run(_since_of_margins, left, right, first, last, out)
+    return out
+
+
+def places(times: Moments, limits: Moments, *, after: bool) -> Moments:
+    """Return how many of ``times`` are before each of the ``limits``, or with ``after`` not after
+    it. Both are in order. Cost: O(n + m)."""
+    out = np.empty(len(limits), np.int64)
+    _run(_places, times, limits, int(after), out)
+    return out
+
+
 def _run(kernel: Kernel, *arguments: Any) -> None:
-    arrays = (a if isinstance(a, int) else np.ascontiguousarray(a) for a in arguments)
+    arrays = (a if isinstance(a, int | float) else np.ascontiguousarray(a) for a in arguments)
     (kernel if JIT else kernel.py_func)(*arrays)
 
 
-def _least_queue_loop(moments: Any, first: Any, last: Any, queue: Any, out: Any, sign: Any) -> None:
+def _least_queue_loop(
+    moments: Any, first: Any, last: Any, queue: Any, out: Any, sign: Any, empty: Any
+) -> None:
     """Keep a queue of the rows that may still be the least of an interval."""
     rows, columns = moments.shape
     for column in range(columns):
@@ -103,11 +139,13 @@ def _least_queue_loop(moments: Any, first: Any, last: Any, queue: Any, out: Any,
             out[start, column] = (
                 moments[queue[head], column]
                 if head < tail and queue[head] < last[start]
-                else sign * 2**62
+                else sign * empty
             )
 
 
-def _least_wide_loop(moments: Any, first: Any, last: Any, block: Any, out: Any, sign: Any) -> None:
+def _least_wide_loop(
+    moments: Any, first: Any, last: Any, block: Any, out: Any, sign: Any, empty: Any
+) -> None:
     """Some columns at a time, make the least of 1, 2, 4, … rows from each row on; an interval is
     two of these, which may overlap."""
     rows, columns = moments.shape
@@ -125,7 +163,7 @@ def _least_wide_loop(moments: Any, first: Any, last: Any, block: Any, out: Any, 
                 length = last[start] - first[start]
                 if length < 1:
                     if span == 1:
-                        out[start, left : left + size] = sign * 2**62
+                        out[start, left : left + size] = sign * empty
                 elif length >= 2 * span:
                     goes_on = True
                 elif length >= span:
@@ -197,35 +235,93 @@ def _since_loop(
             out_false[start, column] = false
 
 
-def _least_signature() -> Any:
+def _until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
+    rows, columns = left.shape
+    for column in range(columns):
+        for start in range(rows):
+            # The least margin of left at the states before.
+            held, found = np.inf, -np.inf
+            for state in range(start, last[start]):
+                if state >= first[start]:
+                    found = max(found, min(right[state, column], held))
+                held = min(held, left[state, column])
+            out[start, column] = found
+
+
+def _since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
+    rows, columns = left.shape
+    for column in range(columns):
+        for start in range(rows):
+            held, found = np.inf, -np.inf
+            for state in range(start, first[start] - 1, -1):
+                if state < last[start]:
+                    found = max(found, min(right[state, column], held))
+                held = min(held, left[state, column])
+            out[start, column] = found
+
+
+def _places_loop(times: Any, limits: Any, after: Any, out: Any) -> None:
+    place, count = 0, len(times)
+    for i in range(len(limits)):
+        # A difference of times may exceed 64 bits.
+        while place < count and (times[place] < limits[i] or (times[place] == limits[i] and after)):
+            place += 1
+        out[i] = place
+
+
+def _types() -> tuple[Any, Any, Any, Any]:
+    """Tables of moments and of margins, a row of indices, and the module."""
     from numba import types
 
-    table, row = types.int64[:, ::1], types.int64[::1]
-    return types.void(table, row, row, row, table, types.int64)
+    return types.int64[:, ::1], types.float64[:, ::1], types.int64[::1], types
+
+
+def _least_signature() -> Any:
+    table, _, row, types = _types()
+    return types.void(table, row, row, row, table, types.int64, types.int64)
+
+
+def _least_of_margins_signature() -> Any:
+    _, table, row, types = _types()
+    return types.void(table, row, row, row, table, types.int64, types.float64)
 
 
 def _least_wide_signature() -> Any:
-    from numba import types
+    table, _, row, types = _types()
+    return types.void(table, row, row, table, table, types.int64, types.int64)
 
-    table, row = types.int64[:, ::1], types.int64[::1]
-    return types.void(table, row, row, table, table, types.int64)
+
+def _least_wide_of_margins_signature() -> Any:
+    _, table, row, types = _types()
+    return types.void(table, row, row, table, table, types.int64, types.float64)
 
 
 def _until_signature() -> Any:
-    from numba import types
-
-    table, row = types.int64[:, ::1], types.int64[::1]
+    table, _, row, types = _types()
     return types.void(table, table, table, table, row, row, row, table, table)
 
 
 def _since_signature() -> Any:
-    from numba import types
-
-    table, row = types.int64[:, ::1], types.int64[::1]
+    table, _, row, types = _types()
     return types.void(table, table, table, table, row, row, table, table)
 
 
+def _margins_signature() -> Any:
+    _, table, row, types = _types()
+    return types.void(table, table, row, row, table)
+
+
+def _places_signature() -> Any:
+    _, _, row, types = _types()
+    return types.void(row, row, types.int64, row)
+
+
 _least_queue = Kernel(_least_queue_loop, _least_signature)
+_least_queue_of_margins = Kernel(_least_queue_loop, _least_of_margins_signature)
 _least_wide = Kernel(_least_wide_loop, _least_wide_signature)
+_least_wide_of_margins = Kernel(_least_wide_loop, _least_wide_of_margins_signature)
 _until = Kernel(_until_loop, _until_signature)
 _since = Kernel(_since_loop, _since_signature)
+_until_of_margins = Kernel(_until_of_margins_loop, _margins_signature)
+_since_of_margins = Kernel(_since_of_margins_loop, _margins_signature)
+_places = Kernel(_places_loop, _places_signature)

@@ -29,3 +29,35 @@ def test_least_and_greatest(monkeypatch: pytest.MonkeyPatch, columns: int, rows:
         else:
             assert least[row].tolist() == moments[begin:end].min(axis=0).tolist()
             assert greatest[row].tolist() == moments[begin:end].max(axis=0).tolist()
+
+
+@pytest.mark.parametrize("columns", [1, 3, 16, 100])
+def test_margins(columns: int) -> None:
+    draw = random.Random(columns)
+    rows = 50
+    drawn = [draw.choice([-np.inf, -2.5, 0.0, 1.0, np.inf]) for _ in range(rows * columns)]
+    left = np.array(drawn).reshape(rows, columns)
+    first = np.array(sorted(draw.randint(0, rows) for _ in range(rows)), np.int64)
+    last = np.array(sorted(draw.randint(0, rows) for _ in range(rows)), np.int64)
+    least = windows.least(left, first, last)
+    greatest = windows.greatest(left, first, last)
+    for row, (begin, end) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+        part = left[begin:end]
+        assert least[row].tolist() == part.min(axis=0, initial=np.inf).tolist()
+        assert greatest[row].tolist() == part.max(axis=0, initial=-np.inf).tolist()
+
+
+def test_places() -> None:
+    draw = random.Random(1)
+    for _ in range(200):
+        ends = [-(2**63), 2**63 - 1]
+        times, limits = (
+            np.array(
+                sorted(draw.choice([*ends, *range(-5, 9)]) for _ in range(draw.randint(0, 9)))
+            ).astype(np.int64)
+            for _ in "tl"
+        )
+        for after in (False, True):
+            found = windows.places(times, limits, after=after)
+            side = "right" if after else "left"
+            assert found.tolist() == np.searchsorted(times, limits, side).tolist()
