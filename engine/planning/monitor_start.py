@@ -108,11 +108,12 @@ def explain_monitor(monitor: CheckedMonitor) -> str:
     delay = 0 if policy.max_delay is None else policy.max_delay
     is_approximate = policy.approximation is Approximation.MOST_RECENT
     reach = reach_of(monitor.formula)
-    latest = (
-        "an interval has no end, so some verdicts wait for the end of the streams"
-        if reach is None
-        else f"at most {format_duration(reach + delay)} after the time of the start"
-    )
+    if reach is None:
+        latest = "an interval has no end, so some verdicts wait for the end of the streams"
+    elif reach + delay:
+        latest = f"at most {format_duration(reach + delay)} after the time of the start"
+    else:
+        latest = "with the state of its start"
     order = "" if policy.max_delay is not None else "; the streams are taken to be in order"
     states = (
         "at each sample" if policy.period is None else f"every {format_duration(policy.period)}"
