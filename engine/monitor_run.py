@@ -29,6 +29,7 @@ from ..reasoning.mtl.monitoring import (
     RESULT_FIELDS,
     ROBUSTNESS,
     VERDICT,
+    WITNESS,
     WORDS,
 )
 from ..streams.generator import StreamGenerator
@@ -56,8 +57,10 @@ class Verdict(NamedTuple):
     ``start``: the valid time (ns) of the state at which the formula was started; of a run that of
     its first, and ``last`` that of its last. ``objects``: the objects of the monitor's parameters,
     by their names. ``verdict``: None is unknown. ``decided``: the valid time (ns) of the state that
-    decided it. ``robustness``: how far the values are from another verdict, in the units of the
-    features; None without that option, for an unknown verdict, and where no number changes it.
+    decided it. ``witness``: that of the state that bears witness, such as that at which `always`
+    fails; None if there is none. ``robustness``: how far the values are from another verdict, in
+    the units of the features; None without that option, for an unknown verdict, and where no number
+    changes it.
     """
 
     start: int
@@ -65,6 +68,7 @@ class Verdict(NamedTuple):
     verdict: bool | None
     decided: int
     last: int
+    witness: int | None = None
     robustness: float | None = None
 
 
@@ -251,13 +255,14 @@ def _parts(recordings: Mapping[str, Recording]) -> Iterator[tuple[str, Incoming]
 def _verdicts(batch: SampleBatch) -> Iterator[Verdict]:
     for _, start, values in batch.rows():
         objects = {name: str(value) for name, value in values.items() if name not in RESULT_FIELDS}
-        last, robustness = values.get(LAST), values.get(ROBUSTNESS)
+        last, witness, robustness = (values.get(n) for n in (LAST, WITNESS, ROBUSTNESS))
         yield Verdict(
             start,
             objects,
             _TRUTHS[str(values[VERDICT])],
             parse_time(str(values[DECIDED])),
             start if last is None else parse_time(str(last)),
+            None if witness is None else parse_time(str(witness)),
             None if robustness is None else float(robustness),
         )
 

@@ -19,6 +19,7 @@ from ...reasoning.mtl.monitoring import (
     LAST,
     ROBUSTNESS,
     VERDICT,
+    WITNESS,
     WORDS,
     Monitoring,
     Reported,
@@ -33,17 +34,17 @@ from ...streams.sample import (
     Schema,
     column_from_values,
 )
-from ...streams.time import TIME_MAX, format_time
+from ...streams.time import TIME_MAX, TIME_MIN, format_time
 from .base import ComputationalUnit
 from .term_readers import TermInput, term_readers
 
 
 def verdict_schema(monitor: CheckedMonitor) -> Schema:
     """Return the fields of a monitor's verdicts: the objects by the names of the parameters, the
-    verdict, the time of the deciding state; of a run the time of its last start; and by how much
-    the verdict holds, where that is asked for."""
+    verdict, the times of the deciding state and of the witness; of a run the time of its last
+    start; and by how much the verdict holds, where that is asked for."""
     names = [name for name, _ in monitor.parameters]
-    results = [VERDICT, DECIDED, *([LAST] if monitor.report is Report.CHANGES else [])]
+    results = [VERDICT, DECIDED, WITNESS, *([LAST] if monitor.report is Report.CHANGES else [])]
     fields = [Field(name, FieldType.STRING) for name in (*names, *results)]
     if monitor.robustness:
         fields.append(Field(ROBUSTNESS, FieldType.FLOAT))
@@ -190,6 +191,9 @@ class MonitorUnit(ComputationalUnit):
             columns[name] = [names[iri] for iri in iris]
         columns[VERDICT] = [WORDS[value] for value in found.value.tolist()]
         columns[DECIDED] = list(map(format_time, found.decided.tolist()))
+        columns[WITNESS] = [
+            None if time == TIME_MIN else format_time(time) for time in found.witness.tolist()
+        ]
         columns[LAST] = list(map(format_time, found.last.tolist()))
         if found.robustness is not None:
             # An infinite margin is one that no number changes.

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...languages.mtl.ast import Interval
+from ...languages.mtl.ast import Interval, Report
 from ...languages.mtl.checked import (
     CheckedMonitor,
     Previous,
@@ -28,12 +28,14 @@ from ...languages.mtl.checked import (
     Within,
 )
 from ...streams.sample import Mask, Times
+from ...streams.time import TIME_MIN
 from ...streams.time_arithmetic import earlier
 from ..states.states import States, Term, Values
 from .formulas import bound_sorts, parts_of, reach_of, readings_of
 from .nodes import END, Pass, spread_node, term_of
 from .robustness import Margins
 from .windows import NEVER
+from .witness import NONE, Witnesses
 
 
 class TooManyStates(Exception):
@@ -55,6 +57,8 @@ class Verdicts:
     decided_time: Times
     value: NDArray[np.int8]
     binding: NDArray[np.int64]
+    witness_time: Times
+    """The valid time of the witness (`witness.Witnesses`), `TIME_MIN` where there is none."""
     robustness: NDArray[np.float64] | None = None
     """The margin of each verdict (`robustness.Margins`), NaN for an unknown one; None: not asked
     for."""
@@ -210,9 +214,26 @@ class MonitorEvaluator:
             states.valid[moment[order]],
             value[order],
             binding[order],
+            self._witness_times(once, value, places)[order],
             self._robustness(once, value, places)[order] if self._monitor.robustness else None,
         )
         self._forget(rows)
+        return found
+
+    def _witness_times(
+        self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
+    ) -> Times:
+        """The times of the witnesses of verdicts at these places, of those that are reported."""
+        found = np.full(len(value), TIME_MIN, np.int64)
+        reports_all = self._monitor.report is not Report.VIOLATIONS
+        for is_true in (False, True) if reports_all else (False,):
+            mine = np.flatnonzero(value == is_true)
+            if len(mine):
+                named = zip(self._axes, places[1:], strict=True)
+                columns = {name: each[mine] for name, each in named}
+                witnesses = Witnesses(once)
+                rows = witnesses.of(self._monitor.formula, is_true, places[0][mine], columns)
+                found[mine] = np.where(rows == NONE, TIME_MIN, once.states.valid[rows])
         return found
 
     def _robustness(
@@ -305,5 +326,5 @@ def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
 def _no_verdicts(parameters: int) -> Verdicts:
     none = np.empty(0, np.int64)
     return Verdicts(
-        none, none, none, none, np.empty(0, np.int8), np.empty((0, parameters), np.int64)
+        none, none, none, none, np.empty(0, np.int8), np.empty((0, parameters), np.int64), none
     )

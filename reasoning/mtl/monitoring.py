@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,9 @@ from ..states.states import States, Term
 from .evaluator import MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import bound_sorts, readings_of
 
-VERDICT, DECIDED, LAST, ROBUSTNESS = "verdict", "decided", "last", "robustness"
-RESULT_FIELDS: Final = (VERDICT, DECIDED, LAST, ROBUSTNESS)
+VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
+LAST, ROBUSTNESS = "last", "robustness"
+RESULT_FIELDS: Final = (VERDICT, DECIDED, WITNESS, LAST, ROBUSTNESS)
 """The fields of a stream of verdicts beside the objects; `LAST` only where runs are reported, and
 `ROBUSTNESS` only where it is asked for."""
 WORDS: Final = {1: "true", 0: "false", -1: "unknown"}
@@ -31,7 +32,8 @@ class Reported:
     """Verdicts to report, in order of available time, then of objects, then of start.
 
     Shape ``(n,)``: ``valid`` is the valid time of the start (of a run: of its first), ``decided``
-    that of the deciding state, ``last`` that of the last start of a run. ``objects``: the IRIs of
+    that of the deciding state, ``last`` that of the last start of a run, ``witness`` that of the
+    state that bears witness to the (first) verdict, `TIME_MIN` for none. ``objects``: the IRIs of
     each parameter's objects, shape ``(parameters, n)``.
     """
 
@@ -41,6 +43,7 @@ class Reported:
     last: Times
     value: NDArray[np.int8]
     objects: NDArray[Any]
+    witness: Times
     robustness: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
@@ -54,6 +57,7 @@ class Reported:
             self.last[rows],
             self.value[rows],
             self.objects[:, rows],
+            self.witness[rows],
             None if self.robustness is None else self.robustness[rows],
         )
 
@@ -280,29 +284,50 @@ class _Timeline:
             start,
             found.value,
             objects,
+            found.witness_time,
             found.robustness,
         )
+
+
+class _Start(NamedTuple):
+    """The verdict of a start that waits for an earlier one."""
+
+    valid: int
+    value: int
+    decided: int
+    available: int
+    witness: int
+
+
+class _Run(NamedTuple):
+    """A run of equal verdicts; ``witness``: that of the first one."""
+
+    first: int
+    last: int
+    value: int
+    decided: int
+    available: int
+    witness: int
 
 
 class _Runs:
     """Runs of equal verdicts of one binding, each reported once the verdict after it is known."""
 
     def __init__(self) -> None:
-        self._held: dict[tuple[str, ...], list[tuple[int, int, int, int]]] = {}
-        """By objects: (start, value, decided, available) of verdicts that wait for an earlier
-        one."""
-        self._open: dict[tuple[str, ...], tuple[int, int, int, int, int]] = {}
-        """By objects: (first, last, value, decided, available) of the run that may go on."""
+        self._held: dict[tuple[str, ...], list[_Start]] = {}
+        """By objects."""
+        self._open: dict[tuple[str, ...], _Run] = {}
+        """By objects: the run that may go on."""
 
     def take(
         self, found: Reported, settled: Iterable[tuple[Sequence[NDArray[Any]], NDArray[np.int64]]]
     ) -> Reported:
         """Take verdicts; ``settled``: by the places of objects, the valid time before which no
         start of a binding is without a verdict."""
-        columns = found.valid, found.value, found.decided, found.available
+        columns = found.valid, found.value, found.decided, found.available, found.witness
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
-            self._held.setdefault(tuple(found.objects[:, i]), []).append(row)
-        ended: list[tuple[tuple[str, ...], tuple[int, int, int, int, int]]] = []
+            self._held.setdefault(tuple(found.objects[:, i]), []).append(_Start(*row))
+        ended: list[tuple[tuple[str, ...], _Run]] = []
         for names, before in settled:
             for place in np.ndindex(before.shape):
                 binding = tuple(own[at] for own, at in zip(names, place, strict=True))
@@ -311,43 +336,46 @@ class _Runs:
 
     def rest(self, moment: int) -> Reported:
         """End the open runs at ``moment``. Contract: each start has its verdict."""
-        ended = [(binding, (*run[:4], moment)) for binding, run in self._open.items()]
+        ended = [(binding, run._replace(available=moment)) for binding, run in self._open.items()]
         self._open = {}
         return _of_runs(ended, len(ended[0][0]) if ended else 0)
 
     def _release(
         self, binding: tuple[str, ...], before: int
-    ) -> Iterator[tuple[tuple[str, ...], tuple[int, int, int, int, int]]]:
+    ) -> Iterator[tuple[tuple[str, ...], _Run]]:
         held = sorted(self._held.get(binding, ()))
-        count = len([row for row in held if row[0] < before])
-        for start, value, decided, available in held[:count]:
+        count = len([start for start in held if start.valid < before])
+        for start in held[:count]:
             run = self._open.get(binding)
-            if run is not None and run[2] == value:
-                latest = max(run[3], decided), max(run[4], available)
-                self._open[binding] = (run[0], start, value, *latest)
+            if run is not None and run.value == start.value:
+                self._open[binding] = run._replace(
+                    last=start.valid,
+                    decided=max(run.decided, start.decided),
+                    available=max(run.available, start.available),
+                )
                 continue
+            available = start.available
             if run is not None:
                 # It is known to be over since the verdict that differs, and where the next one
                 # begins since it is over.
-                available = max(run[4], available)
-                yield binding, (*run[:4], available)
-            self._open[binding] = (start, start, value, decided, available)
+                available = max(run.available, available)
+                yield binding, run._replace(available=available)
+            self._open[binding] = _Run(
+                start.valid, start.valid, start.value, start.decided, available, start.witness
+            )
         if held[count:]:
             self._held[binding] = held[count:]
         else:
             self._held.pop(binding, None)
 
 
-def _of_runs(
-    runs: Sequence[tuple[tuple[str, ...], tuple[int, int, int, int, int]]], parameters: int
-) -> Reported:
-    rows = np.array([run for _, run in runs], np.int64).reshape(len(runs), 5)
+def _of_runs(runs: Sequence[tuple[tuple[str, ...], _Run]], parameters: int) -> Reported:
+    rows = np.array([run for _, run in runs], np.int64).reshape(len(runs), len(_Run._fields))
     objects = np.empty((parameters, len(runs)), object)
     for i, (binding, _) in enumerate(runs):
         objects[:, i] = binding
-    found = Reported(
-        rows[:, 4], rows[:, 0], rows[:, 3], rows[:, 1], rows[:, 2].astype(np.int8), objects
-    )
+    first, last, value, decided, available, witness = rows.T
+    found = Reported(available, first, decided, last, value.astype(np.int8), objects, witness)
     return _in_order(found)
 
 
@@ -361,7 +389,7 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
     if not parts:
         none = np.empty(0, np.int64)
         objects = np.empty((parameters, 0), object)
-        return Reported(none, none, none, none, np.empty(0, np.int8), objects)
+        return Reported(none, none, none, none, np.empty(0, np.int8), objects, none)
     return Reported(
         np.concatenate([part.available for part in parts]),
         np.concatenate([part.valid for part in parts]),
@@ -369,6 +397,7 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
         np.concatenate([part.last for part in parts]),
         np.concatenate([part.value for part in parts]),
         np.concatenate([part.objects for part in parts], axis=1),
+        np.concatenate([part.witness for part in parts]),
         np.concatenate(found) if found else None,
     )
 

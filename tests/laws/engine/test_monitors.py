@@ -112,8 +112,11 @@ def row(second, valid=None, **values):
 
 
 def verdict(available, valid, value, **objects):
+    """An atom or a disjunction: its own state decides, and bears witness unless it is unknown."""
     decided = format_time(valid * SECOND)
-    return available, valid * SECOND, {**objects, "verdict": value, "decided": decided}
+    witness = None if value == "unknown" else decided
+    fields = {"verdict": value, "decided": decided, "witness": witness}
+    return available, valid * SECOND, {**objects, **fields}
 
 
 def test_units_and_objects_of_two_streams():

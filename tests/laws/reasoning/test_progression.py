@@ -4,17 +4,20 @@ the states are cut into batches."""
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from formula_drawing import OBJECTS, SORT, TERMS, FormulaDrawing
 from progression_definition import END, Progression, Trace, bound
+from witness_definition import Witness
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
 from dyknow.languages.mtl.checked import CheckedMonitor, Within
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
+from dyknow.streams.time import TIME_MIN
 
 
 class Drawing(FormulaDrawing):
@@ -84,7 +87,7 @@ def compared(seed: int, count: int, depth: int) -> int:
         "m", parameters, formula, SynchronizationPolicy(), Report.VERDICTS, once, None
     )
     evaluator = MonitorEvaluator(monitor)
-    found = {}
+    found, witnesses = {}, {}
     before = -1
     seen = 1 if draw.random.random() < 0.3 else len(OBJECTS)
 
@@ -97,6 +100,7 @@ def compared(seed: int, count: int, depth: int) -> int:
             key = tuple(OBJECTS[i] for i in verdicts.binding[row]), start
             assert key not in found
             found[key] = int(verdicts.value[row]), decided
+            witnesses[key] = int(verdicts.witness_time[row])
 
     for part in draw.cuts(count):
         # New objects get places at the end; they are absent before.
@@ -104,10 +108,13 @@ def compared(seed: int, count: int, depth: int) -> int:
         seen = max(seen, *(OBJECTS.index(o) + 1 for o in there)) if there else seen
         take(evaluator.push(states_of(trace, table, part, OBJECTS[:seen])), part.stop - 1)
         before = part.stop - 1
+    # What the states decide before the end is known does not change then.
+    before_end = Progression(replace(trace, horizon=list(trace.horizon)))
     if ends:
         trace.horizon[-1] = END
         take(evaluator.end(), count - 1)
     progression = Progression(trace)
+    witness, witness_before = Witness(progression), Witness(before_end)
     expected = {}
     for start in range(1 if once else count):
         for objects in itertools.product(OBJECTS, repeat=len(parameters)):
@@ -119,6 +126,12 @@ def compared(seed: int, count: int, depth: int) -> int:
             verdict = progression.verdict(closed, start)
             if verdict is not None:
                 expected[objects, start] = verdict
+                value = verdict[0]
+                early = before_end.verdict(closed, start) is not None
+                known = witness_before if early else witness
+                state = None if value < 0 else known.of(closed, start, bool(value))
+                time = TIME_MIN if state is None else trace.valid[state]
+                assert witnesses.get((objects, start), time) == time, f"seed {seed}: {closed}"
     assert found == expected, f"seed {seed}: {formula}"
     if ends:
         assert len(found) == sum(

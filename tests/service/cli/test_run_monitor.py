@@ -70,6 +70,7 @@ def test_violations_like_the_samples_of_follow(low: Path, heights: Path) -> None
     done = run("run", low, "--stream", f"heights={heights}", "--ssl", SSL)
     assert done.stdout.splitlines() == [
         f"2021-10-07T00:00:0{t}Z  x={id}  verdict=false  decided=2021-10-07T00:00:0{t}Z"
+        f"  witness=2021-10-07T00:00:0{t}Z"
         for t, id in VIOLATIONS
     ]
     assert done.stderr.strip() == ("8 samples read, 8 states; verdicts: 5 true, 3 false, 0 unknown")
@@ -89,6 +90,7 @@ def test_json(tmp_path: Path, heights: Path) -> None:
             "x": "b",
             "verdict": "true",
             "decided": "2021-10-07T00:00:00Z",
+            "witness": "2021-10-07T00:00:00Z",
             "last": "2021-10-07T00:00:00Z",
         },
     }
@@ -256,7 +258,7 @@ def test_a_domain_ontology(tmp_path: Path) -> None:
 def test_verdicts() -> None:
     checked = dyknow.run(LOW, {"heights": ROWS}, ssl=SSL)
     first = next(checked)
-    assert first == Verdict(SECOND, {"x": "b"}, False, SECOND, SECOND)
+    assert first == Verdict(SECOND, {"x": "b"}, False, SECOND, SECOND, witness=SECOND)
     assert [start_and_object(each) for each in (first, *checked)] == VIOLATIONS
     assert checked.summary.verdicts == {"true": 5, "false": 3, "unknown": 0}
 

@@ -66,7 +66,7 @@ def test_a_monitor_from_text_to_verdicts(flying: httpx.Client, client: Client) -
     assert view == made.json()
     assert (view["kind"], view["dialect"], view["form"]) == ("MONITOR", "MTL", "")
     assert (view["state"], view["reads"], view["waits_for"]) == ("running", ["s5"], ["s5"])
-    assert view["fields"] == {"x": "string", "verdict": "string", "decided": "string"}
+    assert view["fields"] == dict.fromkeys(("x", "verdict", "decided", "witness"), "string")
     assert view["source"] == CALM
     assert (view["stream"], view["windows"], view["last_window"]) == ("calm", 0, None)
     fly(flying, *SPEEDS)
