@@ -245,6 +245,8 @@ def _until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: An
                 if state >= first[start]:
                     found = max(found, min(right[state, column], held))
                 held = min(held, left[state, column])
+                if held <= found:
+                    break  # no later state has more
             out[start, column] = found
 
 
@@ -257,6 +259,8 @@ def _since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: An
                 if state < last[start]:
                     found = max(found, min(right[state, column], held))
                 held = min(held, left[state, column])
+                if held <= found:
+                    break
             out[start, column] = found
 
 
