@@ -181,6 +181,7 @@ def compared(seed: int, count: int, depth: int) -> Counter[str]:
             else:
                 assert margin == (low if value == 1 else high), (seed, closed, start)
                 assert margin >= 0 if value == 1 else margin <= 0
+                assert str(margin) != "-0.0"
             told.update([str(value), "infinite" if abs(margin) == inf else "finite"])
             told["zero"] += margin == 0
     assert not found
