@@ -10,9 +10,14 @@ from .time import TIME_MAX, TIME_MIN
 
 def later(times: Times, duration: int) -> Times:
     """``times + duration``, at most `TIME_MAX`; ``duration`` ≥ 0. Shape kept."""
-    if not len(times) or int(np.maximum.reduce(times)) <= TIME_MAX - duration:
-        return times + np.int64(duration)
-    return np.where(times > TIME_MAX - duration, TIME_MAX, times + np.int64(duration))
+    latest = TIME_MAX - duration
+    if latest < TIME_MIN:
+        return np.full_like(times, TIME_MAX)
+    # A sum that fits is right even of a duration that has wrapped around.
+    step = np.int64(duration if duration <= TIME_MAX else duration - 2**64)
+    if not len(times) or int(np.maximum.reduce(times)) <= latest:
+        return times + step
+    return np.where(times > latest, TIME_MAX, times + step)
 
 
 def earlier(times: Times, duration: int) -> Times:

@@ -124,6 +124,7 @@ def explain_monitor(monitor: CheckedMonitor) -> str:
             + ("the newest" if is_approximate else "valid just then")
             + order,
             f"a verdict    {latest}; reported are {monitor.report}"
+            + (", with their robustness" if monitor.robustness else "")
             + (", of the first state alone" if monitor.once else ""),
         ]
     )

@@ -15,7 +15,7 @@ lower one false and the upper one true.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,11 @@ from ..states.states import States, Term, Values
 from .formulas import bound_sorts, parts_of, reach_of, readings_of
 from .nodes import END, Pass, spread_node, term_of
 from .robustness import Margins
-from .windows import NEVER
+from .windows import NEVER, Moments
 from .witness import NONE, Witnesses
+
+_Places: TypeAlias = tuple[NDArray[np.int64], ...]
+"""Cells of tables: the state, and the object of each axis."""
 
 
 class TooManyStates(Exception):
@@ -75,6 +78,27 @@ class _Rows:
     is_decided: Mask
     first: int = 0
     """Index of the first state kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """When the formula is determined true, false and unknown; shape ``(n, objects of each
+    axis)``."""
+
+    true: Moments
+    false: Moments
+    unknown: Moments | None
+    """None: never, as all atoms are known."""
+
+    def decided(self) -> Moments:
+        found = np.minimum(self.true, self.false)
+        return found if self.unknown is None else np.minimum(found, self.unknown)
+
+    def value(self, places: _Places, moment: Times) -> NDArray[np.int8]:
+        """The verdict at each place as it is at a moment."""
+        return np.where(
+            self.true[places] <= moment, 1, np.where(self.false[places] <= moment, 0, -1)
+        ).astype(np.int8)
 
 
 class MonitorEvaluator:
@@ -182,25 +206,23 @@ class MonitorEvaluator:
         assert rows is not None
         states = rows.states
         once = Pass(states, self._sorts, rows.first)
-        formula = self._monitor.formula
-        lower = spread_node(once.node(formula, False), self._axes, rows.is_decided.shape)
-        upper = lower
-        decided = np.minimum(lower.true, lower.false)
-        if not once.is_known(formula):
-            upper = spread_node(once.node(formula, True), self._axes, rows.is_decided.shape)
-            unknown = np.maximum(lower.false, upper.true)
-            decided = np.minimum(np.minimum(lower.true, upper.false), unknown)
-        if self._monitor.robustness:
-            over = once.over(reach_of(formula))
-            decided = np.maximum(decided, over.reshape((-1,) + (1,) * (decided.ndim - 1)))
         is_there = self._present(states)
+        if self._monitor.robustness:
+            over = once.over(reach_of(self._monitor.formula))
+            decided = over.reshape((-1,) + (1,) * (is_there.ndim - 1))
+        else:
+            moments = self._moments(once)
+            decided = moments.decided()
         new = (decided < NEVER) & ~rows.is_decided & is_there
-        rows.is_decided |= new | ~is_there
         places = np.nonzero(new)
-        moment = decided[places]
-        value = np.where(
-            lower.true[places] <= moment, 1, np.where(upper.false[places] <= moment, 0, -1)
-        ).astype(np.int8)
+        robustness = None
+        if self._monitor.robustness:
+            moment = over[places[0]]
+            value, robustness = self._by_margins(once, places)
+        else:
+            moment = decided[places]
+            value = moments.value(places, moment)
+        rows.is_decided |= new | ~is_there
         # The places are in the order of axes; parameters are in that of the text.
         by_name = dict(zip(self._axes, places[1:], strict=True))
         columns = [by_name[name] for name, _ in self._monitor.parameters]
@@ -215,7 +237,7 @@ class MonitorEvaluator:
             value[order],
             binding[order],
             self._witness_times(once, value, places)[order],
-            self._robustness(once, value, places)[order] if self._monitor.robustness else None,
+            None if robustness is None else robustness[order],
         )
         self._forget(rows)
         return found
@@ -236,20 +258,40 @@ class MonitorEvaluator:
                 found[mine] = np.where(rows == NONE, TIME_MIN, once.states.valid[rows])
         return found
 
-    def _robustness(
-        self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
-    ) -> NDArray[np.float64]:
-        """The margin of verdicts at these places, in the reading that decides them."""
-        found = np.full(len(value), np.nan)
-        by_name = dict(zip(self._axes, places[1:], strict=True))
+    def _moments(self, once: Pass) -> _Moments:
+        formula = self._monitor.formula
+        shape = once.rows, *(once.states.present[self._sorts[name]].shape[1] for name in self._axes)
+        lower = spread_node(once.node(formula, False), self._axes, shape)
+        if once.is_known(formula):
+            return _Moments(lower.true, lower.false, None)
+        upper = spread_node(once.node(formula, True), self._axes, shape)
+        return _Moments(lower.true, upper.false, np.maximum(lower.false, upper.true))
+
+    def _by_margins(
+        self, once: Pass, places: _Places
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        """The verdicts at these places, whose intervals are over, and their margins."""
         margins = Margins(once)
-        for is_upper, verdict in ((False, 1), (True, 0)):
-            mine = np.flatnonzero(value == verdict)
-            if len(mine):
-                axes, table = margins.of(self._monitor.formula, is_upper)
-                at = (places[0][mine], *(by_name[name][mine] for name in axes))
-                found[mine] = table[at]
-        return found
+        by_name = dict(zip(self._axes, places[1:], strict=True))
+
+        def margin(is_upper: bool) -> NDArray[np.float64]:
+            axes, table = margins.of(self._monitor.formula, is_upper)
+            found: NDArray[np.float64] = table[(places[0], *(by_name[name] for name in axes))]
+            return found
+
+        if not len(places[0]):
+            return np.empty(0, np.int8), np.empty(0)
+        low = margin(False)
+        high = low if once.is_known(self._monitor.formula) else margin(True)
+        value = np.where(low > 0, 1, np.where(high < 0, 0, -1)).astype(np.int8)
+        # A margin of 0 does not tell `>` from `>=`.
+        alike = np.flatnonzero((low == 0) | (high == 0))
+        if len(alike):
+            at = tuple(each[alike] for each in places)
+            last = np.full(len(alike), once.rows - 1)
+            value[alike] = self._moments(once).value(at, last)
+        # Adding 0 makes 0 of -0.
+        return value, np.where(value == 1, low, np.where(value == 0, high, np.nan)) + 0.0
 
     def _present(self, states: States) -> Mask:
         """Whether all objects of each binding are there at each state."""

@@ -15,7 +15,7 @@ from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Reading
 from ...rdf.namespaces import shorten
 from ..states.states import States
 from .evaluator import earliest, sorts_of
-from .formulas import parts_of, readings_of
+from .formulas import parts_of, reach_of, readings_of
 from .nodes import Axes, Pass
 from .windows import NEVER
 
@@ -38,7 +38,8 @@ class Shown:
 class Explanation:
     """The states of a verdict's window, by valid time (ns), up to the one that decides it.
 
-    ``verdict``: true, false, unknown, or open: not decided yet; ``decided`` is then None.
+    ``verdict``: true, false, unknown, or open: not decided yet; ``decided`` is then None. With
+    `robustness` a verdict is open until its intervals are over, though its parts may be known.
     """
 
     start: int
@@ -74,7 +75,9 @@ def explain_verdict(
     root = explained.moments(monitor.formula)
     assert root is not None
     at = min(root.true[row], root.false[row], root.unknown[row])
-    last = len(states.valid) - 1 if at == NEVER else at
+    if monitor.robustness:
+        at = max(at, once.over(reach_of(monitor.formula))[row])
+    last = len(states.valid) - 1 if at == NEVER else int(at)
     first = earliest(monitor.formula, row, states.valid)
     rows = slice(max(first, last + 1 - MOST_ROWS), last + 1)
     formulas = tuple(
@@ -87,8 +90,10 @@ def explain_verdict(
         for reading in readings
         if (values := explained.readings(reading, rows)) is not None
     )
-    verdict = explained.values(monitor.formula, slice(row, row + 1), last)[0]
-    decided = None if at == NEVER else int(states.valid[at])
+    is_open = at == NEVER
+    known = explained.values(monitor.formula, slice(row, row + 1), last)[0]
+    verdict = "open" if is_open else known
+    decided = None if is_open else int(states.valid[at])
     valid = tuple(states.valid[rows].tolist())
     return Explanation(start, str(verdict), decided, valid, features, formulas)
 

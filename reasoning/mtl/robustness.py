@@ -90,7 +90,7 @@ class Margins:
         with np.errstate(all="ignore"):
             table = _margin(atom.operator, a, b)
         shape = (self.once.rows, *np.broadcast_shapes(table.shape, known.shape)[1:])
-        known = np.broadcast_to(known, shape) & ~np.isnan(table)
+        known = np.broadcast_to(known, shape)
         return axes, np.where(known, table, np.inf if is_upper else -np.inf)
 
     def _until(self, is_past: bool, interval: Interval, left: Table, right: Table) -> Table:
@@ -124,17 +124,27 @@ def _flat(table: Table) -> Table:
 def _margin(operator: str, a: NDArray[Any], b: NDArray[Any]) -> Table:
     """How far ``a operator b`` is from the opposite."""
     kinds = {part.dtype.kind for part in (a, b)}
+    holds = OPERATORS[operator]
     if not kinds <= {"f", "i"}:
-        return np.where(OPERATORS[operator](a, b), np.inf, -np.inf)
-    difference = np.asarray(a - b, np.float64)
+        return np.where(holds(a, b), np.inf, -np.inf)
     if kinds == {"i"}:
-        difference = difference / SECOND
+        # Times more than 292 years apart: their difference wraps around, that of floats does not.
+        exact = np.asarray(a - b)
+        wraps = (a > b) != (exact > 0)
+        difference = np.where(wraps, a.astype(np.float64) - b, exact) / SECOND
+    else:
+        difference = a - b
     match operator:
         case ">" | ">=":
-            return difference
+            found = difference
         case "<" | "<=":
-            return -difference
+            found = -difference
         case "=":
-            return -np.abs(difference)
+            found = -np.abs(difference)
         case _:
-            return np.abs(difference)
+            found = np.abs(difference)
+    # Infinite numbers, after an overflow, have no distance.
+    undefined = np.isnan(found)
+    if undefined.any():
+        return np.where(undefined, np.where(holds(a, b), np.inf, -np.inf), found)
+    return found

@@ -106,12 +106,14 @@ def since_of_margins(
     return out
 
 
-def earliest(table: Moments, column: Moments, first: Moments, last: Moments) -> Moments:
-    """Return the state with the least moment in each interval, in a column of its own; the first of
-    several, -1 if none is determined. ``column``, ``first``, ``last``: shape ``(m,)``. Cost: O(m w)
-    for w states in an interval."""
+def first_by(
+    table: Moments, column: Moments, first: Moments, last: Moments, by: Moments
+) -> Moments:
+    """Return the first state in each interval whose moment is not after ``by``, in a column of its
+    own; -1 if there is none. All but ``table`` have shape ``(m,)``. Cost: O(m w) for w states up to
+    that one."""
     out = np.empty(len(first), np.int64)
-    _run(_earliest, table, column, first, last, out)
+    _run(_first_by, table, column, first, last, by, out)
     return out
 
 
@@ -131,7 +133,8 @@ def deciding(
     """Return the state that decides each ``left until right``: that of right, or with ``is_true``
     False that at which left fails before right is false throughout; -1 if no state does.
     ``is_past``: ``left since right``. The tables have the moments at which the parts are true, or
-    false; ``closed`` as in `until`. Cost: as `earliest`."""
+    false; ``closed`` as in `until`. Cost: O(m w)
+    for w states in an interval."""
     out = np.empty(len(start), np.int64)
     tables = left, right, left_column, right_column
     _run(_deciding, *tables, start, first, last, closed, int(is_true), int(is_past), out)
@@ -277,6 +280,8 @@ def _until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: An
                 if state >= first[start]:
                     found = max(found, min(right[state, column], held))
                 held = min(held, left[state, column])
+                if held <= found:
+                    break  # no later state has more
             out[start, column] = found
 
 
@@ -289,6 +294,8 @@ def _since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: An
                 if state < last[start]:
                     found = max(found, min(right[state, column], held))
                 held = min(held, left[state, column])
+                if held <= found:
+                    break
             out[start, column] = found
 
 
@@ -301,13 +308,22 @@ def _places_loop(times: Any, limits: Any, after: Any, out: Any) -> None:
         out[i] = place
 
 
-def _earliest_loop(table: Any, column: Any, first: Any, last: Any, out: Any) -> None:
+def _first_by_loop(table: Any, column: Any, first: Any, last: Any, by: Any, out: Any) -> None:
     for i in range(len(first)):
-        least, found = 2**62, -1
-        for state in range(first[i], last[i]):
-            if table[state, column[i]] < least:
-                least, found = table[state, column[i]], state
-        out[i] = found
+        out[i] = -1
+        begin = first[i]
+        # Starts that one state decides come together: it is the first one for each of them.
+        if (
+            i > 0
+            and column[i] == column[i - 1]
+            and first[i - 1] <= begin < out[i - 1]
+            and by[i] <= by[i - 1]
+        ):
+            begin = out[i - 1]
+        for state in range(begin, last[i]):
+            if table[state, column[i]] <= by[i]:
+                out[i] = state
+                break
 
 
 def _deciding_loop(
@@ -385,9 +401,9 @@ def _margins_signature() -> Any:
     return types.void(table, table, row, row, table)
 
 
-def _earliest_signature() -> Any:
+def _first_by_signature() -> Any:
     table, _, row, types = _types()
-    return types.void(table, row, row, row, row)
+    return types.void(table, row, row, row, row, row)
 
 
 def _deciding_signature() -> Any:
@@ -410,5 +426,5 @@ _since = Kernel(_since_loop, _since_signature)
 _until_of_margins = Kernel(_until_of_margins_loop, _margins_signature)
 _since_of_margins = Kernel(_since_of_margins_loop, _margins_signature)
 _places = Kernel(_places_loop, _places_signature)
-_earliest = Kernel(_earliest_loop, _earliest_signature)
+_first_by = Kernel(_first_by_loop, _first_by_signature)
 _deciding = Kernel(_deciding_loop, _deciding_signature)

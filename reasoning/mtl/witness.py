@@ -36,10 +36,10 @@ Places = Mapping[str, NDArray[np.int64]]
 class Witnesses:
     """The witnesses of verdicts over the states of one evaluation.
 
-    Of `eventually f` that is true, and of `always f` that is false, it is the state in the interval
-    at which f is determined first; of `f until g` that of g, or at which f fails while g may still
-    hold. Other operators have that of the part that decides; an atom its own state. Cost: the
-    states of an interval for each verdict.
+    Of `eventually f` that is true, and of `always f` that is false, it is the first state in the
+    interval at which f is determined by then; of `f until g` that of g, or at which f fails while g
+    may still hold. Other operators have that of the part that decides; an atom its own state. Cost:
+    at most the states of an interval for each verdict.
     """
 
     once: Pass
@@ -62,7 +62,9 @@ class Witnesses:
                 if is_some is not is_true:
                     return np.full(len(rows), NONE)
                 first, last = self.once.bounds(operator.is_past, formula.interval)
-                return self._first(operand, is_true, first[rows], last[rows], places)
+                table, column = self._columns(operand, is_true, places, len(rows))
+                by = self._moments(formula, is_true, rows, places)
+                return windows.first_by(table, column, first[rows], last[rows], by)
             case Until():
                 return self._until(formula, is_true, rows, places)
             case Quantified(is_universal, variable, sort, operand):
@@ -91,13 +93,6 @@ class Witnesses:
             own = {name: each[mine] for name, each in places.items()}
             found[mine] = self.of(part, is_true, rows[mine], own)
         return found
-
-    def _first(
-        self, operand: Formula, is_true: bool, first: Moments, last: Moments, places: Places
-    ) -> Moments:
-        """The state of each interval at which the operand is determined first."""
-        table, column = self._columns(operand, is_true, places, len(first))
-        return windows.earliest(table, column, first, last)
 
     def _until(self, formula: Until, is_true: bool, rows: Moments, places: Places) -> Moments:
         """The state of the right part, or that at which the left one fails."""

@@ -95,6 +95,8 @@ class Robustness:
             return inf if upper else -inf
         if isinstance(a, str | bool):
             return inf if (a == b) is (operator == "=") else -inf
+        if a == b and abs(a) == inf:
+            return inf if operator in ("=", "<=", ">=") else -inf
         match operator:
             case ">" | ">=":
                 return a - b

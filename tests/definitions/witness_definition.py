@@ -51,7 +51,8 @@ class Witness:
                 if (operator in (Temporal.EVENTUALLY, Temporal.ONCE)) is not want:
                     return None
                 inside = self.interval(i, interval, operator.is_past)
-                return self.first({j: self.moment(g, j, want) for j in inside})
+                by = self.moment(f, i, want)
+                return next((j for j in inside if self.moment(g, j, want) <= by < NEVER), None)
             case Until(is_past, interval, g, h):
                 inside = self.interval(i, interval, is_past)
                 found = self.until(f, i, inside, want)

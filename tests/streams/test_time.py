@@ -1,5 +1,6 @@
 """Times and durations: texts and nanoseconds."""
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from dyknow.streams.time import (
     parse_time,
     read_time,
 )
+from dyknow.streams.time_arithmetic import later
 
 LIMITS = settings(deadline=None, max_examples=200)
 
@@ -128,3 +130,13 @@ def test_what_is_no_time_is_told_in_plain_words(text, said):
 def test_an_integer_of_thousands_of_digits_is_no_time():
     with pytest.raises(ValueError, match="the number is outside signed 64-bit"):
         parse_time(10**5000)
+
+
+@given(
+    st.lists(st.integers(TIME_MIN, TIME_MAX), max_size=4),
+    st.one_of(st.integers(0, 2**66), st.sampled_from([2**63 - 1, 2**63, 2**64 - 1, 2**64])),
+)
+@LIMITS
+def test_sums_stop_at_the_end_of_time(times: list[int], duration: int) -> None:
+    found = later(np.array(times, np.int64), duration)
+    assert found.tolist() == [min(TIME_MAX, time + duration) for time in times]

@@ -70,6 +70,15 @@ def test_an_object_and_a_threshold_are_arguments(flying):
     assert told(flying, other) == []
 
 
+def test_its_events_have_their_robustness(flying):
+    flying.register_template(RECKLESS + ", robustness")
+    view = ask(flying, "Reckless(?car, 100)")
+    assert "reported are violations, with their robustness" in flying.explain_running(view.id)
+    fly(flying)
+    # The speed is 20 km/h above the limit, and 30 above what it should come down to.
+    assert [s["robustness"] for _, s in samples(flying, view.stream)] == [-20.0] * 4
+
+
 def test_streams_of_its_events_are_found(flying):
     flying.register_template(FAST)
     view = ask(flying, "Fast(?o)")

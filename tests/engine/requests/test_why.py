@@ -77,6 +77,34 @@ def test_an_explanation_says_what_the_stream_says(flying, formula, policy):
             assert len(shown.values) in (0, len(found.valid))
 
 
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_a_verdict_with_robustness_is_decided_when_the_stream_says(flying, formula):
+    flying.queries.register(
+        f"monitor m(?x in UAV) = {formula}"
+        " with sample every 1s, max delay 0s, use most recent, robustness, report verdicts"
+    )
+    fly(flying, formula)
+    told = {(int(start), sample["x"]) for start, sample in samples(flying, "m")}
+    checked = 0
+    for second in range(1, 29):
+        for name in ("uav1", "uav2"):
+            try:
+                found = flying.queries.why("m", [name], second * SECOND)()
+            except NoResult:
+                continue
+            assert (found.verdict == "open") is ((second, name) not in told)
+            assert (found.decided is None) is (found.verdict == "open")
+            checked += 1
+    assert checked > 20
+    flying.end("s5")
+    told = samples(flying, "m")
+    assert len(told) > 20
+    for seconds, sample in told:
+        found = flying.queries.why("m", [sample["x"]], int(seconds * SECOND))()
+        assert found.verdict == sample["verdict"]
+        assert found.decided == parse_time(sample["decided"])
+
+
 def test_the_values_of_parts_and_features(flying):
     flying.queries.register(
         "monitor m(?x in UAV) = always [0s, 2s] (speed(?x) > 100 -> altitude(?x) > 50)"

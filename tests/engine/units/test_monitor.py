@@ -31,6 +31,19 @@ def test_an_idle_stream_holds_no_state_back_and_its_late_samples_are_counted(eng
     assert engine.queries.view("m").late == 1
 
 
+def test_intervals_may_reach_beyond_the_end_of_time(engine):
+    engine.annotate("stream speeds contains speed(UAV) = v for every UAV = id")
+    century = "always [0s, 4000000000s]"
+    engine.queries.register(
+        f"monitor m(?x in UAV) = {century} {century} {century} speed(?x) < 3"
+        " with report verdicts, robustness"
+    )
+    feed(engine, "speeds", [(t, {"id": "u", "v": v}) for t, v in ((1, 1.0), (2, 2.5))])
+    assert samples(engine, "m") == []
+    engine.end("speeds")
+    assert [(s["verdict"], s["robustness"]) for _, s in samples(engine, "m")] == [("true", 0.5)] * 2
+
+
 def test_robustness_is_a_column_of_numbers(engine):
     fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
     engine.declare(StreamDeclaration("speeds", fields))

@@ -20,6 +20,7 @@ from dyknow.languages.mtl.checked import (
     CheckedMonitor,
     Constant,
     Kind,
+    ObjectVariable,
     Reading,
 )
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
@@ -27,6 +28,7 @@ from dyknow.reasoning.mtl.formulas import parts_of, reach_of
 from dyknow.reasoning.mtl.nodes import OPERATORS
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
+from dyknow.streams.time import SECOND, TIME_MAX, TIME_MIN
 
 
 class Drawing(FormulaDrawing):
@@ -41,7 +43,10 @@ class Drawing(FormulaDrawing):
         left = Reading(drawn.left.feature, drawn.left.arguments, Kind.NUMBER, None)
         if self.random.random() < 0.2:
             left = Calculation(self.random.choice("+-*"), left, Constant(2.0, Kind.NUMBER))
-        sides = [left, limit]
+        # Infinite numbers meet each other, and have no distance.
+        is_doubled = self.random.random() < 0.2
+        twice = Calculation("*", left, Constant(2.0, Kind.NUMBER))
+        sides = [left, twice if is_doubled else limit]
         if self.random.random() < 0.2:
             sides.reverse()
         return Atom(operator, *sides)
@@ -63,7 +68,7 @@ class Drawing(FormulaDrawing):
                 for i in range(count):
                     is_there = all(o in present[i][SORT] for o in objects)
                     is_known = is_there and draw.random() >= unknown
-                    number = draw.choice([-4.0, -2.0, -0.5, 0.0, 1.0, 3.25])
+                    number = draw.choice([-4.0, -2.0, -0.5, 0.0, 1.0, 3.25, inf, -inf])
                     self.table[f"urn:{name}", objects, i] = number if is_known else None
         return Trace(valid, horizon, self.value, present)
 
@@ -176,6 +181,7 @@ def compared(seed: int, count: int, depth: int) -> Counter[str]:
             else:
                 assert margin == (low if value == 1 else high), (seed, closed, start)
                 assert margin >= 0 if value == 1 else margin <= 0
+                assert str(margin) != "-0.0"
             told.update([str(value), "infinite" if abs(margin) == inf else "finite"])
             told["zero"] += margin == 0
     assert not found
@@ -194,3 +200,21 @@ def test_short_traces(block: int) -> None:
 def test_long_traces(block: int) -> None:
     for seed in range(1_000 + block * 10, 1_010 + block * 10):
         compared(seed, 60, 2)
+
+
+@pytest.mark.parametrize(("operator", "verdict"), [("<", 1), (">=", 0), ("=", 0), ("!=", 1)])
+def test_times_at_both_ends_of_time(operator: str, verdict: int) -> None:
+    feature = "urn:seen", (SORT,)
+    seen = Reading(feature[0], (ObjectVariable("x"),), Kind.TIME, None)
+    monitor = CheckedMonitor(
+        "m", (("x", SORT),), Atom(operator, seen, Constant(TIME_MAX, Kind.TIME)),
+        SynchronizationPolicy(), Report.VERDICTS, False, None, robustness=True,
+    )  # fmt: skip
+    there = np.ones((1, 1), np.bool_)
+    time = np.zeros(1, np.int64)
+    values = {feature: Values(np.full((1, 1), TIME_MIN, np.int64), there)}
+    states = States(time, time, {SORT: (OBJECTS[0],)}, {SORT: there}, values)
+    found = MonitorEvaluator(monitor).push(states)
+    assert found.value.tolist() == [verdict]
+    distance = (TIME_MAX - TIME_MIN) / SECOND
+    assert found.robustness == pytest.approx([distance if verdict else -distance])

@@ -104,6 +104,19 @@ def test_json(tmp_path: Path, heights: Path) -> None:
     }
 
 
+def test_robustness(tmp_path: Path, heights: Path) -> None:
+    text = monitor(tmp_path, f"{LOW} with robustness")
+    done = run("run", text, "--stream", f"heights={heights}", "--ssl", SSL)
+    margins = (-10.0, -20.0, -30.0)
+    assert done.stdout.splitlines() == [
+        f"2021-10-07T00:00:0{t}Z  x={id}  verdict=false  decided=2021-10-07T00:00:0{t}Z"
+        f"  witness=2021-10-07T00:00:0{t}Z  robustness={margin:g}"
+        for (t, id), margin in zip(VIOLATIONS, margins, strict=True)
+    ]
+    found = dyknow.run(text.read_text(), {"heights": ROWS}, ssl=SSL)
+    assert tuple(verdict.robustness for verdict in found) == margins
+
+
 def test_nothing_to_report(tmp_path: Path, heights: Path) -> None:
     text = monitor(tmp_path, LOW.replace("100", "1000"))
     done = run("run", text, "--stream", f"heights={heights}", "--ssl", SSL)

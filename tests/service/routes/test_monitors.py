@@ -79,6 +79,18 @@ def test_a_monitor_from_text_to_verdicts(flying: httpx.Client, client: Client) -
     assert client.query("calm")["state"] == "ended"
 
 
+def test_robustness_is_a_number_in_the_view_and_in_samples(flying: httpx.Client) -> None:
+    view = register(flying, f"{CALM}, robustness, report verdicts").json()
+    assert view["fields"]["robustness"] == "float"
+    fly(flying, *SPEEDS)
+    flying.post("/streams/s5/end")
+    samples = flying.get("/streams/calm/samples", headers={"Accept": "application/json"}).json()
+    margins = [each["robustness"] for each in samples]
+    assert [each["verdict"] for each in samples] == ["false"] * 3 + ["true"] * 2
+    # In km/h, the unit of the feature: 30 m/s is 8 km/h too fast.
+    assert margins == pytest.approx([-8.0] * 3 + [64.0, 82.0])
+
+
 def test_the_events_come_as_they_are_decided(flying: httpx.Client, client: Client) -> None:
     register(flying, CALM)
     events = client.events("calm", since="start")
