@@ -41,8 +41,9 @@ class Explanation:
     ``translated`` and ``plan`` are None if the query runs on Oxigraph, for ``reason``. ``shape``
     describes the incremental computation, or says why there is none. ``merges`` says why Oxigraph
     counts equal triples once under bag semantics, or is "". ``known`` is the basis of the cost
-    estimates, ``served`` the parts of the plan that a compiled loop evaluates, ``entailed`` what
-    the schema adds to the streams' triples. ``profile`` holds the measured costs, if any.
+    estimates, ``served`` the parts of the plan that a compiled loop evaluates. ``singly`` says why
+    windows that are due at once are evaluated one by one, or is "". ``entailed`` is what the schema
+    adds to the streams' triples, ``profile`` the measured costs, if any.
     """
 
     query: ContinuousQuery
@@ -57,6 +58,7 @@ class Explanation:
     merges: str
     known: Known
     served: Sequence[Plan]
+    singly: str
     entailed: Sequence[str]
     profile: Profile | None = None
 
@@ -92,6 +94,10 @@ class Explanation:
         asked = sorted({name for node in walk(self.plan.plan) for name in _strange(node)})
         if asked:
             yield f"asked of Oxigraph, a distinct combination of values: {', '.join(asked)}"
+        if self.singly:
+            yield f"windows that are due at once: one by one, since {self.singly}"
+        else:
+            yield "windows that are due at once: in one pass"
         if self.query.operator is not StreamOperator.RSTREAM:
             yield f"{self.query.operator}: what is other than in the result before"
 
