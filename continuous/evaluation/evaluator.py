@@ -87,7 +87,7 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
             return None
         self._in_a_row = 0
         self._results.append(batch)
-        return len(batch), self._solver.retains
+        return len(batch.ends), self._solver.retains
 
     def _evaluate(self, end: int, reports: bool) -> bool:
         solver = self._solver

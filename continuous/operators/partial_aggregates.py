@@ -278,11 +278,7 @@ class Partial:
         partial = Partial(singles=self.singles.merged(groups, rows))
         for key, mine in self.numbers.items():
             sums = mine.sums
-            if (
-                sums.dtype == np.int64
-                and len(sums)
-                and magnitude(sums) * len(rows) >= SAFE
-            ):
+            if sums.dtype == np.int64 and len(sums) and magnitude(sums) * len(rows) >= SAFE:
                 sums = sums.astype(object)
             total, counts = np.zeros(count, sums.dtype), np.zeros(count, np.int64)
             with np.errstate(all="ignore"):

@@ -76,8 +76,13 @@ class WindowResult:
             return len(self.solutions)
         return len(self.triples) if self.triples is not None else int(bool(self.answer))
 
+    @property
+    def ends(self) -> Sequence[int]:
+        """The ends of all windows: a batch of one."""
+        return (self.end,)
+
     def windows(self) -> Iterator[WindowResult]:
-        """Yield this result: a batch of one."""
+        """Yield the result of each window: this one."""
         yield self
 
 
@@ -95,10 +100,6 @@ class ResultBatch:
     solutions: Solutions | None = None
     triples: TimedTriples | None = None
     offsets: Sequence[int] = ()
-
-    def __len__(self) -> int:
-        """Return the number of windows."""
-        return len(self.ends)
 
     def windows(self) -> Iterator[WindowResult]:
         """Yield the result of each window."""
