@@ -19,6 +19,7 @@ from ..operators.background import Background
 from ..operators.entailment import PatternNeeds
 from ..operators.profile import Profile
 from ..operators.results import ResultBatch, WindowResult
+from ..windows.window_schedule import EvaluateWindows
 from .solver import Solver
 from .windowed_evaluator import WindowedEvaluator
 
@@ -80,6 +81,9 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
         """Remove and return the results since the last call."""
         results = super().take_results()
         return [each for one in results for each in one.windows()] if self.splits else results
+
+    def _in_bulk(self) -> EvaluateWindows | None:
+        return self._close_many if self._solver.works_in_bulk else None
 
     def _close_many(self, ends: list[int]) -> tuple[int, bool] | None:
         batch = self._solver.results(ends)

@@ -91,13 +91,11 @@ class Explanation:
             yield f"in columns, each window anew: {self.shape}"
         else:
             yield from _section("in columns, incrementally", self._operators(self.shape))
+            how = f"one by one, since {self.singly}" if self.singly else "in one pass"
+            yield f"windows that are due at once: {how}"
         asked = sorted({name for node in walk(self.plan.plan) for name in _strange(node)})
         if asked:
             yield f"asked of Oxigraph, a distinct combination of values: {', '.join(asked)}"
-        if self.singly:
-            yield f"windows that are due at once: one by one, since {self.singly}"
-        else:
-            yield "windows that are due at once: in one pass"
         if self.query.operator is not StreamOperator.RSTREAM:
             yield f"{self.query.operator}: what is other than in the result before"
 

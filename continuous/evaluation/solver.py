@@ -156,12 +156,16 @@ class Solver:
         difference = self._difference.of(self.solve(rows))
         return difference if reports or difference.size else None
 
+    @property
+    def works_in_bulk(self) -> bool:
+        """Whether windows that are due at once may be evaluated in one pass. A profile is of one
+        window after the other."""
+        return isinstance(self.bulk, BulkPlan) and self.profile is None
+
     def results(self, ends: Sequence[int]) -> ResultBatch | None:
         """Return the results of the windows that end at some of ``ends``, from the first on,
         instead of `fold` and `result` of each; None if they must be evaluated one by one."""
-        if isinstance(self.bulk, str) or self.profile is not None:
-            return None
-        return self.bulk.results(ends)
+        return self.bulk.results(ends) if isinstance(self.bulk, BulkPlan) else None
 
     def solve(self, rows: WindowRows) -> WindowResult:
         """Compute the query over these rows."""

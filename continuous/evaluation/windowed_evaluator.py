@@ -30,7 +30,7 @@ from ..operators.background import Background
 from ..operators.entailment import PatternNeeds, StreamEntailment
 from ..operators.sources import StaticSide
 from ..windows.grid import schedule
-from ..windows.window_schedule import OpenWindows
+from ..windows.window_schedule import EvaluateWindows, OpenWindows
 from .solver import QueryBody
 
 Result = TypeVar("Result")
@@ -92,13 +92,13 @@ class WindowedEvaluator(ABC, Generic[Result]):
         """Promise that every later row of ``input`` has τ ≥ ``watermark``; return the results of
         the windows that close now."""
         return self._until_quarantined(
-            lambda: self._windows.advance(input, watermark, self._close_window, self._close_many)
+            lambda: self._windows.advance(input, watermark, self._close_window, self._in_bulk())
         )
 
     def end(self, input: str) -> list[Result]:
         """End ``input``. After the last input has ended, every window with content closes."""
         return self._until_quarantined(
-            lambda: self._windows.end(input, self._close_window, self._close_many)
+            lambda: self._windows.end(input, self._close_window, self._in_bulk())
         )
 
     @property
@@ -116,7 +116,7 @@ class WindowedEvaluator(ABC, Generic[Result]):
             return 0
         self._stopped = stopped
         try:
-            return self._windows.close_next(self._close_window, self._close_many, most)
+            return self._windows.close_next(self._close_window, self._in_bulk(), most)
         except Quarantined:
             return 1
         finally:
@@ -156,8 +156,9 @@ class WindowedEvaluator(ABC, Generic[Result]):
         self._in_a_row = 0
         return retains
 
-    def _close_many(self, ends: list[int]) -> tuple[int, bool] | None:
-        """See `window_schedule.EvaluateWindows`. By default windows are evaluated one by one."""
+    def _in_bulk(self) -> EvaluateWindows | None:
+        """Return what evaluates windows that are due at once. By default they are evaluated one by
+        one."""
         return None
 
     @abstractmethod

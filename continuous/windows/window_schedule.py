@@ -245,7 +245,7 @@ class OpenWindows:
     def _evaluate_in_bulk(self, first: int, in_bulk: EvaluateWindows, most: int) -> int:
         """Evaluate windows that can close, from the end ``first`` on, in one pass; return how many,
         0 if they must be evaluated one by one. Contract: the schedule is `uniform`, and only
-        windows with content are evaluated."""
+        windows with content are evaluated (`BulkPlan` checks that)."""
         tried, watermark = self._one_by_one_until, self._watermark()
         assert watermark is not None
         if tried is not None and first <= tried:
