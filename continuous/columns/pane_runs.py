@@ -60,7 +60,8 @@ class PaneRuns:
             mine = np.flatnonzero((high - low >= length) & (high - low < 2 * length))
             begin, end = low[mine], high[mine] - length
             found[mine] = np.minimum(level[begin, at[mine]], level[end, at[mine]])
-            level = np.minimum(level[: len(level) - length], level[length:])
+            if 2 * length <= longest:
+                level = np.minimum(level[: len(level) - length], level[length:])
             length *= 2
         return found
 

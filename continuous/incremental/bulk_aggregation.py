@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ...streams.sample import Times
-from ..algebra.expressions import Var
+from ..algebra.expressions import Const, Var
 from ..columns.exact_sums import FloatTotals, IntegerTotals
 from ..columns.fold_kernels import mirror
 from ..columns.pane_runs import PaneRuns
@@ -45,9 +45,15 @@ def not_in_bulk(shape: Shape, *, distinct: bool) -> str:
     """Return why windows that are due at once are aggregated one by one, or ""."""
     if distinct:
         return "equal triples count once"
-    if not shape.direct:
+    if shape.rest or shape.later:
+        return "the aggregate is joined with other patterns"
+    subject = shape.scan.subject
+    keys = (subject.name,) if isinstance(subject, Var) else ()
+    if shape.aggregate.keys != keys or shape.aggregate.implicit:
         return "the subjects are not the groups"
-    return "" if shape.plain else "rows are selected or computed before the fold"
+    if shape.filters or any(each not in (None, shape.scan.object) for each, _ in shape.arguments):
+        return "rows are selected or computed before the fold"
+    return "" if isinstance(shape.scan.object, Var) else "the object is a constant"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,14 +65,18 @@ class _Rows:
     objects: ObjectColumn
 
     @classmethod
-    def of(cls, tables: Sequence[TripleRows], predicate: int) -> _Rows | None:
-        """Return None unless there are rows, all of one kind of number."""
+    def of(cls, tables: Sequence[TripleRows], predicate: int, subject: int | None) -> _Rows | None:
+        """Return those of ``subject``, or all; None unless there are some, all of one kind of
+        number."""
         times, subjects, values, kinds = [], [], [], set()
         for table in tables:
             column = table.objects.get(predicate)
             if column is None:
                 continue
-            rows = slice(None) if column.null is None else np.flatnonzero(~column.null)
+            rows: slice | NDArray[np.int64] = slice(None)
+            if column.null is not None or subject is not None:
+                mine = column.present if subject is None else table.subject == subject
+                rows = np.flatnonzero(mine & column.present)
             times.append(table.time[rows])
             subjects.append(table.subject[rows])
             values.append(column.values[rows])
@@ -122,7 +132,11 @@ class BulkAggregate:
         the windows must be evaluated one by one."""
         aggregate = self._aggregate
         predicate = aggregate.terms.dictionary.find(aggregate.shape.scan.predicate)
-        rows = _Rows.of(self._tables, predicate)
+        subject = aggregate.shape.scan.subject
+        id = None
+        if isinstance(subject, Const):
+            id = aggregate.terms.dictionary.find(subject.term)
+        rows = _Rows.of(self._tables, predicate, id)
         if rows is None or not rows.are_safe() or not aggregate.is_regular:
             return None
         keys: list[Key] = [
@@ -158,14 +172,14 @@ class BulkAggregate:
         self._keep_sorts(alive, cells)
         windows, places = np.nonzero(alive)
         partials = [Partial({each.key: each.of_runs(windows, places)}) for each in numbers]
-        subject = aggregate.shape.scan.subject
-        assert isinstance(subject, Var)
-        columns = {
-            END: ObjectColumn(Kind.INTEGER, windows),
-            subject.name: ObjectColumn(Kind.TERM, aggregate.groups.members[groups[places]]),
-        }
+        columns = {END: ObjectColumn(Kind.INTEGER, windows)}
+        if isinstance(subject, Var):
+            members = aggregate.groups.members[groups[places]]
+            columns[subject.name] = ObjectColumn(Kind.TERM, members)
         found = aggregate.finish(columns, partials, len(windows))
-        return Relation(found.columns, found.rows, frozenset((END, subject.name)))
+        return Relation(
+            found.columns, found.rows, frozenset((END, *aggregate.shape.aggregate.keys))
+        )
 
     def _folded(self, argument: int, key: Key) -> list[Pane] | None:
         """Return the folded panes that windows contain; None if columns cannot add them."""

@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyoxigraph import Literal, NamedNode, Quad, Store
+from pyoxigraph import Literal, NamedNode, Quad, Store, Variable
 
 from dyknow.continuous.algebra.options import Options
 from dyknow.continuous.columns.budget import UNLIMITED, Budget
@@ -17,7 +17,7 @@ from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.incremental import aggregation, bulk_aggregation
 from dyknow.continuous.operators.background import Background
 from dyknow.continuous.windows import window_schedule
-from dyknow.languages.csparql import parse_query
+from dyknow.languages.csparql import bind, parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import RDF_TYPE
 from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
@@ -145,8 +145,12 @@ def run(
     static: list,
     options: Options,
     budget: Budget = UNLIMITED,
+    who: NamedNode | None = None,
 ) -> tuple[list, list]:
+    """Return the results, and what else a run leaves; ``who``: the only object asked for."""
     query = parse_query(text)
+    if who is not None:
+        query = bind(query, {Variable("o"): who})
     dictionary = TermDictionary()
     inputs = [one for one in INPUTS if f"<{one}>" in text]
     evaluator = ContinuousEvaluator(query, dictionary, background(static), inputs, options, budget)
@@ -188,6 +192,16 @@ def test_windows_in_bulk_equal_windows_one_by_one(text, found, cuts, static, opt
     for windows in (2, 7, 512):
         with at_most(windows):
             assert run(text, found, cuts, static, opts) == wanted
+
+
+@law
+@given(texts(), elements(), cuts, statics, options, st.sampled_from(OBJECTS))
+def test_so_do_windows_of_one_object(text, found, cuts, static, opts, who) -> None:
+    with at_most(1):
+        wanted = run(text, found, cuts, static, opts, who=who)
+    for windows in (2, 512):
+        with at_most(windows):
+            assert run(text, found, cuts, static, opts, who=who) == wanted
 
 
 @law
