@@ -149,12 +149,15 @@ class Execution:
         tables = self._rows(since, ends[-1])
         if sum(map(len, tables)) > most * len(ends):
             return None
-        count = fitting(self.incremental, len(ends), tables)
+        pane = self.windows.schedule.pane
+        count = fitting(
+            self.incremental, len(ends), window.range // pane, window.grid.step // pane, tables
+        )
         if count < 2:
             return None
         if count < len(ends):
             tables = self._rows(since, ends[count - 1])
-        panes = Grid(self.windows.schedule.pane, window.grid.origin)
+        panes = Grid(pane, window.grid.origin)
         bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, tables)
         relation = bulk.relation()
         return None if relation is None else (count, relation)

@@ -36,8 +36,10 @@ from .aggregate_shape import Shape
 from .aggregation import IncrementalAggregate
 from .sliding_aggregates import Pane
 
-CELLS: Final = 2**16
-"""The number of cells of a table of panes: at 8 to 48 bytes each, some megabytes."""
+CELLS: Final = 2**15
+"""The number of cells of a table of panes: some milliseconds, at 50 to 100 bytes each."""
+CELLS_EACH: Final = 2**9
+"""With more cells a window than this, one pass over several windows saves nothing."""
 _KINDS: Final = (Kind.INTEGER, Kind.FLOAT, Kind.DOUBLE)
 
 
@@ -98,11 +100,20 @@ class _Rows:
         return bool(-GREAT < values.min() <= values.max() < GREAT)
 
 
-def fitting(aggregate: IncrementalAggregate, ends: int, tables: Sequence[TripleRows]) -> int:
-    """Return how many of ``ends`` windows with rows in ``tables`` fit one pass."""
+def fitting(
+    aggregate: IncrementalAggregate,
+    ends: int,
+    panes: int,
+    step: int,
+    tables: Sequence[TripleRows],
+) -> int:
+    """Return how many of ``ends`` windows with rows in ``tables`` one pass covers; less than 2 if
+    it would save nothing. ``panes``: the number of panes of a window; ``step``: of a step."""
     subjects = [np.zeros(0, np.int32), *(table.subject for table in tables)]
-    groups = len(np.unique(np.concatenate(subjects)))
-    return min(ends, CELLS // max(1, groups))
+    folded = aggregate.partials[0].rows(slice(aggregate.groups.used))
+    groups = max(1, len(np.unique(np.concatenate(subjects))), int(np.count_nonzero(folded)))
+    count = min(ends, (CELLS // groups - panes) // step)
+    return count if (panes + step * count) * groups <= CELLS_EACH * count else 0
 
 
 class BulkAggregate:

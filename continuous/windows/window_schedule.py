@@ -29,8 +29,8 @@ EvaluateWindows = Callable[[list[int]], tuple[int, bool] | None]
 them, from the first on, it has evaluated in one pass, and whether the rows of the last one are
 needed again; None if these windows must be evaluated one by one."""
 _BLOCK = 2**15
-MOST = 512
-"""The number of windows that one pass evaluates at most."""
+FEWEST, MOST = 6, 512
+"""The least and the greatest number of windows of one pass, which costs as much as five windows."""
 
 
 class OpenWindows:
@@ -251,7 +251,7 @@ class OpenWindows:
         if tried is not None and first <= tried:
             return 0
         ends = self.contents.ends_from(first, watermark - 1 + self.schedule.shift, most)
-        done = in_bulk(ends) if len(ends) > 1 else None
+        done = in_bulk(ends) if len(ends) >= FEWEST else None
         if done is None:
             self._one_by_one_until = ends[-1]
             return 0

@@ -42,6 +42,7 @@ HEADS = (
 def at_most(windows: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(window_schedule, "MOST", windows)
+        patch.setattr(window_schedule, "FEWEST", 2)
         yield
 
 
