@@ -263,8 +263,10 @@ class BulkAggregate:
         """Yield the ends of the panes of facts, and their subjects."""
         for times, subjects in new:
             yield self._pane_of(times), subjects
-        for end, subjects in folded:
-            yield np.full(len(subjects), end), subjects
+        if folded:
+            sizes = [len(subjects) for _, subjects in folded]
+            ends = np.repeat(np.array([end for end, _ in folded], np.int64), sizes)
+            yield ends, np.concatenate([subjects for _, subjects in folded])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -313,12 +315,18 @@ class _Numbers:
 
     def add_panes(self, panes: Sequence[Pane]) -> None:
         """Add folded panes. Contract: no row of them has been added."""
-        for end, at, columns, _ in panes:
-            groups = np.arange(columns.shape[1]) if at is None else at
-            there = columns[1] > 0
-            cells = self._cells.of(np.full(int(there.sum()), end), groups[there])
-            self._sums[cells] = columns[0][there]
-            self.counts[cells] = columns[1][there]
+        if not panes:
+            return
+        sizes = [columns.shape[1] for _, _, columns, _ in panes]
+        ends = np.repeat(np.array([end for end, *_ in panes], np.int64), sizes)
+        groups = np.concatenate(
+            [np.arange(columns.shape[1]) if at is None else at for _, at, columns, _ in panes]
+        )
+        columns = np.concatenate([columns[:2] for _, _, columns, _ in panes], axis=1)
+        there = columns[1] > 0
+        cells = self._cells.of(ends[there], groups[there])
+        self._sums[cells] = columns[0, there]
+        self.counts[cells] = columns[1, there]
 
     def of_runs(self, windows: NDArray[np.int64], places: NDArray[np.int64]) -> Numbers:
         """Return the values of the group at ``places[i]`` over window ``windows[i]``."""

@@ -248,9 +248,13 @@ class OpenWindows:
         windows with content are evaluated (`BulkPlan` checks that)."""
         tried, watermark = self._one_by_one_until, self._watermark()
         assert watermark is not None
-        if tried is not None and first <= tried:
+        greatest = watermark - 1 + self.schedule.shift
+        # With a live stream one window is due at a time: the grid alone tells that.
+        step = self.schedule.after(first) - first
+        is_few = first + (FEWEST - 1) * step > greatest
+        if is_few or (tried is not None and first <= tried):
             return 0
-        ends = self.contents.ends_from(first, watermark - 1 + self.schedule.shift, most)
+        ends = self.contents.ends_from(first, greatest, most)
         done = in_bulk(ends) if len(ends) >= FEWEST else None
         if done is None:
             self._one_by_one_until = ends[-1]
