@@ -20,7 +20,7 @@ from .estimation.input_rates import Flow, Traffic
 from .evaluation.evaluator import ContinuousEvaluator
 from .operators.background import Background
 from .operators.profile import Profile
-from .operators.results import WindowResult
+from .operators.results import ResultBatch, WindowResult
 
 TimedTerm: TypeAlias = tuple[int, Term, NamedNode, Term]
 _BATCH = 4096
@@ -177,11 +177,14 @@ def _run(
             results = [] if waits or feed.watermark is None else _advance(evaluator, open_feeds)
         late = sum(one.late for one in feeds) + evaluator.late
         for result in results:
-            yield _window(result, late)
+            for each in result.windows():
+                yield _window(each, late)
 
 
-def _advance(evaluator: ContinuousEvaluator, feeds: Sequence[_Feed]) -> list[WindowResult]:
-    results: list[WindowResult] = []
+def _advance(
+    evaluator: ContinuousEvaluator, feeds: Sequence[_Feed]
+) -> list[WindowResult | ResultBatch]:
+    results: list[WindowResult | ResultBatch] = []
     # The least watermark first: a new stream holds the others back.
     for feed in sorted(feeds, key=lambda one: one.progress):
         if feed.watermark is not None:

@@ -162,6 +162,20 @@ class Solved(Protocol):
     def __len__(self) -> int: ...
 
 
+class BatchOfResults(Protocol):
+    """The results of successive windows: a table or triples. Rows of the table are in order of
+    windows, those of window i before ``offsets[i + 1]``; triples have the ends as τ."""
+
+    @property
+    def ends(self) -> Sequence[int]: ...
+    @property
+    def solutions(self) -> Solved | None: ...
+    @property
+    def triples(self) -> TimedTriples | None: ...
+    @property
+    def offsets(self) -> Sequence[int]: ...
+
+
 class Result(Protocol):
     """The result of a window: a table, triples, or the answer to ASK."""
 
@@ -273,18 +287,36 @@ class ResultConverter:
                 len(solved),
             )
         answer = np.array([bool(result.answer)], np.bool_)
-        return self._stamped({ANSWER: Column(FieldType.BOOLEAN, answer)}, 1, result.end, available)
+        column = Column(FieldType.BOOLEAN, answer)
+        return self._stamped({ANSWER: column}, _repeated(result.end, 1), _repeated(available, 1))
+
+    def convert_batch(self, results: BatchOfResults) -> SampleBatch:
+        """The samples of successive windows, one window after the other; each is available at its
+        valid time.
+
+        Law: those of `convert` for each window, except for the available times and `lost`.
+        """
+        if results.triples is not None:
+            batch = self._of_tables(results.triples)
+            return self._stamped(batch.columns, batch.valid, batch.valid)
+        solved = results.solutions
+        assert solved is not None
+        ends = np.repeat(np.array(results.ends, np.int64), np.diff(results.offsets))
+        return self.table(solved.variables, solved.columns, solved.dictionary, ends, ends)
 
     def table(
         self,
         variables: Sequence[str],
         columns: Mapping[str, ObjectColumn],
         dictionary: TermDictionary,
-        valid: int,
-        available: int,
+        valid: int | Times,
+        available: int | Times,
         length: int | None = None,
     ) -> SampleBatch:
-        """Samples from the columns of a SELECT table; unbound is no_value."""
+        """Samples from the columns of a SELECT table; unbound is no_value. Times are those of all
+        rows, or of each, in order."""
+        if not isinstance(valid, int):
+            length = len(valid)
         if length is None:
             length = len(next(iter(columns.values()))) if columns else 0
         unknown = [name for name in variables if self.schema.get(name) is None]
@@ -296,18 +328,23 @@ class ResultConverter:
             else _nothing(field, length, self._pools)
             for field in self.schema.fields
         }
-        return self._stamped(found, length, valid, available)
+        valid_times, available_times = (_repeated(each, length) for each in (valid, available))
+        return self._stamped(found, valid_times, available_times)
 
     def triples(self, triples: TimedTriples, valid: int, available: int) -> SampleBatch:
         """Samples from the triples of a CONSTRUCT head."""
+        batch = self._of_tables(triples)
+        valid_times, available_times = (_repeated(each, len(batch)) for each in (valid, available))
+        return self._stamped(batch.columns, valid_times, available_times)
+
+    def _of_tables(self, triples: TimedTriples) -> SampleBatch:
+        """A sample a wide row, or a subject and time, in any order."""
         tables = [table for table in triples.tables if len(table) and table.objects]
         batches = [self._rows(table, triples.dictionary) for table in tables]
         if not batches:
             return empty_batch(self.schema, self._pools)
         batch = concatenate(batches)
-        if len(batches) > 1:
-            batch = _join_subjects(batch)
-        return self._stamped(batch.columns, len(batch), valid, available)
+        return _join_subjects(batch) if len(batches) > 1 else batch
 
     def _rows(self, table: TripleRows, dictionary: TermDictionary) -> SampleBatch:
         found: dict[str, ObjectColumn] = {ID: _terms(table.subject)}
@@ -334,15 +371,15 @@ class ResultConverter:
         return field_column(field, objects, dictionary, pool, self._namespace, self.lost)
 
     def _stamped(
-        self, columns: Mapping[str, Column], length: int, valid: int, available: int
+        self, columns: Mapping[str, Column], valid: Times, available: Times
     ) -> SampleBatch:
-        times = np.full(length, available, np.int64)
-        batch = SampleBatch(times, np.full(length, valid, np.int64), columns)
-        if self._keep_order or length < 2:
+        batch = SampleBatch(available, valid, columns)
+        if len(batch) < 2:
             return batch
-        keys = [key for field in self.schema.fields for key in self._keys(field, columns)]
-        order = np.lexsort(keys[::-1])
-        return batch.take(order)
+        keys = [] if np.all(valid == valid[0]) else [valid]
+        if not self._keep_order:
+            keys += [key for field in self.schema.fields for key in self._keys(field, columns)]
+        return batch.take(np.lexsort(keys[::-1])) if keys else batch
 
     def _keys(self, field: Field, columns: Mapping[str, Column]) -> list[np.ndarray]:
         """The sort keys of a field: presence, then value."""
@@ -490,10 +527,18 @@ class _Building:
         return SampleBatch(self._available, self._valid, columns)
 
 
+def _repeated(time: int | Times, length: int) -> Times:
+    return np.full(length, time, np.int64) if isinstance(time, int) else time
+
+
 def _join_subjects(batch: SampleBatch) -> SampleBatch:
-    """Join the rows of each subject, unless a field has two values."""
+    """Join the rows of each subject and time, unless a field has two values."""
     subjects = batch.columns[ID]
-    _, first, group = np.unique(subjects.values, return_index=True, return_inverse=True)
+    codes = subjects.values
+    if len(codes) and batch.valid.min() != batch.valid.max():
+        times = np.unique(batch.valid, return_inverse=True)[1]
+        codes = times.astype(np.int64) * (int(codes.max()) + 1) + codes
+    _, first, group = np.unique(codes, return_index=True, return_inverse=True)
     joined = np.ones(len(first), np.bool_)
     fields = {name: column for name, column in batch.columns.items() if name != ID}
     for column in fields.values():

@@ -15,13 +15,15 @@ Integers are summed the same way, in digits of 32 bits.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...streams.jit import JIT, Kernel
 from .fold_kernels import read_only
+from .pane_runs import PaneRuns
 
 At = NDArray[np.int32] | NDArray[np.int64] | None
 """The group of each row; None: the groups 0, 1, 2 … in order."""
@@ -179,6 +181,14 @@ class Totals(ABC):
         self.reserve(int(kept.max(initial=-1)) + 1)
         self.digits = np.ascontiguousarray(self.digits[:, kept])
         self.counts = self.counts[kept]
+
+    def of_runs(self, runs: PaneRuns, rows: NDArray[np.int64], at: NDArray[np.int64]) -> Self:
+        """Return the totals of groups over runs of panes, if the groups of this object are cells
+        (`PaneRuns`): total i is that of group ``at[i]`` over the run ``rows[i]``."""
+        found = copy(self)
+        found.digits = runs.differences(self.digits, rows, at)
+        found.counts = runs.differences(self.counts[np.newaxis], rows, at)[0]
+        return found
 
     @abstractmethod
     def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:

@@ -18,12 +18,13 @@ from ..estimation.input_rates import Flow
 from ..operators.background import Background
 from ..operators.entailment import PatternNeeds
 from ..operators.profile import Profile
-from ..operators.results import WindowResult
+from ..operators.results import ResultBatch, WindowResult
+from ..windows.window_schedule import EvaluateWindows
 from .solver import Solver
 from .windowed_evaluator import WindowedEvaluator
 
 
-class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
+class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
     """One continuous query over named inputs.
 
     ``inputs`` are the names of the input streams. If a FROM STREAM clause names an input, the input
@@ -53,6 +54,9 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
     ) -> None:
         super().__init__(query, dictionary, background, inputs, options, budget)
         self.query = query
+        self.splits = True
+        """Whether each window has its own `WindowResult`; else windows that were evaluated in one
+        pass have a `ResultBatch`."""
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
         self._solver = Solver(query, self._windows, self._static, alone=True)
         if self._solver.translated is not None:
@@ -72,6 +76,22 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
         """Describe the query, its windows, its logical plan, its execution and its cost. ``flows``
         are the known rates of the inputs, by name."""
         return self._solver.explain(flows or {})
+
+    def take_results(self) -> list[WindowResult | ResultBatch]:
+        """Remove and return the results since the last call."""
+        results = super().take_results()
+        return [each for one in results for each in one.windows()] if self.splits else results
+
+    def _in_bulk(self) -> EvaluateWindows | None:
+        return self._close_many if self._solver.works_in_bulk else None
+
+    def _close_many(self, ends: list[int]) -> tuple[int, bool] | None:
+        batch = self._solver.results(ends)
+        if batch is None:
+            return None
+        self._in_a_row = 0
+        self._results.append(batch)
+        return len(batch.ends), self._solver.retains
 
     def _evaluate(self, end: int, reports: bool) -> bool:
         solver = self._solver

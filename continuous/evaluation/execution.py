@@ -26,11 +26,13 @@ from ..algebra.volatile_functions import has_volatile
 from ..columns.relation import Relation
 from ..incremental.aggregate_shape import Shape, shape_of
 from ..incremental.aggregation import IncrementalAggregate
+from ..incremental.bulk_aggregation import BulkAggregate, fitting
 from ..operators.profile import Profile
 from ..operators.sources import StaticSide, WindowSource
 from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
 from ..pattern_join.solver import PatternSolver
 from ..windows.contents import Contents
+from ..windows.grid import Grid
 from ..windows.window_schedule import OpenWindows
 
 _SCANS = (Scan, TypeScan, AnyScan, Closure)
@@ -132,6 +134,44 @@ class Execution:
         if profile is not None:
             profile.add(scan, rows, 0)
             profile.beside(scan, profile.clock() - begin)
+
+    def in_bulk(self, ends: Sequence[int], most: int) -> tuple[int, Relation] | None:
+        """Return the number of windows that one pass covers, from the first of ``ends`` on, and the
+        solutions of the aggregate for these (`BulkAggregate`). None if it covers fewer than two, or
+        if they have more than ``most`` rows each. Changes nothing but the numbers of groups."""
+        assert self.incremental is not None
+        window = self.windows.schedule.windows[0]
+        assert window.grid is not None
+        assert window.range is not None
+        low, _ = window.bounds(ends[0])
+        extremes = any(wanted for _, wanted in self.incremental.shape.arguments)
+        since = low if extremes or self._folded is None else max(low, self._folded)
+        tables = self._rows(since, ends[-1])
+        if sum(map(len, tables)) > most * len(ends):
+            return None
+        pane = self.windows.schedule.pane
+        count = fitting(
+            self.incremental, len(ends), window.range // pane, window.grid.step // pane, tables
+        )
+        if count < 2:
+            return None
+        if count < len(ends):
+            tables = self._rows(since, ends[count - 1])
+        panes = Grid(pane, window.grid.origin)
+        bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, tables)
+        relation = bulk.relation()
+        return None if relation is None else (count, relation)
+
+    def follow(self, end: int) -> None:
+        """Bring the aggregate to the window that ends at ``end``, over windows that `in_bulk` has
+        evaluated."""
+        assert self.incremental is not None
+        self.fold(end)
+        self.incremental.jump()
+
+    def _rows(self, low: int, high: int) -> list[TripleRows]:
+        buffers = self.windows.contents.buffers.values()
+        return [table for buffer in buffers for table in buffer.between(low, high)]
 
     def sources(self, rows: WindowRows, profile: Profile | None = None) -> Iterator[WindowSource]:
         """Yield the sources for an execution of the plan. The first uses the folded aggregate; the

@@ -41,8 +41,9 @@ class Explanation:
     ``translated`` and ``plan`` are None if the query runs on Oxigraph, for ``reason``. ``shape``
     describes the incremental computation, or says why there is none. ``merges`` says why Oxigraph
     counts equal triples once under bag semantics, or is "". ``known`` is the basis of the cost
-    estimates, ``served`` the parts of the plan that a compiled loop evaluates, ``entailed`` what
-    the schema adds to the streams' triples. ``profile`` holds the measured costs, if any.
+    estimates, ``served`` the parts of the plan that a compiled loop evaluates. ``singly`` says why
+    windows that are due at once are evaluated one by one, or is "". ``entailed`` is what the schema
+    adds to the streams' triples, ``profile`` the measured costs, if any.
     """
 
     query: ContinuousQuery
@@ -57,6 +58,7 @@ class Explanation:
     merges: str
     known: Known
     served: Sequence[Plan]
+    singly: str
     entailed: Sequence[str]
     profile: Profile | None = None
 
@@ -89,6 +91,8 @@ class Explanation:
             yield f"in columns, each window anew: {self.shape}"
         else:
             yield from _section("in columns, incrementally", self._operators(self.shape))
+            how = f"one by one, since {self.singly}" if self.singly else "in one pass"
+            yield f"windows that are due at once: {how}"
         asked = sorted({name for node in walk(self.plan.plan) for name in _strange(node)})
         if asked:
             yield f"asked of Oxigraph, a distinct combination of values: {', '.join(asked)}"

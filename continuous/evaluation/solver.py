@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pyoxigraph import Literal
@@ -28,12 +28,13 @@ from ..estimation.pattern_sizes import Known
 from ..operators.executor import execute
 from ..operators.profile import Profile
 from ..operators.result_forms import finish, head_variables
-from ..operators.results import WindowResult
+from ..operators.results import ResultBatch, WindowResult
 from ..operators.sources import StaticSide
 from ..operators.stream_operators import Difference
 from ..oxigraph.window_store import OxigraphWindows
 from ..windows.grid import Schedule
 from ..windows.window_schedule import OpenWindows
+from .bulk_execution import BulkPlan
 from .execution import Execution, WindowRows
 from .explain import Explanation
 
@@ -109,6 +110,8 @@ class Solver:
         self.translated: Query | None = None
         self.execution: Execution | None = None
         """None: Oxigraph evaluates the query, because of `reason`."""
+        self.bulk: BulkPlan | str = "Oxigraph evaluates them"
+        """How windows that are due at once are evaluated in one pass, or why they are not."""
         self.rules: tuple[str, ...] = ()
         self.reason = ""
         try:
@@ -118,6 +121,7 @@ class Solver:
             self.execution = Execution(plan, windows, static, folds=folds)
             if alone:
                 self.execution.join_patterns(head_variables(self.translated.head))
+            self.bulk = BulkPlan.of(self.execution, self.translated.head)
         except Unsupported as unsupported:
             self.reason = str(unsupported)
             if calls_volatile(body.tree):
@@ -151,6 +155,17 @@ class Solver:
             return self.solve(rows) if reports else None
         difference = self._difference.of(self.solve(rows))
         return difference if reports or difference.size else None
+
+    @property
+    def works_in_bulk(self) -> bool:
+        """Whether windows that are due at once may be evaluated in one pass. A profile is of one
+        window after the other."""
+        return isinstance(self.bulk, BulkPlan) and self.profile is None
+
+    def results(self, ends: Sequence[int]) -> ResultBatch | None:
+        """Return the results of the windows that end at some of ``ends``, from the first on,
+        instead of `fold` and `result` of each; None if they must be evaluated one by one."""
+        return self.bulk.results(ends) if isinstance(self.bulk, BulkPlan) else None
 
     def solve(self, rows: WindowRows) -> WindowResult:
         """Compute the query over these rows."""
@@ -205,6 +220,7 @@ class Solver:
                 "" if oxigraph.bag_text is not None else oxigraph.merges,
                 self.known(flows),
                 () if execution is None else execution.served,
+                self.bulk if isinstance(self.bulk, str) else "",
                 tuple(self.windows.entailment.describe()),
                 self.profile,
             )

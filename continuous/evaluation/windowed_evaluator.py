@@ -30,7 +30,7 @@ from ..operators.background import Background
 from ..operators.entailment import PatternNeeds, StreamEntailment
 from ..operators.sources import StaticSide
 from ..windows.grid import schedule
-from ..windows.window_schedule import OpenWindows
+from ..windows.window_schedule import EvaluateWindows, OpenWindows
 from .solver import QueryBody
 
 Result = TypeVar("Result")
@@ -92,31 +92,33 @@ class WindowedEvaluator(ABC, Generic[Result]):
         """Promise that every later row of ``input`` has τ ≥ ``watermark``; return the results of
         the windows that close now."""
         return self._until_quarantined(
-            lambda: self._windows.advance(input, watermark, self._close_window)
+            lambda: self._windows.advance(input, watermark, self._close_window, self._in_bulk())
         )
 
     def end(self, input: str) -> list[Result]:
         """End ``input``. After the last input has ended, every window with content closes."""
-        return self._until_quarantined(lambda: self._windows.end(input, self._close_window))
+        return self._until_quarantined(
+            lambda: self._windows.end(input, self._close_window, self._in_bulk())
+        )
 
     @property
     def is_due(self) -> bool:
         """Whether a window waits for `close_next`."""
         return not self.quarantine and self._windows.is_due
 
-    def close_next(self, stopped: str = "") -> bool:
-        """Close the next window that can close; return whether there was one. `take_results`
-        returns its result.
+    def close_next(self, stopped: str = "", most: int = 1) -> int:
+        """Close the next window that can close, or up to ``most`` of them in one pass; return how
+        many. `take_results` returns their results.
 
         ``stopped``: a replay knows that this window was stopped when it closed first, and why.
         """
         if self.quarantine:
-            return False
+            return 0
         self._stopped = stopped
         try:
-            return self._windows.close_next(self._close_window)
+            return self._windows.close_next(self._close_window, self._in_bulk(), most)
         except Quarantined:
-            return True
+            return 1
         finally:
             self._stopped = ""
 
@@ -153,6 +155,11 @@ class WindowedEvaluator(ABC, Generic[Result]):
             return True
         self._in_a_row = 0
         return retains
+
+    def _in_bulk(self) -> EvaluateWindows | None:
+        """Return what evaluates windows that are due at once. By default they are evaluated one by
+        one."""
+        return None
 
     @abstractmethod
     def _evaluate(self, end: int, reports: bool) -> bool:

@@ -68,12 +68,12 @@ class IncrementalAggregate:
         self.static = static
         self.terms = terms
         self.groups = Groups()
-        self._partials = [
+        self.partials = [
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
         self._distinct = DistinctPairs(terms) if distinct else None
-        self._sorts = GroupSorts(shape.sorts, self.groups, static)
-        self._irregular: deque[int] = deque()
+        self.sorts = GroupSorts(shape.sorts, self.groups, static)
+        self.irregular: deque[int] = deque()
         self._static_version: int | None = None
         self._static_pairs: Pairs | None = None
         self._static_counted: NDArray[np.bool_] = np.zeros(0, np.bool_)
@@ -87,7 +87,7 @@ class IncrementalAggregate:
         """See `dictionary.Holder`. Groups keep their subjects until `_compact`; static pairs may
         have ids of canonical terms that `StaticSide` does not hold."""
         yield self.groups.members[: self.groups.used]
-        yield from self._sorts.held_ids()
+        yield from self.sorts.held_ids()
         for column in self._static_pairs or ():
             yield column.held_ids
 
@@ -102,28 +102,42 @@ class IncrementalAggregate:
                     self._fold(end, table.subject, column)
         except (NeedsOxigraph, BudgetExceeded):
             # Its windows are computed from all rows, which raises `BudgetExceeded` again if due.
-            self._irregular.append(end)
-            for partial in self._partials:
+            self.irregular.append(end)
+            for partial in self.partials:
                 partial.abandon(self.groups.used)
         self._touched.reserve(self.groups.used)
-        for partial in self._partials:
+        for partial in self.partials:
             partial.push(end, self.groups.used, self._touched)
-        for changed in self._sorts.fold(end, tables):
+        for changed in self.sorts.fold(end, tables):
             self._touched.mark(changed)
 
     def evict(self, until: int) -> None:
         """Evict the panes that end at or before ``until``."""
-        for partial in self._partials:
+        for partial in self.partials:
             partial.evict(until, self._touched)
         if self._distinct is not None:
             for pairs in self._distinct.leave(until):
                 self._count(pairs, -1)
-        for changed in self._sorts.evict(until):
+        for changed in self.sorts.evict(until):
             self._touched.mark(changed)
-        while self._irregular and self._irregular[0] <= until:
-            self._irregular.popleft()
+        while self.irregular and self.irregular[0] <= until:
+            self.irregular.popleft()
         if self.groups.used >= self._compact_at:
             self._compact()
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether all rows of the windows are in panes, and columns can fold each of these."""
+        is_static = self._static_pairs is not None and len(self._static_pairs[0]) > 0
+        return not (is_static or self.irregular or len(self.static.pairs(self.shape.scan)[0]))
+
+    def has_room(self, new: int) -> bool:
+        """Whether ``new`` groups more would let `evict` drop none."""
+        return self.groups.used + new < self._compact_at
+
+    def jump(self) -> None:
+        """Evaluate all groups at the next window: some windows have not been evaluated here."""
+        self._touched.all = True
 
     def ready(self, plan: Plan, source: Source) -> Relation | None:
         """Return the solutions of ``plan`` if it is the aggregate, or the HAVING on it.
@@ -132,7 +146,7 @@ class IncrementalAggregate:
         """
         shape = self.shape
         having = bool(shape.having) and plan is shape.having[0] and shape.direct
-        if self._irregular or not (having or plan is shape.aggregate):
+        if self.irregular or not (having or plan is shape.aggregate):
             return None
         self._with_static()
         if having:
@@ -142,9 +156,9 @@ class IncrementalAggregate:
 
     def _alive(self, rows: Rows) -> NDArray[np.int64]:
         """Return those of ``rows`` that have rows in the window and are of the sorts."""
-        alive = self._partials[0].rows(rows) > 0
+        alive = self.partials[0].rows(rows) > 0
         if self.shape.sorts:
-            alive &= self._sorts.holds(rows)
+            alive &= self.sorts.holds(rows)
         return np.flatnonzero(alive) if isinstance(rows, slice) else rows[alive]
 
     def _having(self) -> Relation:
@@ -173,13 +187,13 @@ class IncrementalAggregate:
         subject = self.shape.scan.subject
         assert isinstance(subject, Var)
         columns = {subject.name: ObjectColumn(Kind.TERM, self.groups.members[rows])}
-        partials = [partial.partial(rows) for partial in self._partials]
-        return self._finish(columns, partials, len(rows))
+        partials = [partial.partial(rows) for partial in self.partials]
+        return self.finish(columns, partials, len(rows))
 
     def _joined(self, rows: NDArray[np.int64], source: Source) -> Relation:
         """Return the aggregates by the plan's keys, after the join with the rest."""
         shape, plan = self.shape, self.shape.aggregate
-        partials = [partial.partial(rows) for partial in self._partials]
+        partials = [partial.partial(rows) for partial in self.partials]
         columns = {_ROW: ObjectColumn(Kind.INTEGER, np.arange(len(rows)))}
         if isinstance(shape.scan.subject, Var):
             members = self.groups.members[rows]
@@ -192,9 +206,9 @@ class IncrementalAggregate:
         group, first = grouping(plan, joined, self.terms)
         picked = joined.columns[_ROW].values
         merged = [partial.merged(group, picked, len(first)) for partial in partials]
-        return self._finish(group_keys(plan, joined, first), merged, len(first))
+        return self.finish(group_keys(plan, joined, first), merged, len(first))
 
-    def _finish(
+    def finish(
         self, columns: Mapping[str, ObjectColumn], partials: Sequence[Partial], rows: int
     ) -> Relation:
         plan, result = self.shape.aggregate, dict(columns)
@@ -216,7 +230,7 @@ class IncrementalAggregate:
         if not self.shape.plain:
             pairs = self._selected(pairs)
         columns = self._arguments(pairs)
-        for partial, column in zip(self._partials, columns, strict=True):
+        for partial, column in zip(self.partials, columns, strict=True):
             partial.fold(pairs[0].values, column, skip, self.groups, self.terms)
         if self._distinct is not None:
             fresh = self._distinct.enter(end, pairs, skip)
@@ -264,7 +278,7 @@ class IncrementalAggregate:
         """Add (1) or subtract (-1) pairs that do not belong to a pane."""
         if not len(pairs[0]):
             return
-        for partial, column in zip(self._partials, self._arguments(pairs), strict=True):
+        for partial, column in zip(self.partials, self._arguments(pairs), strict=True):
             partial.add(pairs[0].values, column, sign, self.groups, self.terms, self._touched)
 
     def _with_static(self) -> None:
@@ -284,7 +298,7 @@ class IncrementalAggregate:
             pairs = self._selected(static)
             self.groups.reach(len(self.terms.dictionary))
             columns = self._arguments(pairs)
-            for partial, column in zip(self._partials, columns, strict=True):
+            for partial, column in zip(self.partials, columns, strict=True):
                 partial.hold(pairs[0].values, column, self.groups, self.terms)
             self._static_pairs = pairs
             self._static_counted = np.zeros(len(pairs[0]), np.bool_)
@@ -305,13 +319,13 @@ class IncrementalAggregate:
         This depends on the windows alone, so results do not depend on how the input is cut.
         """
         used = self.groups.used
-        kept = np.flatnonzero(self._partials[0].rows(slice(used)) > 0)
+        kept = np.flatnonzero(self.partials[0].rows(slice(used)) > 0)
         if 2 * len(kept) <= used:
             self.groups.keep(kept)
-            self._sorts.forget()
+            self.sorts.forget()
             new: NDArray[np.int32] = np.full(used, -1, np.int32)
             new[kept] = np.arange(len(kept), dtype=np.int32)
-            for partial in self._partials:
+            for partial in self.partials:
                 partial.keep(kept, new)
             self._touched.all = True
             self._passing[:] = False

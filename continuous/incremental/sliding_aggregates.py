@@ -9,6 +9,7 @@ groups need evaluation. Extremes cannot be subtracted: see `sliding_extremes`.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from .sliding_extremes import SlidingExtremes
 
 Rows = NDArray[np.int64] | slice
 """Groups; a slice has only a stop."""
-_Pane = tuple[int, At, NDArray[Any], NDArray[np.int64] | None]
+Pane = tuple[int, At, NDArray[Any], NDArray[np.int64] | None]
 """The end of a pane, and the result of `NumberFold.take`, sums and counts only."""
 
 
@@ -81,7 +82,7 @@ class SlidingNumbers:
 
     def __init__(self, key: Key, extremes: bool, panes: int) -> None:
         self._fold = NumberFold(key, extremes)
-        self._panes: deque[_Pane] = deque()
+        self.panes: deque[Pane] = deque()
         self._totals: IntegerTotals | FloatTotals = (
             IntegerTotals() if key[0] <= Kind.DECIMAL else FloatTotals()
         )
@@ -112,13 +113,13 @@ class SlidingNumbers:
             self._sliding.push(end, at, columns[2:].T.copy())
             columns = columns[:2].copy()
         if not distinct:
-            self._panes.append((end, at, columns, high))
+            self.panes.append((end, at, columns, high))
             self._add(at, columns, high, 1)
 
     def evict(self, until: int, touched: ChangedGroups) -> None:
         """Evict the panes that end at or before ``until``."""
-        while self._panes and self._panes[0][0] <= until:
-            _, at, columns, high = self._panes.popleft()
+        while self.panes and self.panes[0][0] <= until:
+            _, at, columns, high = self.panes.popleft()
             touched.mark(at)
             self._add(at, columns, high, -1)
         if self._sliding is not None:
@@ -160,14 +161,14 @@ class SlidingNumbers:
 
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
         """Drop all groups except ``kept`` (ascending); group g becomes ``new[g]``."""
-        renamed: deque[_Pane] = deque()
-        for end, at, columns, high in self._panes:
+        renamed: deque[Pane] = deque()
+        for end, at, columns, high in self.panes:
             if at is not None:
                 renamed.append((end, new[at], columns, high))
                 continue
             still = kept[kept < columns.shape[1]]
             renamed.append((end, None, columns[:, still], None if high is None else high[still]))
-        self._panes = renamed
+        self.panes = renamed
         self._totals.keep(kept)
         if self._sliding is not None:
             self._sliding.keep(kept, new)
@@ -295,6 +296,12 @@ class SlidingPartial:
             self._reserve(int(rows.max(initial=-1)) + 1)
             partial.others = self._others[rows]
         return partial
+
+    def panes_of(self, key: Key) -> Iterable[Pane] | None:
+        """Return the panes of rows with this `Key`; None if the window has other rows."""
+        if self._odd_rows or any(of.panes for each, of in self._kinds.items() if each != key):
+            return None
+        return self._kinds[key].panes if key in self._kinds else ()
 
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
         """Drop all groups except ``kept`` (ascending); group g becomes ``new[g]``."""

@@ -13,6 +13,7 @@ from pyoxigraph import NamedNode
 from ...rdf.dictionary import Ids
 from ...rdf.namespaces import RDF_TYPE
 from ...rdf.timed import Kind, TripleRows
+from ...streams.sample import Times
 from ..algebra.expressions import Const, Var
 from ..algebra.plan import TypeScan
 from ..columns.fold_kernels import Groups, grow
@@ -29,21 +30,14 @@ class SortFacts:
     def __init__(self, sort: NamedNode) -> None:
         self.sort = sort
         self._counts: NDArray[np.int32] = np.zeros(0, np.int32)
-        self._panes: deque[tuple[int, NDArray[np.int32]]] = deque()
+        self.panes: deque[tuple[int, NDArray[np.int32]]] = deque()
         self._static_ids: NDArray[np.int32] | None = None
         self._static: NDArray[np.bool_] = np.zeros(0, np.bool_)
 
     def fold(self, end: int, tables: Sequence[TripleRows], static: StaticSide) -> Ids:
         """Add the facts of the pane that ends at ``end``; return their subjects."""
         dictionary = static.terms.dictionary
-        rdf_type, sort = dictionary.find(RDF_TYPE), dictionary.find(self.sort)
-        parts = []
-        for table in tables:
-            if static.sort_holds(table.sort, self.sort.value):
-                parts.append(table.subject)
-            column = table.objects.get(rdf_type)
-            if column is not None and column.kind is Kind.TERM:
-                parts.append(table.subject[column.present & (column.values == sort)])
+        parts = [subjects for _, subjects in self.stated(tables, static)]
         if not parts:
             return np.zeros(0, np.int32)
         if 16 * sum(map(len, parts)) < len(dictionary):
@@ -53,24 +47,43 @@ class SortFacts:
         if len(self._counts) < len(dictionary):
             self._counts = grow(self._counts, 2 * len(dictionary), 0)
         self._counts[ids] += 1
-        self._panes.append((end, ids))
+        self.panes.append((end, ids))
         return ids
+
+    def stated(
+        self, tables: Sequence[TripleRows], static: StaticSide
+    ) -> Iterator[tuple[Times, Ids]]:
+        """Yield τ and subject of the facts in ``tables``."""
+        dictionary = static.terms.dictionary
+        rdf_type, sort = dictionary.find(RDF_TYPE), dictionary.find(self.sort)
+        for table in tables:
+            if static.sort_holds(table.sort, self.sort.value):
+                yield table.time, table.subject
+            column = table.objects.get(rdf_type)
+            if column is not None and column.kind is Kind.TERM:
+                rows = column.present & (column.values == sort)
+                yield table.time[rows], table.subject[rows]
 
     def held_ids(self) -> Iterator[Ids]:
         """Return the subjects of the panes' facts; `StaticSide` holds its own."""
-        return (ids for _, ids in self._panes)
+        return (ids for _, ids in self.panes)
 
     def evict(self, until: int) -> list[Ids]:
         """Evict the panes that end at or before ``until``; return the subjects of each."""
         evicted = []
-        while self._panes and self._panes[0][0] <= until:
-            ids = self._panes.popleft()[1]
+        while self.panes and self.panes[0][0] <= until:
+            ids = self.panes.popleft()[1]
             self._counts[ids] -= 1
             evicted.append(ids)
         return evicted
 
     def holds(self, subjects: NDArray[np.int32], static: StaticSide) -> NDArray[np.bool_]:
         """Return which subjects are of the sort, by the window or by the static side."""
+        found = self.holds_always(subjects, static)
+        return found | (self._counts[subjects] > 0) if self.panes else found
+
+    def holds_always(self, subjects: NDArray[np.int32], static: StaticSide) -> NDArray[np.bool_]:
+        """Return which subjects are of the sort by the static side."""
         static_ids = static.pairs(TypeScan(Var("s"), Const(self.sort)))[0].values
         size = len(static.terms.dictionary)
         if len(self._counts) < size:
@@ -79,8 +92,7 @@ class SortFacts:
             self._static_ids = static_ids
             self._static = np.zeros(len(self._counts), np.bool_)
             self._static[static_ids] = True
-        found = self._static[subjects]
-        return found | (self._counts[subjects] > 0) if self._panes else found
+        return self._static[subjects]
 
 
 class GroupSorts:
@@ -92,7 +104,7 @@ class GroupSorts:
     """
 
     def __init__(self, sorts: Sequence[NamedNode], groups: Groups, static: StaticSide) -> None:
-        self._facts = [SortFacts(sort) for sort in sorts]
+        self.facts = [SortFacts(sort) for sort in sorts]
         self._groups = groups
         self._static = static
         self._version: int | None = None
@@ -102,18 +114,18 @@ class GroupSorts:
 
     def fold(self, end: int, tables: Sequence[TripleRows]) -> Iterator[NDArray[np.int32]]:
         """Add the facts of the pane that ends at ``end``; yield the groups that they may change."""
-        for facts in self._facts:
+        for facts in self.facts:
             yield self._changed(facts.fold(end, tables, self._static))
 
     def evict(self, until: int) -> Iterator[NDArray[np.int32]]:
         """Evict the panes that end at or before ``until``; yield the groups that may change."""
-        for facts in self._facts:
+        for facts in self.facts:
             for ids in facts.evict(until):
                 yield self._changed(ids)
 
     def held_ids(self) -> Iterator[Ids]:
         """Yield the subjects of facts; `IncrementalAggregate` holds the groups' members."""
-        for facts in self._facts:
+        for facts in self.facts:
             yield from facts.held_ids()
 
     def forget(self) -> None:
@@ -141,6 +153,6 @@ class GroupSorts:
     def _update(self, rows: NDArray[np.int32] | slice) -> None:
         members = self._groups.members[rows]
         of = np.ones(len(members), np.bool_)
-        for facts in self._facts:
+        for facts in self.facts:
             of &= facts.holds(members, self._static)
         self._of[rows] = of

@@ -37,7 +37,7 @@ SAFE = 2**62
 """Two int64 below this have a sum that does not overflow."""
 TERMS, ERRORS, SINGLES = 0, 1, 2
 """Columns of counts: terms that are no numbers, errors of the argument, and `Singles`."""
-_GREAT = 2.0**960
+GREAT = 2.0**960
 """The sum of 2^60 doubles below this is finite."""
 _CERTAIN = 2.0**53
 """Below this, integers and decimals that are equal as float64 are equal: above, float64 has gaps
@@ -135,10 +135,10 @@ def _number_parts(
     if kind is Kind.INTEGER:
         yield Part((kind, 0), subjects, values, skip)
     elif kind is not Kind.DECIMAL:
-        if not len(values) or -_GREAT < values.min() <= values.max() < _GREAT:
+        if not len(values) or -GREAT < values.min() <= values.max() < GREAT:
             yield Part((kind, 0), subjects, values, skip)
             return
-        great = np.isfinite(values) & (np.abs(values) >= _GREAT)
+        great = np.isfinite(values) & (np.abs(values) >= GREAT)
         great = great if skip is None else great & ~skip
         if great.any():
             yield _single(kind, subjects[great], values[great].tolist())
@@ -195,7 +195,7 @@ class NumberFold:
     ) -> None:
         """Fold the rows that are not in ``skip``, in order."""
         if values.dtype == np.int64 and len(values):
-            self._bound += _greatest(values) * len(values)
+            self._bound += magnitude(values) * len(values)
             if self._bound >= SAFE:
                 if self._high is None:
                     self._high = RowFold(np.dtype(np.int64), False)
@@ -278,7 +278,7 @@ class Partial:
         partial = Partial(singles=self.singles.merged(groups, rows))
         for key, mine in self.numbers.items():
             sums = mine.sums
-            if sums.dtype == np.int64 and len(sums) and _greatest(sums) * len(rows) >= SAFE:
+            if sums.dtype == np.int64 and len(sums) and magnitude(sums) * len(rows) >= SAFE:
                 sums = sums.astype(object)
             total, counts = np.zeros(count, sums.dtype), np.zeros(count, np.int64)
             with np.errstate(all="ignore"):
@@ -425,7 +425,7 @@ def _number(key: Key, value: Any) -> Number:
 def _exact_sum(total: NDArray[Any], part: NDArray[Any], places: int) -> NDArray[Any]:
     """Return ``total + part * 10**places``, in Python integers if int64 might overflow."""
     if total.dtype == part.dtype == np.int64 and len(part):
-        greatest = max(_greatest(part) * 10**places, _greatest(total))
+        greatest = max(magnitude(part) * 10**places, magnitude(total))
         if greatest < SAFE // 2:
             return np.asarray(total + part * 10**places)
     return np.asarray(total.astype(object) + part.astype(object) * 10**places)
@@ -478,7 +478,7 @@ def _nothing(dtype: np.dtype[Any]) -> Any:
     return np.inf if dtype == np.float64 else 2**63 - 1
 
 
-def _greatest(values: NDArray[Any]) -> int:
+def magnitude(values: NDArray[Any]) -> int:
     """Return the greatest absolute value."""
     if values.strides == (0,):
         return abs(int(values[0]))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import assert_never
+from typing import Final, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from pyoxigraph import BlankNode, NamedNode
 
 from ...rdf.dictionary import Ids
 from ...rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, split_term
+from ...streams.sample import Times
 from ..algebra.expressions import Const, Var
 from ..algebra.plan import Ask, Blank, Construct, Head, Select, TemplatePosition
 from ..columns.relation import (
@@ -21,7 +23,11 @@ from ..columns.relation import (
     key_codes,
 )
 from ..values.literals import Sort
-from .results import Solutions, WindowResult
+from .results import ResultBatch, Solutions, WindowResult
+
+END: Final = "\0end"
+"""The variable with the number of a row's window: 0, 1, 2 … in order of their ends. It is in the
+solutions of several windows only (`evaluation.bulk_execution`)."""
 
 
 def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValues) -> WindowResult:
@@ -39,6 +45,25 @@ def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValu
             assert_never(head)
 
 
+def finish_batch(
+    head: Select | Construct,
+    relation: Relation,
+    windows: NDArray[np.int64],
+    spans: Sequence[tuple[int, int]],
+    terms: TermValues,
+) -> ResultBatch:
+    """Return the results of the windows with these ``spans``; row i of ``relation`` belongs to
+    window ``windows[i]``, in ascending order."""
+    starts, ends = zip(*spans, strict=True)
+    if isinstance(head, Construct):
+        times = np.array(ends, np.int64)[windows]
+        return ResultBatch(starts, ends, triples=construct(head, relation, times, terms))
+    columns = {name: relation.columns[name] for name in head.variables}
+    solutions = Solutions(head.variables, columns, terms.dictionary, relation.rows)
+    offsets = np.searchsorted(windows, np.arange(len(ends) + 1)).tolist()
+    return ResultBatch(starts, ends, solutions=solutions, offsets=offsets)
+
+
 def head_variables(head: Head) -> frozenset[str]:
     """Return the variables that the head uses."""
     match head:
@@ -53,26 +78,33 @@ def head_variables(head: Head) -> frozenset[str]:
             assert_never(head)
 
 
-def construct(head: Construct, relation: Relation, time: int, terms: TermValues) -> TimedTriples:
-    """Return the template's triples for all solutions, at τ = ``time``. They are a graph: each
-    triple occurs once.
+def construct(
+    head: Construct, relation: Relation, time: int | Times, terms: TermValues
+) -> TimedTriples:
+    """Return the template's triples for all solutions, at τ = ``time`` (of each solution, in order,
+    or of all). They are a graph: each triple occurs once at one τ.
 
     Ill-formed triples (an unbound variable, a literal as subject, no IRI as predicate) are omitted.
     A template about one subject gives wide rows if each solution has its own subject.
     """
-    wide = _wide(head, relation, time, terms)
+    times = np.full(relation.rows, time, np.int64) if isinstance(time, int) else time
+    wide = _wide(head, relation, times, terms)
     if wide is not None:
         return TimedTriples(terms.dictionary, (wide,) if len(wide) else ())
-    found = instantiated(head, relation, time, terms)
+    found = instantiated(head, relation, times, terms)
     tables = []
     for id, parts in found.items():
         subject_ids = np.concatenate([part.subjects for part in parts])
+        times_of = np.concatenate([times[part.rows] for part in parts])
         column = concatenate([part.objects for part in parts], terms.dictionary)
         if len(subject_ids) > 1 and (len(parts) > 1 or not parts[0].unique):
             keys = [[ObjectColumn(Kind.TERM, subject_ids)], [column]]
+            if not isinstance(time, int):
+                keys.append([ObjectColumn(Kind.INTEGER, times_of)])
             rows = first_rows(key_codes(keys, terms.dictionary)[0])
-            subject_ids, column = subject_ids[rows], column.take(rows)
-        tables.append(_table(time, subject_ids, {id: column}))
+            rows = rows[np.argsort(times_of[rows], kind="stable")]
+            subject_ids, column, times_of = subject_ids[rows], column.take(rows), times_of[rows]
+        tables.append(TripleRows(times_of, times_of, subject_ids, {id: column}))
     return TimedTriples(terms.dictionary, tuple(table for table in tables if len(table)))
 
 
@@ -88,17 +120,17 @@ class Instantiated:
 
 
 def instantiated(
-    head: Construct, relation: Relation, time: int, terms: TermValues
+    head: Construct, relation: Relation, times: Times, terms: TermValues
 ) -> dict[int, list[Instantiated]]:
     """Return the well-formed triples of all solutions, by the id of the predicate."""
     found: dict[int, list[Instantiated]] = {}
     for template in head.template:
-        subjects, objects = (_position(template[i], relation, time, terms) for i in (0, 2))
+        subjects, objects = (_position(template[i], relation, times, terms) for i in (0, 2))
         if subjects is None or objects is None:
             continue
         keep = _nodes(subjects, terms) & objects.present
         named = {p.name for p in template if isinstance(p, Var)}
-        unique = relation.key is not None and relation.key <= named
+        unique = relation.key is not None and relation.key <= named | {END}
         if isinstance(template[1], Const):
             if isinstance(template[1].term, NamedNode):
                 rows, id = np.flatnonzero(keep), terms.dictionary.transient_id(template[1].term)
@@ -106,7 +138,7 @@ def instantiated(
                 part = Instantiated(rows, subjects.values[rows], whole, unique)
                 found.setdefault(id, []).append(part)
             continue
-        predicates = _position(template[1], relation, time, terms)
+        predicates = _position(template[1], relation, times, terms)
         if predicates is None:
             continue
         rows = np.flatnonzero(keep & _iris(predicates, terms))
@@ -119,14 +151,18 @@ def instantiated(
     return found
 
 
-def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> TripleRows | None:
+def _wide(
+    head: Construct, relation: Relation, times: Times, terms: TermValues
+) -> TripleRows | None:
     """Return rows with all the template's objects, if each solution has its own subject."""
     subjects = {subject for subject, _, _ in head.template}
     predicates = {predicate for _, predicate, _ in head.template}
     if len(subjects) != 1 or len(predicates) != len(head.template):
         return None
     subject = next(iter(subjects))
-    if not isinstance(subject, Var) or relation.key != frozenset({subject.name}):
+    if not isinstance(subject, Var) or relation.key is None:
+        return None
+    if relation.key - {END} != {subject.name}:
         return None
     column = relation.columns.get(subject.name)
     if column is None or not all(isinstance(p, Const) for p in predicates):
@@ -136,23 +172,19 @@ def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> 
     objects: dict[int, ObjectColumn] = {}
     for _, predicate, object in head.template:
         assert isinstance(predicate, Const)
-        values = _position(object, relation, time, terms)
+        values = _position(object, relation, times, terms)
         if values is not None and isinstance(predicate.term, NamedNode):
             objects[terms.dictionary.transient_id(predicate.term)] = values
             some |= values.present
     keep &= some
     if keep.all():
-        return _table(time, column.values, objects)
-    return _table(time, column.values[keep], {id: c.take(keep) for id, c in objects.items()})
-
-
-def _table(time: int, subjects: Ids, objects: dict[int, ObjectColumn]) -> TripleRows:
-    times = np.full(len(subjects), time, np.int64)
-    return TripleRows(times, times, subjects, objects)
+        return TripleRows(times, times, column.values, objects)
+    objects = {id: each.take(keep) for id, each in objects.items()}
+    return TripleRows(times[keep], times[keep], column.values[keep], objects)
 
 
 def _position(
-    position: TemplatePosition, relation: Relation, time: int, terms: TermValues
+    position: TemplatePosition, relation: Relation, times: Times, terms: TermValues
 ) -> ObjectColumn | None:
     if isinstance(position, Var):
         return relation.columns.get(position.name)
@@ -161,7 +193,7 @@ def _position(
         # how the input is cut.
         nodes = (
             BlankNode(f"{position.label}t{time}r{row}".replace("-", "m"))
-            for row in range(relation.rows)
+            for row, time in enumerate(times.tolist())
         )
         return ObjectColumn(Kind.TERM, terms.dictionary.transient_ids(nodes))
     kind, value = split_term(position.term, terms.dictionary.transient_id)

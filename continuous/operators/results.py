@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,3 +75,53 @@ class WindowResult:
         if self.solutions is not None:
             return len(self.solutions)
         return len(self.triples) if self.triples is not None else int(bool(self.answer))
+
+    @property
+    def ends(self) -> Sequence[int]:
+        """The ends of all windows: a batch of one."""
+        return (self.end,)
+
+    def windows(self) -> Iterator[WindowResult]:
+        """Yield the result of each window: this one."""
+        yield self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResultBatch:
+    """The results of successive windows with these ``starts`` and ``ends`` (ns).
+
+    ``solutions`` or ``triples`` has the rows of all windows, in order of their ends. The rows of
+    window i begin at ``offsets[i]`` and end before ``offsets[i + 1]``; those of ``triples`` are the
+    rows with τ = ``ends[i]``, table by table.
+    """
+
+    starts: Sequence[int]
+    ends: Sequence[int]
+    solutions: Solutions | None = None
+    triples: TimedTriples | None = None
+    offsets: Sequence[int] = ()
+
+    def windows(self) -> Iterator[WindowResult]:
+        """Yield the result of each window."""
+        if self.solutions is not None:
+            for i, (start, end) in enumerate(zip(self.starts, self.ends, strict=True)):
+                rows = np.arange(self.offsets[i], self.offsets[i + 1])
+                yield WindowResult(start, end, solutions=self.solutions.take(rows))
+            return
+        assert self.triples is not None
+        tables = self.triples.tables
+        places = [
+            (
+                np.searchsorted(table.time, self.ends),
+                np.searchsorted(table.time, self.ends, "right"),
+            )
+            for table in tables
+        ]
+        for i, (start, end) in enumerate(zip(self.starts, self.ends, strict=True)):
+            parts = tuple(
+                table.take(slice(int(first[i]), int(last[i])))
+                for table, (first, last) in zip(tables, places, strict=True)
+                if first[i] < last[i]
+            )
+            triples = TimedTriples(self.triples.dictionary, parts)
+            yield WindowResult(start, end, triples=triples)

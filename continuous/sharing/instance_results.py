@@ -175,7 +175,7 @@ class JoinedResults:
         if not isinstance(self.head, Construct):
             return
         relation = _of_one(self.relation)
-        parts_of = instantiated(self.head, relation, self.end, self.terms)
+        parts_of = instantiated(self.head, relation, np.full(relation.rows, self.end), self.terms)
         for predicate, parts in parts_of.items():
             numbers = np.concatenate([self._numbers[part.rows] for part in parts])
             subjects = np.concatenate([part.subjects for part in parts])

@@ -154,6 +154,28 @@ class Contents:
             cached = self._cached_next = last_end, self._next(last_end)
         return cached[1]
 
+    def ends_from(self, first: int, greatest: int, most: int) -> list[int]:
+        """Return the evaluations from ``first`` to ``greatest`` that have content, at most ``most``
+        of them. Contract: the schedule is `uniform`, and ``first`` is the next evaluation.
+
+        Cost: O(panes and evaluations), without a call of numpy.
+        """
+        grid, length = self.schedule.ends, self.schedule.windows[0].range
+        assert grid is not None
+        assert length is not None
+        last = min(greatest, first + grid.step * most)
+        panes: set[int] = set()
+        for one in self._panes.values():
+            panes.update(one.between(first - length, last))
+        ends: list[int] = []
+        end = first
+        for pane in sorted(panes):
+            end = max(end, grid.ceil(pane))
+            while end <= greatest and end - length < pane and len(ends) < most:
+                ends.append(end)
+                end += grid.step
+        return ends
+
     def _next(self, last_end: int | None) -> DueEvaluation | None:
         if self.schedule.ends is None:
             return self._next_move()

@@ -61,6 +61,11 @@ class Panes:
         at = bisect_right(self._ends, bound)
         return self._ends[at - 1] if at else self._last
 
+    def between(self, low: int, high: int) -> list[int]:
+        """Return the ends in ``(low, high]`` of panes that have a row, ascending."""
+        ends = self._ends
+        return ends[bisect_right(ends, low) : bisect_right(ends, high)]
+
     def drop(self, until: int) -> None:
         """Drop the panes that end at or before ``until``."""
         at = bisect_right(self._ends, until)

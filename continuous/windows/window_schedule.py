@@ -24,7 +24,13 @@ from .grid import schedule
 EvaluateWindow = Callable[[int, bool], bool]
 """A callback for a window that closes. Arguments: its end, and whether its result is reported.
 Returns whether the window's rows are needed again."""
+EvaluateWindows = Callable[[list[int]], tuple[int, bool] | None]
+"""A callback for windows that close at once. Argument: their ends, ascending. Returns how many of
+them, from the first on, it has evaluated in one pass, and whether the rows of the last one are
+needed again; None if these windows must be evaluated one by one."""
 _BLOCK = 2**15
+FEWEST, MOST = 6, 512
+"""The least and the greatest number of windows of one pass, which costs as much as five windows."""
 
 
 class OpenWindows:
@@ -63,6 +69,8 @@ class OpenWindows:
         """Whether only `close_next` closes windows; else they close as soon as they can."""
         self.closed = 0
         """The number of completed evaluations."""
+        self._one_by_one_until: int | None = None
+        """The last end of windows for which the callback wanted one evaluation each."""
         self._settled_watermark: int | None = None
         self._watermarks: dict[str, int] = {}
         self._ended: set[str] = set()
@@ -88,29 +96,45 @@ class OpenWindows:
             if rows is not None:
                 self.contents.push(input, rows, limit, entailed=True)
 
-    def advance(self, input: str, watermark: int, evaluate: EvaluateWindow) -> None:
+    def advance(
+        self,
+        input: str,
+        watermark: int,
+        evaluate: EvaluateWindow,
+        in_bulk: EvaluateWindows | None = None,
+    ) -> None:
         """Promise that every later row of ``input`` has τ ≥ ``watermark``; close windows."""
         previous = self._watermarks.get(input)
         if previous is None or watermark > previous:
             self._watermarks[input] = watermark
-        self._close(evaluate)
+        self._close(evaluate, in_bulk)
 
-    def end(self, input: str, evaluate: EvaluateWindow) -> None:
+    def end(
+        self, input: str, evaluate: EvaluateWindow, in_bulk: EvaluateWindows | None = None
+    ) -> None:
         """End ``input``. After the last input has ended, every window with content closes."""
         self._ended.add(input)
-        self._close(evaluate)
+        self._close(evaluate, in_bulk)
 
     @property
     def is_due(self) -> bool:
         """Whether a window can close."""
         return self._closable() is not None
 
-    def close_next(self, evaluate: EvaluateWindow) -> bool:
-        """Close the next window that can close; return whether there was one."""
+    def close_next(
+        self, evaluate: EvaluateWindow, in_bulk: EvaluateWindows | None = None, most: int = 1
+    ) -> int:
+        """Close the next window that can close, or with ``in_bulk`` up to ``most`` of them at once;
+        return how many."""
         due = self._closable()
-        if due is not None:
-            self._evaluate(due, evaluate)
-        return due is not None
+        if due is None:
+            return 0
+        if in_bulk is not None and most > 1:
+            closed = self._evaluate_in_bulk(due.end, in_bulk, min(most, MOST))
+            if closed:
+                return closed
+        self._evaluate(due, evaluate)
+        return 1
 
     def resume(self, input: str) -> None:
         """Continue ``input``, which had ended: windows wait for it again."""
@@ -179,9 +203,9 @@ class OpenWindows:
             least = min(least, self._watermarks[name])
         return least
 
-    def _close(self, evaluate: EvaluateWindow) -> None:
+    def _close(self, evaluate: EvaluateWindow, in_bulk: EvaluateWindows | None) -> None:
         self._settled_watermark = None
-        while not self.defers and self.close_next(evaluate):
+        while not self.defers and self.close_next(evaluate, in_bulk, MOST):
             pass
 
     def _closable(self) -> DueEvaluation | None:
@@ -217,6 +241,30 @@ class OpenWindows:
     def _is_over(self) -> bool:
         """Whether all inputs have ended, and no window has content."""
         return len(self._ended) == len(self.inputs) and self.contents.next(self._last_end) is None
+
+    def _evaluate_in_bulk(self, first: int, in_bulk: EvaluateWindows, most: int) -> int:
+        """Evaluate windows that can close, from the end ``first`` on, in one pass; return how many,
+        0 if they must be evaluated one by one. Contract: the schedule is `uniform`, and only
+        windows with content are evaluated (`BulkPlan` checks that)."""
+        tried, watermark = self._one_by_one_until, self._watermark()
+        assert watermark is not None
+        greatest = watermark - 1 + self.schedule.shift
+        # With a live stream one window is due at a time: the grid alone tells that.
+        step = self.schedule.after(first) - first
+        is_few = first + (FEWEST - 1) * step > greatest
+        if is_few or (tried is not None and first <= tried):
+            return 0
+        ends = self.contents.ends_from(first, greatest, most)
+        done = in_bulk(ends) if len(ends) >= FEWEST else None
+        if done is None:
+            self._one_by_one_until = ends[-1]
+            return 0
+        closed, retains = done
+        self._last_end = ends[closed - 1]
+        self.closed += closed
+        self.contents.select(DueEvaluation(self._last_end))
+        self.contents.drop(self._last_end, raw=retains)
+        return closed
 
     def _evaluate(self, due: DueEvaluation, evaluate: EvaluateWindow) -> None:
         end, reports = due.end, True

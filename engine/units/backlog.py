@@ -69,9 +69,9 @@ class Turns(Protocol):
     def is_over(self) -> bool:
         """Whether the time is over."""
 
-    def start(self, close_next: Callable[[], bool], emitting: float = 0.0) -> Task:
-        """Make a task that closes windows until none is due. To emit the results of each takes
-        ``emitting`` further seconds of the same time."""
+    def start(self, close_next: Callable[[], int], emitting: float = 0.0) -> Task:
+        """Make a task that closes windows until none is due. ``close_next`` returns how many it has
+        closed. To emit the results of each takes ``emitting`` further seconds of the same time."""
 
     def time(self, work: Callable[[], None]) -> float:
         """Do ``work`` and return the seconds that it took."""

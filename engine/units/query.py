@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from ...continuous.evaluation.evaluator import ContinuousEvaluator
-from ...continuous.operators.results import WindowResult
+from ...continuous.operators.results import ResultBatch, WindowResult
 from ...converters.errors import ConversionError
 from ...converters.to_samples import ResultConverter
 from ...converters.to_triples import SampleConverter
 from ...streams.generator import StreamGenerator
+from ...streams.sample import SampleBatch, Times
 from ...streams.time import TIME_MIN, format_time
 from ..processes.supervision import ErrorCounters
 from .windowed import WindowUnit
@@ -43,11 +44,26 @@ class ResultEmitter:
         self._last_available = TIME_MIN
         """The available time (ns) of the last sample."""
 
-    def emit(self, result: WindowResult) -> None:
-        """Emit the result of the next window."""
+    def emit(self, results: WindowResult | ResultBatch) -> None:
+        """Emit the result of the next window, or of the next windows at once."""
         if self.on_result is not None:
-            self.on_result(result)
-        batch = self.results.convert(result, max(result.end, self._last_available) + 1)
+            for result in results.windows():
+                self.on_result(result)
+        if isinstance(results, WindowResult):
+            self._emit_window(results)
+            return
+        batch = self.results.convert_batch(results)
+        if self.lost:
+            # A report is of one window.
+            self.lost.clear()
+            for result in results.windows():
+                self._emit_window(result)
+        elif len(batch):
+            self._emit(batch.with_available(self._available(batch.valid)))
+
+    def _emit_window(self, result: WindowResult) -> None:
+        available = max(result.end, self._last_available) + 1
+        batch = self.results.convert(result, available)
         for error in self.lost:
             text = f"the window that ends {format_time(result.end)} has no value"
             self.counters.note(f"{text} in field {error.field!r}: {error.message}", result.end)
@@ -56,8 +72,25 @@ class ResultEmitter:
             if self.output.rules.gap:
                 steps = np.arange(len(batch), dtype=np.int64)
                 batch = batch.with_available(batch.available + steps)
-            self._last_available = int(batch.available[-1])
-            self.output.emit(batch)
+            self._emit(batch)
+
+    def _emit(self, batch: SampleBatch) -> None:
+        self._last_available = int(batch.available[-1])
+        self.output.emit(batch)
+
+    def _available(self, ends: Times) -> Times:
+        """Return the available times of samples of windows with these ends, in order."""
+        first = np.flatnonzero(np.append(True, ends[1:] != ends[:-1]))
+        counts = np.diff(np.append(first, len(ends)))
+        has_gap = self.output.rules.gap > 0
+        # How much later than the first window a window is, in ns, if no time lies between them.
+        later = first if has_gap else np.arange(len(first))
+        times = ends[first] + 1
+        times[0] = max(int(times[0]), self._last_available + 1)
+        available = np.repeat(np.maximum.accumulate(times - later) + later, counts)
+        if has_gap:
+            available += np.arange(len(ends)) - np.repeat(first, counts)
+        return available
 
 
 class QueryUnit(WindowUnit):
@@ -75,13 +108,14 @@ class QueryUnit(WindowUnit):
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: ContinuousEvaluator = evaluator
+        evaluator.splits = False
         self._emitter = ResultEmitter(self.output, results, self.counters, on_result)
 
     def explain(self) -> str:
         """Print the evaluation of the query, with costs estimated from the rates of its streams."""
         return self.evaluator.explain(self.flows())
 
-    def emit(self, results: Sequence[WindowResult]) -> None:
-        self.windows += len(results)
+    def emit(self, results: Sequence[WindowResult | ResultBatch]) -> None:
         for result in results:
+            self.windows += len(result.ends)
             self._emitter.emit(result)

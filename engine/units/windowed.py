@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, TypeVar
 
 from ...continuous.columns.budget import Quarantined
@@ -33,6 +34,8 @@ T = TypeVar("T")
 _PART: Final = 4096
 """Samples of one part. A batch of more than twice as many is taken in parts, each of which takes
 some milliseconds where all of its objects are new."""
+AT_ONCE: Final = 128
+"""The number of windows that a turn closes in one pass at most: some milliseconds."""
 _TAKE: Final = "take"
 
 
@@ -276,7 +279,7 @@ class WindowUnit(ComputationalUnit):
     def _close_windows(self, turns: Turns, done: list[TurnRecord], *, begins: bool) -> None:
         task, is_done = self._task, True
         if task is None and begins and self.evaluator.is_due:
-            task = turns.start(self.evaluator.close_next, self._emitting)
+            task = turns.start(partial(self.evaluator.close_next, most=AT_ONCE), self._emitting)
         if task is not None and (not begins or self._spent > turns.limit):
             task.stop_early()
         before = 0.0 if task is None else task.spent
@@ -323,8 +326,11 @@ class WindowUnit(ComputationalUnit):
                 self._emitted += closed.windows
                 # A window that was half done at a checkpoint closed before it: only emit it now.
                 while self.evaluator.closed < self._emitted:
-                    is_last = self.evaluator.closed == self._emitted - 1
-                    if not self.evaluator.close_next(closed.stopped if is_last else ""):
+                    left = self._emitted - self.evaluator.closed
+                    stopped = closed.stopped if left == 1 else ""
+                    # The pass must not close the window that was stopped.
+                    most = left - 1 if closed.stopped else left
+                    if not self.evaluator.close_next(stopped, max(1, most)):
                         raise ValueError(f"{self.name} has no window to close")
             if self._error is not None:
                 raise self._error

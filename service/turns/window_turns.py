@@ -57,7 +57,7 @@ class WindowTurns:
         """Whether the time is over."""
         return time.monotonic() >= self._until
 
-    def start(self, close_next: Callable[[], bool], emitting: float = 0.0) -> WindowTask:
+    def start(self, close_next: Callable[[], int], emitting: float = 0.0) -> WindowTask:
         """See `Turns`."""
         return WindowTask(self, close_next, emitting)
 
@@ -139,7 +139,7 @@ class WindowTask:
     the methods below them.
     """
 
-    def __init__(self, turns: WindowTurns, close_next: Callable[[], bool], emitting: float) -> None:
+    def __init__(self, turns: WindowTurns, close_next: Callable[[], int], emitting: float) -> None:
         self._turns = turns
         self._close_next = close_next
         self._emitting = emitting
@@ -252,7 +252,7 @@ class WindowTask:
                 self._began = time.thread_time()
                 found = self._close_next()
                 self._count()
-                to_emit += self._emitting
+                to_emit += self._emitting * found
                 is_over = self._turns.left <= to_emit
                 if not found or self._to_end or self._stops_early or is_over:
                     break

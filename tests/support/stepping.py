@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from random import Random
 
 
@@ -24,7 +25,7 @@ class Steps:
         # Nobody tells of parts that are taken.
         return self._left <= 0 or self._random.random() < 0.1
 
-    def start(self, close_next: Callable[[], bool], emitting: float = 0.0) -> _Steps:
+    def start(self, close_next: Callable[[], int], emitting: float = 0.0) -> _Steps:
         return _Steps(self, close_next)
 
     def time(self, what: Callable[[], None]) -> float:
@@ -35,8 +36,8 @@ class Steps:
         """Whether the window that is begun is half done when the turn ends."""
         return self._random.random() < 0.2
 
-    def closed(self) -> None:
-        self._left -= 1
+    def closed(self, windows: int) -> None:
+        self._left -= windows
 
 
 class _Steps:
@@ -44,10 +45,12 @@ class _Steps:
 
     is_ready = True
 
-    def __init__(self, steps: Steps, close_next: Callable[[], bool]) -> None:
+    def __init__(self, steps: Steps, close_next: Callable[[], int]) -> None:
         self.spent = 0.0
         self._steps = steps
         self._close_next = close_next
+        bound = close_next.func if isinstance(close_next, partial) else close_next
+        self._evaluator = bound.__self__  # type: ignore[attr-defined]
         self._is_last = False
 
     def stop_early(self) -> None:
@@ -55,15 +58,16 @@ class _Steps:
 
     def run(self, *, to_end: bool = False) -> bool:
         # Only a window that is there can be half done.
-        is_due = self._close_next.__self__.is_due  # type: ignore[attr-defined]
+        is_due = self._evaluator.is_due
         while to_end or not (is_due and self._steps.pauses()):
-            if not self._close_next():
+            closed = self._close_next()
+            if not closed:
                 return True
-            self.spent += 1
-            self._steps.closed()
+            self.spent += closed
+            self._steps.closed(closed)
             if self._steps.is_over or self._is_last or to_end:
                 return True
-            is_due = self._close_next.__self__.is_due  # type: ignore[attr-defined]
+            is_due = self._evaluator.is_due
         return False
 
 

@@ -1,0 +1,149 @@
+"""Windows that are due at once, evaluated in one pass (docs/explanation/design/0012).
+
+The aggregate gives one relation with the solutions of all windows. Its column `END` says which
+window a row belongs to. The steps above it work row by row, so they only have to keep that column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ...rdf.timed import ObjectColumn
+from ..algebra.expressions import Const, Var
+from ..algebra.plan import (
+    Aggregate,
+    AnyScan,
+    Ask,
+    Blank,
+    Construct,
+    Distinct,
+    Extend,
+    Filter,
+    Head,
+    Order,
+    Plan,
+    Project,
+    Scan,
+    Select,
+    TypeScan,
+)
+from ..columns.budget import BudgetExceeded
+from ..columns.relation import NeedsOxigraph, Pairs, Relation
+from ..incremental.bulk_aggregation import not_in_bulk
+from ..operators.executor import execute
+from ..operators.result_forms import END, finish_batch
+from ..operators.results import ResultBatch
+from .execution import Execution
+
+ROWS: Final = 4096
+"""With more rows a window than this, one pass over several windows saves nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BulkPlan:
+    """A plan over the solutions of an aggregate for several windows, and the result form.
+
+    Law: the results are those of the windows one by one. Cost: a few hundred calls of numpy per
+    pass, a few nanoseconds per pane, window and group. Memory: see `bulk_aggregation.CELLS`.
+    """
+
+    plan: Plan
+    head: Select | Construct
+    aggregate: Aggregate
+    execution: Execution
+
+    @classmethod
+    def of(cls, execution: Execution, head: Head) -> BulkPlan | str:
+        """Return the plan for several windows, or why each window is evaluated by itself."""
+        shape = execution.shape
+        if isinstance(shape, str):
+            return "they are not computed incrementally"
+        if execution.windows.differs:
+            return "each is compared with the one before"
+        reason = not_in_bulk(shape, distinct=execution.distinct)
+        if reason:
+            return reason
+        plan = _with_end(execution.plan, shape.aggregate)
+        if plan is None:
+            return "a step above the aggregate needs all solutions of one window"
+        if not isinstance(head, Select) and not _by_row(head):
+            return "the order of a window's triples may depend on all of its solutions"
+        assert not isinstance(head, Ask)
+        return cls(plan, head, shape.aggregate, execution)
+
+    def results(self, ends: Sequence[int]) -> ResultBatch | None:
+        """Return the results of the windows that end at some of ``ends``, from the first on; None
+        if they must be evaluated one by one. Afterwards the aggregate has followed them."""
+        execution = self.execution
+        static, terms = execution.static, execution.static.terms
+        try:
+            found = execution.in_bulk(ends, ROWS)
+            if found is None:
+                return None
+            count, aggregated = found
+            relation = execute(self.plan, _Aggregated(self.aggregate, aggregated), terms)
+            windows = relation.columns[END].values
+            rows = int(np.bincount(windows, minlength=1).max())
+            terms.budget.check_result(rows)
+        except (NeedsOxigraph, BudgetExceeded):
+            # The window that is concerned raises it again, by itself.
+            return None
+        execution.follow(ends[count - 1])
+        spans = [execution.windows.span(end) for end in ends[:count]]
+        return finish_batch(self.head, relation, windows, spans, static.terms)
+
+
+@dataclass(frozen=True, slots=True)
+class _Aggregated:
+    """A source with the solutions of the aggregate alone."""
+
+    aggregate: Aggregate
+    relation: Relation
+    profile: None = None
+
+    def ready(self, plan: Plan) -> Relation | None:
+        return self.relation if plan is self.aggregate else None
+
+    def pairs(self, scan: Scan | TypeScan) -> Pairs:
+        raise AssertionError(f"{scan} stands above an aggregate")
+
+    def matches(self, scan: Scan | AnyScan) -> Relation:
+        raise AssertionError(f"{scan} stands above an aggregate")
+
+    def nodes(self, graph: str) -> ObjectColumn:
+        raise AssertionError(f"a path over {graph} stands above an aggregate")
+
+
+def _with_end(plan: Plan, aggregate: Aggregate) -> Plan | None:
+    """Return ``plan`` with the column `END` kept up to its root; None if it cannot be kept."""
+    if plan is aggregate:
+        return plan
+    if not isinstance(plan, Filter | Extend | Project | Distinct | Order):
+        return None
+    child = _with_end(plan.child, aggregate)
+    if child is None:
+        return None
+    match plan:
+        case Filter(condition):
+            return Filter(condition, child)
+        case Extend(variable, expression):
+            return Extend(variable, expression, child)
+        case Project(variables):
+            return Project((*variables, END), child)
+        case Distinct():
+            return Distinct(child)
+        case Order(keys):
+            return Order(((Var(END), False), *keys), child)
+
+
+def _by_row(head: Head) -> bool:
+    """Whether the triples of a head and their order depend on each solution alone."""
+    if not isinstance(head, Construct):
+        return False
+    places = [place for triple in head.template for place in triple]
+    named = all(isinstance(predicate, Const) for _, predicate, _ in head.template)
+    return named and not any(isinstance(place, Blank) for place in places)

@@ -1,0 +1,339 @@
+"""The aggregates of windows that are due at once, in one pass over their rows.
+
+`aggregation` follows one window after the other, some twenty calls of numpy each. Here the panes of
+all windows are one table (`pane_runs`), and each window is a run of panes. Law: the rows of a
+window's end are those of `IncrementalAggregate`, in the same order, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rdf.timed import Kind, ObjectColumn, TripleRows
+from ...streams.sample import Times
+from ..algebra.expressions import Const, Var
+from ..columns.exact_sums import FloatTotals, IntegerTotals
+from ..columns.fold_kernels import mirror
+from ..columns.pane_runs import PaneRuns
+from ..columns.relation import Relation
+from ..operators.partial_aggregates import (
+    GREAT,
+    SAFE,
+    Key,
+    Numbers,
+    Partial,
+    dtype_of,
+    magnitude,
+)
+from ..operators.result_forms import END
+from ..windows.grid import Grid
+from .aggregate_shape import Shape
+from .aggregation import IncrementalAggregate
+from .sliding_aggregates import Pane
+
+CELLS: Final = 2**15
+"""The number of cells of a table of panes: some milliseconds, at 50 to 100 bytes each."""
+CELLS_EACH: Final = 2**9
+"""With more cells a window than this, one pass over several windows saves nothing."""
+_KINDS: Final = (Kind.INTEGER, Kind.FLOAT, Kind.DOUBLE)
+
+
+def not_in_bulk(shape: Shape, *, distinct: bool) -> str:
+    """Return why windows that are due at once are aggregated one by one, or ""."""
+    if distinct:
+        return "equal triples count once"
+    if shape.rest or shape.later:
+        return "the aggregate is joined with other patterns"
+    subject = shape.scan.subject
+    keys = (subject.name,) if isinstance(subject, Var) else ()
+    if shape.aggregate.keys != keys or shape.aggregate.implicit:
+        return "the subjects are not the groups"
+    if shape.filters or any(each not in (None, shape.scan.object) for each, _ in shape.arguments):
+        return "rows are selected or computed before the fold"
+    return "" if isinstance(shape.scan.object, Var) else "the object is a constant"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Rows of the folded predicate: of one kind, in order within each pane and subject."""
+
+    times: Times
+    subjects: NDArray[np.int32]
+    objects: ObjectColumn
+
+    @classmethod
+    def of(cls, tables: Sequence[TripleRows], predicate: int, subject: int | None) -> _Rows | None:
+        """Return those of ``subject``, or all; None unless there are some, all of one kind of
+        number."""
+        times, subjects, values, kinds = [], [], [], set()
+        for table in tables:
+            column = table.objects.get(predicate)
+            if column is None:
+                continue
+            rows: slice | NDArray[np.int64] = slice(None)
+            if column.null is not None or subject is not None:
+                mine = column.present if subject is None else table.subject == subject
+                rows = np.flatnonzero(mine & column.present)
+            times.append(table.time[rows])
+            subjects.append(table.subject[rows])
+            values.append(column.values[rows])
+            kinds.add(column.kind)
+        if len(kinds) != 1 or not sum(map(len, times)):
+            return None
+        kind = kinds.pop()
+        if kind not in _KINDS:
+            return None
+        objects = ObjectColumn(kind, np.concatenate(values))
+        return cls(np.concatenate(times), np.concatenate(subjects), objects)
+
+    def are_safe(self) -> bool:
+        """Whether no sum of them overflows or needs more than float64."""
+        values = self.objects.values
+        if self.objects.kind is Kind.INTEGER:
+            return magnitude(values) * len(values) < SAFE
+        # This is False if there is a NaN.
+        return bool(-GREAT < values.min() <= values.max() < GREAT)
+
+
+def fitting(
+    aggregate: IncrementalAggregate,
+    ends: int,
+    panes: int,
+    step: int,
+    tables: Sequence[TripleRows],
+) -> int:
+    """Return how many of ``ends`` windows with rows in ``tables`` one pass covers; less than 2 if
+    it would save nothing. ``panes``: the number of panes of a window; ``step``: of a step."""
+    subjects = [np.zeros(0, np.int32), *(table.subject for table in tables)]
+    folded = aggregate.partials[0].rows(slice(aggregate.groups.used))
+    groups = max(1, len(np.unique(np.concatenate(subjects))), int(np.count_nonzero(folded)))
+    count = min(ends, (CELLS // groups - panes) // step)
+    return count if (panes + step * count) * groups <= CELLS_EACH * count else 0
+
+
+class BulkAggregate:
+    """Windows that end at ``ends`` over ``tables``, the rows since the panes folded so far.
+
+    ``window``: the length of a window; ``panes``: the grid of panes. For extremes ``tables`` has
+    the rows of the folded panes too.
+    """
+
+    def __init__(
+        self,
+        aggregate: IncrementalAggregate,
+        ends: Sequence[int],
+        window: int,
+        panes: Grid,
+        tables: Sequence[TripleRows],
+    ) -> None:
+        self._aggregate = aggregate
+        self._ends = np.array(ends, np.int64)
+        self._window = window
+        self._grid = panes
+        self._tables = tables
+        self._extremes = any(extremes for _, extremes in aggregate.shape.arguments)
+
+    def relation(self) -> Relation | None:
+        """Return the solutions of the aggregate for all windows, by window, then by group; None if
+        the windows must be evaluated one by one."""
+        aggregate = self._aggregate
+        predicate = aggregate.terms.dictionary.find(aggregate.shape.scan.predicate)
+        subject = aggregate.shape.scan.subject
+        id = None
+        if isinstance(subject, Const):
+            id = aggregate.terms.dictionary.find(subject.term)
+        rows = _Rows.of(self._tables, predicate, id)
+        if rows is None or not rows.are_safe() or not aggregate.is_regular:
+            return None
+        keys: list[Key] = [
+            (Kind.INTEGER if argument is None else rows.objects.kind, 0)
+            for argument, _ in aggregate.shape.arguments
+        ]
+        folded = [self._folded(i, key) for i, key in enumerate(keys)]
+        if any(panes is None for panes in folded) or not self._register(rows):
+            return None
+        groups = self._groups(rows, folded[0] or ())
+        column = np.full(aggregate.groups.used + 1, -1, np.int64)
+        column[groups] = np.arange(len(groups))
+        ends = self._pane_ends(folded[0] or ())
+        runs = PaneRuns(
+            len(ends),
+            len(groups),
+            np.searchsorted(ends, self._ends - self._window, "right"),
+            np.searchsorted(ends, self._ends, "right"),
+        )
+        cells = _Cells(runs, ends, column, groups)
+        at = cells.of(self._pane_of(rows.times), aggregate.groups.group_of[rows.subjects])
+        numbers = []
+        for (argument, extremes), key, panes in zip(
+            aggregate.shape.arguments, keys, folded, strict=True
+        ):
+            values = np.zeros(len(at), np.int64) if argument is None else rows.objects.values
+            numbers.append(_Numbers(key, cells, extremes))
+            numbers[-1].add(at, values)
+            numbers[-1].add_panes(panes or ())
+        if not all(each.is_finite for each in numbers):
+            return None
+        alive = runs.sums(numbers[0].counts) > 0
+        self._keep_sorts(alive, cells)
+        windows, places = np.nonzero(alive)
+        partials = [Partial({each.key: each.of_runs(windows, places)}) for each in numbers]
+        columns = {END: ObjectColumn(Kind.INTEGER, windows)}
+        if isinstance(subject, Var):
+            members = aggregate.groups.members[groups[places]]
+            columns[subject.name] = ObjectColumn(Kind.TERM, members)
+        found = aggregate.finish(columns, partials, len(windows))
+        return Relation(
+            found.columns, found.rows, frozenset((END, *aggregate.shape.aggregate.keys))
+        )
+
+    def _folded(self, argument: int, key: Key) -> list[Pane] | None:
+        """Return the folded panes that windows contain; None if columns cannot add them."""
+        panes = self._aggregate.partials[argument].panes_of(key)
+        if panes is None:
+            return None
+        if self._extremes:
+            return []
+        low = int(self._ends[0]) - self._window
+        kept = [pane for pane in panes if pane[0] > low]
+        return kept if all(high is None for _, _, _, high in kept) else None
+
+    def _register(self, rows: _Rows) -> bool:
+        """Make groups of new subjects, in the order in which one window after the other would.
+        Return False if groups would be dropped between two windows."""
+        groups = self._aggregate.groups
+        groups.reach(len(self._aggregate.terms.dictionary))
+        new = groups.group_of[rows.subjects] < 0
+        subjects = rows.subjects[new]
+        if not self._aggregate.has_room(len(np.unique(subjects))):
+            return False
+        groups.groups(subjects[np.argsort(self._pane_of(rows.times[new]), kind="stable")])
+        return True
+
+    def _groups(self, rows: _Rows, folded: Sequence[Pane]) -> NDArray[np.int64]:
+        """Return the groups with rows, ascending."""
+        marks = np.zeros(self._aggregate.groups.used, np.bool_)
+        marks[self._aggregate.groups.group_of[rows.subjects]] = True
+        for _, at, columns, _ in folded:
+            if at is None:
+                marks[: columns.shape[1]] |= columns[1] > 0
+            else:
+                marks[at] = True
+        return np.flatnonzero(marks)
+
+    def _pane_of(self, times: Times) -> Times:
+        """Return the end of the pane of each time."""
+        return times + (self._grid.origin - times) % self._grid.step
+
+    def _pane_ends(self, folded: Sequence[Pane]) -> Times:
+        """Return the ends of the panes with rows or facts, ascending."""
+        low = int(self._ends[0]) - self._window
+        ends = {end for end, *_ in folded}
+        for facts in self._aggregate.sorts.facts:
+            ends.update(end for end, _ in facts.panes if end > low)
+        parts = [self._pane_of(table.time) for table in self._tables]
+        return np.unique(np.concatenate([np.array(sorted(ends), np.int64), *parts]))
+
+    def _keep_sorts(self, alive: NDArray[np.bool_], cells: _Cells) -> None:
+        """Clear ``alive`` where the group is not of all sorts in the window."""
+        aggregate, static = self._aggregate, self._aggregate.static
+        members = aggregate.groups.members[cells.groups]
+        for facts in aggregate.sorts.facts:
+            always = facts.holds_always(members, static)
+            if always.all():
+                continue
+            stated = np.zeros(cells.runs.cells, np.int64)
+            for ends, subjects in self._stated(facts.stated(self._tables, static), facts.panes):
+                groups = aggregate.groups.group_of[subjects]
+                places = cells.column[groups]
+                known = (groups >= 0) & (places >= 0) & (ends > cells.ends[0] - 1)
+                stated[cells.of(ends[known], groups[known])] = 1
+            alive &= always | (cells.runs.sums(stated) > 0)
+
+    def _stated(
+        self,
+        new: Iterator[tuple[Times, NDArray[np.int32]]],
+        folded: Sequence[tuple[int, NDArray[np.int32]]],
+    ) -> Iterator[tuple[Times, NDArray[np.int32]]]:
+        """Yield the ends of the panes of facts, and their subjects."""
+        for times, subjects in new:
+            yield self._pane_of(times), subjects
+        if folded:
+            sizes = [len(subjects) for _, subjects in folded]
+            ends = np.repeat(np.array([end for end, _ in folded], np.int64), sizes)
+            yield ends, np.concatenate([subjects for _, subjects in folded])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cells:
+    """The cells of a table of panes. ``ends``: those of its panes; ``column``: the place of each
+    group, or -1; ``groups``: the group of each place."""
+
+    runs: PaneRuns
+    ends: Times
+    column: NDArray[np.int64]
+    groups: NDArray[np.int64]
+
+    def of(self, pane_ends: Times, groups: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Return the cells of panes and groups."""
+        panes = np.searchsorted(self.ends, pane_ends)
+        return np.asarray(panes * self.runs.groups + self.column[groups])
+
+
+class _Numbers:
+    """Sums, counts and extremes of one argument, by cell."""
+
+    def __init__(self, key: Key, cells: _Cells, extremes: bool) -> None:
+        self.key = key
+        self._cells = cells
+        dtype = dtype_of(key)
+        self._sums = np.zeros(cells.runs.cells, dtype)
+        self.counts: NDArray[np.int64] = np.zeros(cells.runs.cells, np.int64)
+        self._ends: NDArray[np.generic] | None = None
+        if extremes:
+            nothing = np.inf if dtype == np.float64 else 2**63 - 1
+            self._ends = np.full((cells.runs.cells, 2), nothing, dtype)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all sums are numbers."""
+        return bool(np.isfinite(self._sums).all())
+
+    def add(self, at: NDArray[np.int64], values: NDArray[np.generic]) -> None:
+        """Add rows, in order."""
+        np.add.at(self._sums, at, values)
+        self.counts += np.bincount(at, minlength=len(self.counts))
+        if self._ends is not None:
+            values = values + self._sums.dtype.type(0)
+            np.minimum.at(self._ends[:, 0], at, values)
+            np.minimum.at(self._ends[:, 1], at, mirror(values))
+
+    def add_panes(self, panes: Sequence[Pane]) -> None:
+        """Add folded panes. Contract: no row of them has been added."""
+        if not panes:
+            return
+        sizes = [columns.shape[1] for _, _, columns, _ in panes]
+        ends = np.repeat(np.array([end for end, *_ in panes], np.int64), sizes)
+        groups = np.concatenate(
+            [np.arange(columns.shape[1]) if at is None else at for _, at, columns, _ in panes]
+        )
+        columns = np.concatenate([columns[:2] for _, _, columns, _ in panes], axis=1)
+        there = columns[1] > 0
+        cells = self._cells.of(ends[there], groups[there])
+        self._sums[cells] = columns[0, there]
+        self.counts[cells] = columns[1, there]
+
+    def of_runs(self, windows: NDArray[np.int64], places: NDArray[np.int64]) -> Numbers:
+        """Return the values of the group at ``places[i]`` over window ``windows[i]``."""
+        runs = self._cells.runs
+        totals = IntegerTotals() if self.key[0] is Kind.INTEGER else FloatTotals()
+        totals.reserve(runs.cells)
+        totals.add(None, self._sums, self.counts.astype(self._sums.dtype), 1)
+        found = totals.of_runs(runs, windows, places)
+        ends = None if self._ends is None else runs.least(self._ends, windows, places)
+        return Numbers(found.values(np.arange(len(windows))), found.counts, ends)
