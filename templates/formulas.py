@@ -55,8 +55,8 @@ class BoundFormula:
 
 
 def bound_monitor(monitor: Monitor, source: str, vocabulary: Vocabulary) -> BoundFormula:
-    """Return a monitor as a query. Raises `LanguageError`, and `NeedsError` for a parameter whose
-    objects no feature gives."""
+    """Return a monitor as a query. Raises `LanguageError`; `NeedsError` for a feature without an
+    object, and for a parameter whose objects no feature gives."""
     return _bound(check_mtl(monitor, source, vocabulary), monitor, source)
 
 
@@ -122,6 +122,12 @@ def _bound(checked: CheckedMonitor, text: Monitor, source: str) -> BoundFormula:
     sorts, objects = sorts_of(checked), dict(checked.fixed)
     readings: dict[Want, list[Reading]] = {}
     for reading in dict.fromkeys(readings_of(checked.formula)):
+        if not reading.arguments:
+            name = shorten(reading.feature).removeprefix("dyknow:")
+            raise NeedsError(
+                f"`{name}` names no object, and matching finds features of objects",
+                f"write `{name}(self)` for the one that speaks, or `{name}(uav1)`",
+            )
         readings.setdefault(_want(reading, sorts, objects), []).append(reading)
     arguments = (a for reading in readings_of(checked.formula) for a in reading.arguments)
     named = {argument.name for argument in arguments if isinstance(argument, ObjectVariable)}

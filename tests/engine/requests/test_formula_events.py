@@ -242,3 +242,12 @@ def test_values_of_every_kind_are_arguments(engine, feature, argument, same, oth
     assert told(engine, view) == [("uav1", 2, "false")]
     with pytest.raises(BadArguments, match='and "7" is none'):
         ask(engine, "Never(?x, 7)")
+
+
+def test_a_feature_needs_an_object(engine):
+    wind = "<http://www.ida.liu.se/dyknow/wind> a <http://www.dyknow.eu/ontology#Feature> ."
+    engine.load_ontology(wind, name="http://example.org/wind")
+    with pytest.raises(BadArguments, match="`wind` names no object"):
+        engine.queries.register("monitor m = wind > 3")
+    with pytest.raises(Refused, match="`wind` names no object"):
+        engine.register_template("REGISTER TEMPLATE Windy(?limit) AS wind > ?limit")
