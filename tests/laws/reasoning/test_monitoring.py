@@ -388,6 +388,18 @@ def test_a_run_is_known_with_those_before_it() -> None:
     ]
 
 
+def test_a_run_is_known_with_its_starts() -> None:
+    """The first start is decided at 12, the second one at once."""
+    never = Within(Temporal.EVENTUALLY, Interval(0, 9), Truth(False))
+    rows = [(1, "a", True), (2, "a", False), (3, "a", False), (12, "a", False)]
+    formula = Or(And(P, never), And(Not(P), Previous(Previous(P))))
+    assert rows_told(formula, Report.CHANGES, rows) == [
+        (12, "a", 1, 0, 2),
+        (12, "a", 3, 1, 3),
+        (12, "a", 12, 0, 12),
+    ]
+
+
 def test_a_single_start_is_a_run() -> None:
     rows = [(1, "a", True), (2, "a", False), (5, "b", False), (6, "b", True)]
     assert rows_told(P, Report.CHANGES, rows, once=True) == [(1, "a", 1, 1, 1), (5, "b", 5, 0, 5)]

@@ -1,0 +1,98 @@
+"""Whether the laws of formulas see faults: each mutant of the product must fail one of them.
+
+    python tests/laws/reasoning/mutants.py
+
+It copies the package to a temporary folder, changes one place, and runs the law there until it
+fails. Status 1 if a mutant survives. Part of ``make soak``.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
+STATES, MONITORING = "test_states.py", "test_monitoring.py"
+# ruff: noqa: E501
+MUTANTS = (
+    # An interval [a, b] closes when the horizon is at its end, not later.
+    ("mtl/nodes.py", "self.states.horizon, end, after=False", "self.states.horizon, end, after=True", PROGRESSION),
+    # `eventually` is false only once its interval is closed.
+    ("mtl/nodes.py", "np.maximum(false, self.over(interval.end)[:, None], out=false)", "pass", PROGRESSION),
+    # Both ends belong to an interval.
+    ("mtl/nodes.py", "later(valid, interval.end), after=True", "later(valid, interval.end), after=False", PROGRESSION),
+    ("mtl/nodes.py", "later(valid, interval.start), after=False", "later(valid, interval.start), after=True", PROGRESSION),
+    ("mtl/nodes.py", "earlier(valid, interval.end), after=False", "earlier(valid, interval.end), after=True", PROGRESSION),
+    # `previous` is false at the first state of all.
+    ("mtl/nodes.py", "is_first = self.first == 0", "is_first = False", PROGRESSION),
+    # Nothing is known of a start before it.
+    ("mtl/nodes.py", "np.maximum(true, known), np.maximum(false, known))\n\n    def _until", "true, false)\n\n    def _until", PROGRESSION),
+    # A left part that fails makes `until` false at once.
+    ("mtl/windows.py", "false = min(false, max(ruled_out, false_left[state, column]))", "pass", PROGRESSION),
+    # `since` looks back from its own state.
+    ("mtl/windows.py", "broken = min(broken, false_left[state, column])", "broken = false_left[state, column]", PROGRESSION),
+    # The queue drops what has left the interval.
+    ("mtl/windows.py", "queue[head] < first[start]:", "queue[head] <= first[start]:", PROGRESSION),
+    # Unknown needs both readings.
+    ("mtl/evaluator.py", "np.maximum(lower.false, upper.true)", "np.minimum(lower.false, upper.true)", PROGRESSION),
+    # States that a later verdict needs are kept.
+    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, states.valid) if count else 0", "keep = oldest", PROGRESSION),
+    # The state of a witness.
+    ("mtl/witness.py", "(a <= b) if is_or is is_true else (a >= b)", "a <= b", PROGRESSION),
+    ("mtl/windows.py", "least < max(held, closed[i])", "least <= max(held, closed[i])", PROGRESSION),
+    # Margins of both readings.
+    ("mtl/robustness.py", "np.inf if is_upper else -np.inf", "-np.inf", ROBUSTNESS),
+    ("mtl/robustness.py", "return axes, -table", "return axes, table", ROBUSTNESS),
+    # A state leaves with the samples of its instant.
+    ("states/state_maker.py", 'np.searchsorted(left, rows.available, "left")', 'np.searchsorted(left, rows.available, "right")', STATES),
+    ("states/departures.py", "moments > last", "moments >= last", STATES),
+    ("mtl/monitoring.py", "self.evaluator.advance(steps.latest - 1)", "self.evaluator.advance(steps.latest)", MONITORING),
+    ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
+)  # fmt: skip
+"""The file in ``reasoning``, the text in it, what stands there instead, the law that sees it."""
+
+
+def survives(file: str, text: str, other: str, law: str) -> bool:
+    """Whether the law holds of a mutant."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "dyknow"
+        ignored = shutil.ignore_patterns(".*", "__pycache__", "docs", "examples", "service")
+        shutil.copytree(ROOT, copy, ignore=ignored)
+        shutil.copytree(ROOT / "service" / "config", copy / "service" / "config")
+        shutil.copy(ROOT / "service" / "__init__.py", copy / "service")
+        place = copy / "reasoning" / file
+        source = place.read_text()
+        if source.count(text) != 1:
+            raise SystemExit(f"{text!r} stands {source.count(text)} times in {file}")
+        place.write_text(source.replace(text, other))
+        path = f"tests/laws/reasoning/{law}"
+        command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider"]
+        environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(
+            [*command, path], cwd=copy, env=environment, capture_output=True, text=True, check=False
+        )
+        if done.returncode not in (0, 1):
+            raise SystemExit(done.stdout + done.stderr)
+        return done.returncode == 0
+
+
+def main() -> None:
+    survivors = 0
+    for file, text, *rest in MUTANTS:
+        begun = time.monotonic()
+        found = survives(file, text, *rest)
+        survivors += found
+        word = "SURVIVED" if found else "caught"
+        place = text.splitlines()[0][:70]
+        print(f"{word:8} {time.monotonic() - begun:5.0f} s  {file}: {place}", flush=True)
+    sys.exit(survivors > 0)
+
+
+if __name__ == "__main__":
+    main()
