@@ -79,7 +79,11 @@ def register(http: httpx.Client, name: str, stream: str, text: str, window: str)
 
 
 def publish(http: httpx.Client, stream: str, body: str) -> None:
-    http.post(f"/streams/{stream}/samples", content=body, headers=NDJSON).raise_for_status()
+    """Publish, and wait where the readers of the stream hold it back."""
+    path = f"/streams/{stream}/samples"
+    while (answer := http.post(path, content=body, headers=NDJSON)).status_code == 429:
+        time.sleep(0.05)
+    answer.raise_for_status()
 
 
 @contextmanager
