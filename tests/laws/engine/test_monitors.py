@@ -149,8 +149,10 @@ MANY = (
     "monitor grid = forall ?x in UAV historically[0s, 5s] speed(?x) > 10 "
     "with sample every 1s, max delay 2s, use most recent, present for 4s, report changes",
     "monitor first(?x in UAV) = eventually[6s, 9s] speed(?x) > 20 with once, report verdicts",
+    "monitor margin(?x in UAV) = always[0s, 6s] (speed(?x) > 10 or altitude(?x) > 5)"
+    " with report verdicts, use most recent, robustness, max delay 1s",
 )
-NAMES = ("m", "runs", "grid", "first")
+NAMES = ("m", "runs", "grid", "first", "margin")
 
 
 @st.composite
