@@ -15,7 +15,7 @@ lower one false and the upper one true.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ from .witness import NONE, Witnesses
 
 _Places: TypeAlias = tuple[NDArray[np.int64], ...]
 """Cells of tables: the state, and the object of each axis."""
+
+
+MOST_VALUES: Final = 10_000_000
+"""The values of features that an explanation keeps: some hundred megabytes with its tables."""
 
 
 class TooManyStates(Exception):
@@ -326,9 +330,14 @@ class MonitorEvaluator:
 
 
 class StateKeeper(MonitorEvaluator):
-    """Keeps all states and decides nothing: an explanation evaluates them once."""
+    """Keeps all states and decides nothing: an explanation evaluates them once. Raises
+    `TooManyStates` for more than `MOST_VALUES` values of features."""
 
     def _decide(self) -> Verdicts:
+        assert self._kept is not None
+        kept = self._kept.states.values
+        if sum(each.values.size for each in kept.values()) > MOST_VALUES:
+            raise TooManyStates("the states have too many values to keep all of them")
         return _no_verdicts(len(self._axes))
 
 

@@ -8,6 +8,7 @@ from feeding import feed, samples
 
 from dyknow.engine.model.errors import BadArguments, NoResult, Refused
 from dyknow.engine.model.views import StreamDeclaration
+from dyknow.reasoning.mtl import evaluator
 from dyknow.reasoning.states import state_maker
 from dyknow.streams.history import Retention
 from dyknow.streams.past_queries import Forgotten
@@ -195,6 +196,17 @@ def test_more_states_than_can_be_evaluated(flying, monkeypatch):
     feed(flying, "s5", [(t, {"id": "uav1", "spd": 1.0, "alt": 1.0}) for t in range(1, 5)])
     work = flying.queries.why("m", ["uav1"], SECOND)
     monkeypatch.setattr(state_maker, "MOST_STATES", 1)
+    with pytest.raises(Refused, match="more states"):
+        work()
+
+
+def test_states_of_many_objects(flying, monkeypatch):
+    flying.queries.register("monitor m = forall ?x in UAV speed(?x) < 100 with max delay 0s")
+    rows = [(t, {"id": name, "spd": 1.0, "alt": 1.0}) for t in range(1, 5) for name in OTHERS]
+    feed(flying, "s5", rows)
+    work = flying.queries.why("m", [], SECOND)
+    assert work().verdict == "true"
+    monkeypatch.setattr(evaluator, "MOST_VALUES", 2)
     with pytest.raises(Refused, match="more states"):
         work()
 
