@@ -104,6 +104,19 @@ class Network:
             )
         return max(reach - low.offset, 0)
 
+    @property
+    def longest_wait(self) -> int:
+        """How long after its last event a match may wait for its probes, in ns; at most 0: it never
+        waits."""
+        return max(
+            (
+                self.greatest[trigger][self.variable(high.point)] + high.offset + 1
+                for trigger in self.triggers()
+                for high in map(_high, self.plan.probes)
+            ),
+            default=0,
+        )
+
     def triggers(self, *, is_ordered: bool = True) -> tuple[int, ...]:
         """The elements whose row may be the last of a match to come. ``is_ordered``: rows come in
         order of their ends."""

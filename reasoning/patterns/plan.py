@@ -381,8 +381,8 @@ def _check(plan: PatternPlan) -> None:
         raise PlanError("partition contiguity has no partition", "name its attribute: [attribute]")
     if plan.within is not None and plan.within < 0:
         raise PlanError("a pattern cannot last less than nothing", "write a duration from 0 on")
-    for i, element in enumerate(plan.elements):
-        _check_conditions(plan, element.conditions, range(OWN, OWN + 1), i)
+    for element in plan.elements:
+        _check_conditions(plan, element.conditions, range(OWN, OWN + 1))
     _check_conditions(plan, plan.conditions, range(count))
     _check_same(plan, plan.same, range(count))
     for probe in plan.probes:
@@ -420,16 +420,12 @@ def _check_same(plan: PatternPlan, same: tuple[Same, ...], known: range) -> None
             _check_column(plan, column, ColumnType.KEY)
 
 
-def _check_conditions(
-    plan: PatternPlan, conditions: tuple[Condition, ...], known: range, place: int | None = None
-) -> None:
+def _check_conditions(plan: PatternPlan, conditions: tuple[Condition, ...], known: range) -> None:
     for each in conditions:
         if each.operator not in OPERATORS:
             raise PlanError(f"{each.operator} is no comparison", f"write {' '.join(OPERATORS)}")
         for side in (each.left, each.right):
             _check_expression(plan, side, known)
-        if place is not None and not elements_of(each):
-            raise PlanError(f"a condition of {plan.elements[place].name} reads no row of it")
 
 
 def _check_expression(plan: PatternPlan, expression: Expression, known: range) -> None:

@@ -1,0 +1,340 @@
+"""Rows that may still be part of a match, and for each buffer and key those to be searched.
+
+A *table* has the rows as records (`conditions`). A buffer has the rows that suit one element, or
+that one probe reads. Its rows of equal keys are a *vector*: (end, place in the table) in order of
+end, then of arrival, in one pool for all vectors. Vectors are found by open addressing.
+
+Nothing is removed one by one. Rows that can no longer be joined are dropped at the front of a
+vector when the vector is full. When the table, the pool or the vectors are full, `Store.compact`
+copies what is live, and doubles what would then be more than half full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...streams.jit import JIT, Kernel
+from ...streams.time import TIME_MIN
+from .conditions import END
+from .packing import KEEPS_LAST, KEY_COUNT, KEYS, OF, RETAINED, PackedPlan
+from .plan import NO_VALUE
+
+Integers = NDArray[np.int64]
+
+# A vector: where its rows begin in the pool, the first one that is live, the one after the last,
+# the number of places; its buffer, its keys.
+BASE, FIRST, STOP, PLACES, BUFFER = range(5)
+VECTOR_KEYS: Final = 5
+# The state of the loops: how much of each array is used; the watermark; the time up to which
+# matches have been decided, from which retention counts; whether rows are not stored for a limit,
+# whether the loop stopped for want of room for matches; counters.
+ROWS, VECTORS, POOL, OUT, WATERMARK, DECIDED, IS_FULL, IS_OUT_FULL = range(8)
+LOOKED_AT, MADE, CUT_SHORT, LATE, UNSTORED, CROWDED = range(8, 14)
+MARKS: Final = 14
+CANDIDATES_FULL: Final = -2
+SMALLEST: Final = 64
+"""Rows, places and vectors of a new store."""
+
+
+@dataclass(slots=True, eq=False)
+class Store:
+    """The arrays of a store, and their compaction.
+
+    Law: a row that a match may still use is found until then, in order of end and arrival. Cost:
+    O(1) hashing and O(log n) comparisons a look-up; compaction is O(live), once in as many rows.
+    Memory: 8 bytes a word of a live row, 16 bytes a candidate, at most three times that.
+    """
+
+    plan: PackedPlan
+    capacity: int = SMALLEST
+    most_rows: int = 1 << 62
+    table: Integers = field(init=False)
+    ends: Integers = field(init=False)
+    """The pool: the ends of rows."""
+    rows: Integers = field(init=False)
+    """The pool: the places of these rows in the table."""
+    vectors: Integers = field(init=False)
+    heads: Integers = field(init=False)
+    """By hash: the number of a vector plus 1, or 0."""
+    marks: Integers = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.table = np.zeros((self.capacity, self.plan.width), np.int64)
+        self.ends = np.zeros(self.capacity, np.int64)
+        self.rows = np.zeros(self.capacity, np.int64)
+        self.vectors = np.zeros((self.capacity, self._vector_width), np.int64)
+        self.heads = np.zeros(2 * self.capacity, np.int64)
+        self.marks = np.zeros(MARKS, np.int64)
+        self.marks[[WATERMARK, DECIDED]] = TIME_MIN
+
+    @property
+    def _vector_width(self) -> int:
+        return VECTOR_KEYS + max(0, self.plan.buffers.shape[1] - KEYS)
+
+    @property
+    def size(self) -> int:
+        """The bytes of all arrays."""
+        rows = self.table.nbytes + self.vectors.nbytes + self.heads.nbytes
+        return int(rows + self.ends.nbytes + self.rows.nbytes)
+
+    def dead(self) -> Integers:
+        """For each buffer the end before which its rows are not joined any more."""
+        decided = int(self.marks[DECIDED])
+        kept = self.plan.buffers[:, RETAINED].tolist()
+        return np.array([max(TIME_MIN, decided - each) for each in kept], np.int64)
+
+    def compact(self, *roots: Integers) -> None:
+        """Keep only what is live: rows in a buffer that may still be joined, and those at the
+        places in ``roots``, which are renumbered. Then there is room in each array."""
+        vector, place = self._live()
+        used = int(self.marks[ROWS])
+        is_live = np.zeros(used, np.bool_)
+        is_live[self.rows[place]] = True
+        for root in roots:
+            is_live[root] = True
+        moved = np.cumsum(is_live) - 1
+        live = int(np.count_nonzero(is_live))
+        table = np.zeros((_grown(live, len(self.table)), self.plan.width), np.int64)
+        np.compress(is_live, self.table[:used], axis=0, out=table[:live])
+        self._rebuild(vector, self.ends[place], moved[self.rows[place]])
+        for root in roots:
+            root[...] = moved[root]
+        self.table = table
+        self.marks[ROWS] = live
+        self.marks[IS_FULL] = live >= self.most_rows
+
+    def _live(self) -> tuple[Integers, Integers]:
+        """The vector and place in the pool of each row that may still be joined."""
+        used = self.vectors[: int(self.marks[VECTORS])]
+        counts = used[:, STOP] - used[:, FIRST]
+        vector = np.repeat(np.arange(len(used)), counts)
+        first = np.cumsum(counts) - counts
+        place = np.arange(len(vector)) - first[vector] + (used[:, BASE] + used[:, FIRST])[vector]
+        buffer = used[vector, BUFFER]
+        dead = self.dead()[buffer]
+        is_live = self.ends[place] >= dead
+        # The state at the time of death is the last row before it.
+        is_last = np.ones(len(place), np.bool_)
+        is_last[:-1] = (vector[1:] != vector[:-1]) | is_live[1:]
+        is_live |= is_last & (self.plan.buffers[buffer, KEEPS_LAST] == 1)
+        return vector[is_live], place[is_live]
+
+    def _rebuild(self, vector: Integers, ends: Integers, rows: Integers) -> None:
+        """Make the vectors anew of (vector, end, row); those without rows are gone."""
+        # Each buffer may get another vector with the next row.
+        buffers = len(self.plan.buffers)
+        kept, number, counts = np.unique(vector, return_inverse=True, return_counts=True)
+        places = counts + counts // 2 + 1
+        base = np.cumsum(places) - places
+        vectors = np.zeros(
+            (_grown(len(kept) + buffers, len(self.vectors)), self._vector_width), np.int64
+        )
+        vectors[: len(kept)] = self.vectors[kept]
+        vectors[: len(kept), BASE] = base
+        vectors[: len(kept), FIRST] = 0
+        vectors[: len(kept), STOP] = counts
+        vectors[: len(kept), PLACES] = places
+        pool = int(places.sum())
+        first = np.cumsum(counts) - counts
+        at = np.arange(len(rows)) - first[number] + base[number]
+        size = _grown(pool + 2 * buffers, len(self.ends))
+        self.ends, self.rows = np.zeros(size, np.int64), np.zeros(size, np.int64)
+        self.ends[at], self.rows[at] = ends, rows
+        self.vectors = vectors
+        self.heads = np.zeros(2 * len(vectors), np.int64)
+        self.marks[VECTORS], self.marks[POOL] = len(kept), pool
+        (_rehash if JIT else _rehash.py_func)(self.plan.buffers, vectors, self.heads, self.marks)
+
+
+def _grown(used: int, capacity: int) -> int:
+    """A capacity of which at most half is used; less than before where an eighth is."""
+    while 2 * used >= capacity:
+        capacity *= 2
+    while capacity > SMALLEST and 8 * used < capacity:
+        capacity //= 2
+    return capacity
+
+
+# -- in the compiled loops -------------------------------------------------------------------
+
+
+def hashed(buffer: int, keys: int, record: Any, first: int) -> Any:
+    """A 31-bit hash of a buffer and the keys that begin at a place of a record."""
+    mixed = buffer + 1
+    for i in range(keys):
+        mixed = mix(mixed, record[first + i])
+    return mixed
+
+
+def mix(mixed: Any, key: Any) -> Any:
+    """Add a key to a hash of 31 bits. No product exceeds 63 bits."""
+    folded = (key ^ (key >> 31)) & 0x7FFFFFFF
+    return (((mixed ^ folded) * 2654435769) >> 17) & 0x7FFFFFFF
+
+
+def vector_of(
+    buffer: int, keys: int, wanted: Any, mixed: int, vectors: Any, heads: Any
+) -> tuple[Any, Any]:
+    """The place in ``heads`` and the number of the vector with these keys, or -1."""
+    place = mixed & (heads.shape[0] - 1)
+    while heads[place] != 0:
+        v = heads[place] - 1
+        if vectors[v, BUFFER] == buffer:
+            is_same = True
+            for i in range(keys):
+                if vectors[v, VECTOR_KEYS + i] != wanted[i]:
+                    is_same = False
+                    break
+            if is_same:
+                return place, v
+        place = (place + 1) & (heads.shape[0] - 1)
+    return place, -1
+
+
+def first_at_least(ends: Any, low: int, high: int, time: int) -> Any:
+    """The first place in ``low .. high - 1`` with an end at ``time`` or after, or ``high``."""
+    while high - low > 8:
+        middle = (low + high) >> 1
+        if ends[middle] < time:
+            low = middle + 1
+        else:
+            high = middle
+    while low < high and ends[low] < time:
+        low += 1
+    return low
+
+
+def has_room(v: int, dead: int, most: int, vectors: Any, ends: Any, rows: Any, marks: Any) -> Any:
+    """Make room for one more row in a vector, whose rows before ``dead`` may go, except the last of
+    them. 1: there is; 0: the pool is full; -1: the vector has ``most`` live rows."""
+    if vectors[v, STOP] < vectors[v, PLACES] and vectors[v, STOP] - vectors[v, FIRST] < most:
+        return 1
+    first, stop, base = vectors[v, FIRST], vectors[v, STOP], vectors[v, BASE]
+    while first + 1 < stop and ends[base + first + 1] < dead:
+        first += 1
+    vectors[v, FIRST] = first
+    live = stop - first
+    if live >= most:
+        return -1
+    if stop < vectors[v, PLACES]:
+        return 1
+    to = base
+    if vectors[v, PLACES] == 0 or live * 2 > vectors[v, PLACES]:
+        places = max(2, 2 * live)
+        if marks[POOL] + places > ends.shape[0]:
+            return 0
+        to = marks[POOL]
+        marks[POOL] += places
+        vectors[v, PLACES] = places
+    for i in range(live):
+        ends[to + i] = ends[base + first + i]
+        rows[to + i] = rows[base + first + i]
+    vectors[v, BASE], vectors[v, FIRST], vectors[v, STOP] = to, 0, live
+    return 1
+
+
+def insert(v: int, end: int, row: int, vectors: Any, ends: Any, rows: Any) -> None:
+    """Put a row into a vector that has room, after those of the same end."""
+    at = vectors[v, BASE] + vectors[v, STOP]
+    least = vectors[v, BASE] + vectors[v, FIRST]
+    while at > least and ends[at - 1] > end:
+        ends[at], rows[at] = ends[at - 1], rows[at - 1]
+        at -= 1
+    ends[at], rows[at] = end, row
+    vectors[v, STOP] += 1
+
+
+def remove(v: int, row: int, vectors: Any, ends: Any, rows: Any) -> None:
+    """Take a row out of a vector that has it."""
+    stop = vectors[v, BASE] + vectors[v, STOP]
+    at = stop - 1
+    while rows[at] != row:
+        at -= 1
+    while at + 1 < stop:
+        ends[at], rows[at] = ends[at + 1], rows[at + 1]
+        at += 1
+    vectors[v, STOP] -= 1
+
+
+def put(
+    row: int,
+    mask: int,
+    most: int,
+    dead: Any,
+    found: Any,
+    keys: Any,
+    buffers: Any,
+    table: Any,
+    ends: Any,
+    rows: Any,
+    vectors: Any,
+    heads: Any,
+    marks: Any,
+) -> Any:
+    """Put a row into the buffers of its elements and probes; ``found`` gets their vectors, or less
+    than 0 where it is in none. Return the number of them, or -1 if an array is full: then the row
+    is in no buffer."""
+    for b in range(buffers.shape[0]):
+        found[b] = -1
+        count = buffers[b, KEY_COUNT]
+        is_in = (mask >> buffers[b, OF]) & 1 == 1
+        for i in range(count):
+            keys[i] = table[row, buffers[b, KEYS + i]]
+            is_in = is_in and keys[i] != NO_VALUE
+        if not is_in:
+            continue
+        place, v = vector_of(b, count, keys, hashed(b, count, keys, 0), vectors, heads)
+        if v < 0:
+            if marks[VECTORS] == vectors.shape[0]:
+                return -1
+            v = marks[VECTORS]
+            marks[VECTORS] += 1
+            heads[place] = v + 1
+            vectors[v, BASE], vectors[v, FIRST], vectors[v, STOP], vectors[v, PLACES] = 0, 0, 0, 0
+            vectors[v, BUFFER] = b
+            for i in range(count):
+                vectors[v, VECTOR_KEYS + i] = keys[i]
+        room = has_room(v, dead[b], most, vectors, ends, rows, marks)
+        if room == 0:
+            return -1
+        found[b] = v if room > 0 else CANDIDATES_FULL
+    stored = 0
+    for b in range(buffers.shape[0]):
+        if found[b] == CANDIDATES_FULL:
+            marks[CROWDED] += 1
+        elif found[b] >= 0:
+            insert(found[b], table[row, END], row, vectors, ends, rows)
+            stored += 1
+    return stored
+
+
+IN_LOOPS: Final = (mix, hashed, vector_of, first_at_least, has_room, insert, remove, put)
+"""The functions that compiled loops call."""
+
+
+def _rehash_loop(buffers: Any, vectors: Any, heads: Any, marks: Any) -> None:
+    """Find a place in empty heads for each vector."""
+    for v in range(marks[VECTORS]):
+        buffer = vectors[v, BUFFER]
+        mixed = hashed(buffer, buffers[buffer, KEY_COUNT], vectors[v], VECTOR_KEYS)
+        place = mixed & (heads.shape[0] - 1)
+        while heads[place] != 0:
+            place = (place + 1) & (heads.shape[0] - 1)
+        heads[place] = v + 1
+
+
+def _rehash_signature() -> Any:
+    from numba import types
+    from numba.extending import register_jitable
+
+    for function in IN_LOOPS:
+        register_jitable(function)
+    table = types.int64[:, ::1]
+    return types.void(table, table, types.int64[::1], types.int64[::1])
+
+
+_rehash = Kernel(_rehash_loop, _rehash_signature)
