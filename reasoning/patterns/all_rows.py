@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...streams.time import TIME_MAX, TIME_MIN, format_duration
 from .conditions import COLUMNS, END, NUMBER, START
-from .join_loop import ask, join
+from .join_loop import ask, join, scratch
 from .network import minimal_network
 from .outputs import output_columns
 from .packing import kind_codes, pack
@@ -41,9 +41,9 @@ from .store import (
 from .waiting import Waiting
 
 Integers = NDArray[np.int64]
-_CHUNK: Final = 4096
+_CHUNK: Final = 2048
 """Rows taken at a time: then what the watermark has passed is dropped."""
-_OUT: Final = 1 << 14
+_OUT: Final = 1 << 16
 """Matches made at a time, unless one row makes more."""
 
 
@@ -123,9 +123,9 @@ class AllRows:
         self._settings = np.array(settings, np.int64)
         self._store = Store(packed, capacity, limits.rows)
         self._waiting = Waiting(count)
-        made = min(_OUT, 256 * capacity)
-        self._out = np.zeros((made, count), np.int64)
-        self._due = np.zeros(made, np.int64)
+        self._out = np.zeros((capacity, count), np.int64)
+        self._due = np.zeros(capacity, np.int64)
+        self._scratch = scratch(packed.buffers)
         self._rows = self._unawaited = 0
         self._next_try = TIME_MIN
 
@@ -224,21 +224,22 @@ class AllRows:
     def _taken(self, rows: Rows) -> Matches:
         batch, kind = self._records(rows)
         self._rows += len(rows)
-        marks = self._store.marks
-        if marks[IS_FULL] and marks[WATERMARK] >= self._next_try:
+        if self._store.marks[IS_FULL] and self._store.marks[WATERMARK] >= self._next_try:
             self._compact()
+        marks = self._store.marks
         parts = []
         done = 0
         while (reached := self._join(batch, kind, done)) < len(rows):
-            is_out_full = bool(self._store.marks[IS_OUT_FULL])
-            if is_out_full and not self._store.marks[OUT]:
-                self._out = np.zeros((2 * len(self._out), self._out.shape[1]), np.int64)
-                self._due = np.zeros(len(self._out), np.int64)
-            else:
-                parts.append(self._decided())
-            if not is_out_full:
-                self._compact()
             done = reached
+            if not marks[IS_OUT_FULL]:
+                self._compact()
+                continue
+            if marks[OUT] and len(self._out) >= _OUT:
+                parts.append(self._decided())
+                continue
+            out, due = self._out, self._due
+            self._out = np.concatenate([out, np.zeros_like(out)])
+            self._due = np.concatenate([due, np.zeros_like(due)])
         parts.append(self._decided())
         return concatenated(parts)
 
@@ -292,11 +293,13 @@ class AllRows:
             store.marks,
             self._out,
             self._due,
+            *self._scratch,
         )
 
     def _compact(self) -> None:
         """Drop what is of no use any more, and make room."""
-        self._store.compact(self._waiting.rows)
+        made = self._out[: int(self._store.marks[OUT])]
+        self._store.compact(self._waiting.rows, made)
         self._next_try = int(self._store.marks[WATERMARK]) + self._network.span // 8
 
     def _decided(self) -> Matches:
@@ -307,7 +310,7 @@ class AllRows:
         rows, due = self._out[: int(marks[OUT])], self._due[: int(marks[OUT])]
         watermark = int(marks[WATERMARK])
         marks[OUT], marks[DECIDED] = 0, watermark
-        decided = store.table[:, END][rows].max(axis=1)
+        decided = self._ends(rows)
         if self.plan.probes and len(rows):
             is_open = due > decided
             self._wait(rows[is_open], due[is_open])
@@ -321,7 +324,18 @@ class AllRows:
             order = np.argsort(decided, kind="stable")
             rows, decided = np.concatenate([late_rows, rows])[order], decided[order]
         outputs = output_columns(self.plan, self._packed.columns, store.table, rows)
-        return Matches(store.table[:, NUMBER][rows], decided, outputs)
+        numbers = store.table[: int(marks[ROWS]), NUMBER].copy()
+        return Matches(numbers.take(rows), decided, outputs)
+
+    def _ends(self, rows: Integers) -> Integers:
+        """The latest end in each match."""
+        ends = self._store.table[:, END]
+        if len(self._packed.triggers) == 1 and self._is_ordered:
+            return ends[rows[:, self._packed.triggers[0]]]
+        found = ends[rows[:, 0]]
+        for element in range(1, rows.shape[1]):
+            np.maximum(found, ends[rows[:, element]], out=found)
+        return found
 
     def _wait(self, rows: Integers, due: Integers) -> None:
         room = max(0, self._limits.waiting - len(self._waiting))
@@ -353,6 +367,7 @@ class AllRows:
             store.vectors,
             store.heads,
             hold,
+            *self._scratch,
         )
         return rows[hold], due[hold]
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .plan import (
+    MOST_ELEMENTS,
     NO_VALUE,
     OPERATORS,
     OWN,
@@ -282,7 +283,7 @@ def holds(
             top += 1
         elif do <= PUSH_LATEST:
             is_first = True
-            for e in range(bound.shape[0]):
+            for e in range(MOST_ELEMENTS + 1):
                 if (code[at, 1] >> e) & 1:
                     time = table[bound[e], START if do == PUSH_EARLIEST else END]
                     is_better = (

@@ -4,6 +4,9 @@ A row that may be the last of a match is bound to its element. Then the other el
 the plan's order, depth first: the minimal network gives the window of ends, a vector of `store` the
 rows in it. Where nothing is left to ask, all rows of the window are matches.
 
+numba's cache knows this file only: after a change of the compiled functions in `store` or
+`conditions`, change the time of this file, too (``touch``).
+
 The loop stops before a row when an array is full and continues there when it is called again: of a
 row either all matches are made or none.
 """
@@ -13,6 +16,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...streams.jit import JIT, Kernel
 from ...streams.time import TIME_MAX, TIME_MIN
@@ -239,23 +243,17 @@ def _join_loop(
     # The matches: the places of their rows, and from when on no later row changes them.
     out: Any,
     due: Any,
+    # From `scratch`.
+    words: Any,
+    numbers: Any,
 ) -> Any:
     """Take rows from ``begin`` on; return the row before which an array was full, or their number.
     ``due`` is only written where there are probes."""
     n = settings[COUNT]
     has_intervals, is_distinct = settings[HAS_INTERVALS] != 0, settings[IS_DISTINCT] != 0
     probe_count, width = probes.shape[0], table.shape[1]
-    scratch = np.empty(5 * (n + 1) + 3 * buffers.shape[0] + buffers.shape[1], np.int64)
-    bound, at, stop, high = (
-        scratch[: n + 1],
-        scratch[n + 1 :],
-        scratch[2 * n + 2 :],
-        scratch[3 * n + 3 :],
-    )
-    found = scratch[4 * n + 4 :]
-    dead = scratch[4 * n + 4 + buffers.shape[0] :]
-    keys = scratch[4 * n + 4 + 2 * buffers.shape[0] :]
-    integers, numbers = np.empty(STACK, np.int64), np.empty(STACK, np.float64)
+    bound, at, stop, high = words[0], words[1], words[2], words[3]
+    found, dead, keys, integers = words[4], words[5], words[6], words[7]
     for b in range(buffers.shape[0]):
         dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
     for i in range(begin, batch.shape[0]):
@@ -511,11 +509,12 @@ def _answers_loop(
     vectors: Any,
     heads: Any,
     hold: Any,
+    words: Any,
+    numbers: Any,
 ) -> None:
     """Ask all probes of matches whose probes can be answered."""
     n = matches.shape[1]
-    bound, keys = np.empty(n + 1, np.int64), np.empty(buffers.shape[1], np.int64)
-    integers, numbers = np.empty(STACK, np.int64), np.empty(STACK, np.float64)
+    bound, keys, integers = words[0], words[6], words[7]
     for m in range(matches.shape[0]):
         for x in range(n):
             bound[x] = matches[m, x]
@@ -551,18 +550,26 @@ def _join_signature() -> Any:
     plan = (row, row, row, row, table, table, table, table, table)
     conditions = (table, floats, table, numbers)
     store = (table, floats, row, row, table, row, row)
-    return types.int64(table, row, types.int64, *plan, *conditions, *store, table, row)
+    return types.int64(
+        table, row, types.int64, *plan, *conditions, *store, table, row, table, numbers
+    )
 
 
 def _answers_signature() -> Any:
     types, row, table, floats, numbers = _types()
     conditions = (table, floats, table, numbers)
     store = (table, floats, row, row, table, row)
-    return types.void(table, table, table, *conditions, *store, types.boolean[::1])
+    return types.void(table, table, table, *conditions, *store, types.boolean[::1], table, numbers)
 
 
-_join = Kernel(_join_loop, _join_signature)
-_answers = Kernel(_answers_loop, _answers_signature)
+_join = Kernel(_join_loop, _join_signature, allocates=False)
+_answers = Kernel(_answers_loop, _answers_signature, allocates=False)
+
+
+def scratch(buffers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The last two arguments of `join` and `ask`, for a plan with these buffers."""
+    size = max(STACK, MOST_ELEMENTS + 1, *buffers.shape)
+    return np.zeros((8, size), np.int64), np.zeros(STACK, np.float64)
 
 
 def join(*arguments: Any) -> int:

@@ -73,7 +73,7 @@ class Store:
 
     @property
     def _vector_width(self) -> int:
-        return VECTOR_KEYS + max(0, self.plan.buffers.shape[1] - KEYS)
+        return VECTOR_KEYS + int(self.plan.buffers.shape[1]) - KEYS
 
     @property
     def size(self) -> int:
@@ -90,64 +90,27 @@ class Store:
     def compact(self, *roots: Integers) -> None:
         """Keep only what is live: rows in a buffer that may still be joined, and those at the
         places in ``roots``, which are renumbered. Then there is room in each array."""
-        vector, place = self._live()
-        used = int(self.marks[ROWS])
-        is_live = np.zeros(used, np.bool_)
-        is_live[self.rows[place]] = True
+        marks, buffers = self.marks, self.plan.buffers
+        moved = np.zeros(int(marks[ROWS]), np.int64)
+        sizes = np.zeros(2, np.int64)
+        store = buffers, self.ends, self.rows, self.vectors, marks
+        _run(_mark, self.dead(), *store, moved, sizes)
         for root in roots:
-            is_live[root] = True
-        moved = np.cumsum(is_live) - 1
-        live = int(np.count_nonzero(is_live))
-        table = np.zeros((_grown(live, len(self.table)), self.plan.width), np.int64)
-        np.compress(is_live, self.table[:used], axis=0, out=table[:live])
-        self._rebuild(vector, self.ends[place], moved[self.rows[place]])
+            moved[root] = 1
+        live = int(np.count_nonzero(moved))
+        vectors, pool = sizes.tolist()
+        # Each buffer may get another vector with the next row.
+        kept = _grown(vectors + len(buffers), len(self.vectors))
+        table = np.empty((_grown(live, len(self.table)), self.plan.width), np.int64)
+        places = np.empty((2, _grown(pool + 2 * len(buffers), len(self.ends))), np.int64)
+        new = np.empty((kept, self._vector_width), np.int64)
+        heads = np.zeros(2 * kept, np.int64)
+        _run(_copy, self.table, *store, moved, table, *places, new, heads)
         for root in roots:
             root[...] = moved[root]
-        self.table = table
-        self.marks[ROWS] = live
-        self.marks[IS_FULL] = live >= self.most_rows
-
-    def _live(self) -> tuple[Integers, Integers]:
-        """The vector and place in the pool of each row that may still be joined."""
-        used = self.vectors[: int(self.marks[VECTORS])]
-        counts = used[:, STOP] - used[:, FIRST]
-        vector = np.repeat(np.arange(len(used)), counts)
-        first = np.cumsum(counts) - counts
-        place = np.arange(len(vector)) - first[vector] + (used[:, BASE] + used[:, FIRST])[vector]
-        buffer = used[vector, BUFFER]
-        dead = self.dead()[buffer]
-        is_live = self.ends[place] >= dead
-        # The state at the time of death is the last row before it.
-        is_last = np.ones(len(place), np.bool_)
-        is_last[:-1] = (vector[1:] != vector[:-1]) | is_live[1:]
-        is_live |= is_last & (self.plan.buffers[buffer, KEEPS_LAST] == 1)
-        return vector[is_live], place[is_live]
-
-    def _rebuild(self, vector: Integers, ends: Integers, rows: Integers) -> None:
-        """Make the vectors anew of (vector, end, row); those without rows are gone."""
-        # Each buffer may get another vector with the next row.
-        buffers = len(self.plan.buffers)
-        kept, number, counts = np.unique(vector, return_inverse=True, return_counts=True)
-        places = counts + counts // 2 + 1
-        base = np.cumsum(places) - places
-        vectors = np.zeros(
-            (_grown(len(kept) + buffers, len(self.vectors)), self._vector_width), np.int64
-        )
-        vectors[: len(kept)] = self.vectors[kept]
-        vectors[: len(kept), BASE] = base
-        vectors[: len(kept), FIRST] = 0
-        vectors[: len(kept), STOP] = counts
-        vectors[: len(kept), PLACES] = places
-        pool = int(places.sum())
-        first = np.cumsum(counts) - counts
-        at = np.arange(len(rows)) - first[number] + base[number]
-        size = _grown(pool + 2 * buffers, len(self.ends))
-        self.ends, self.rows = np.zeros(size, np.int64), np.zeros(size, np.int64)
-        self.ends[at], self.rows[at] = ends, rows
-        self.vectors = vectors
-        self.heads = np.zeros(2 * len(vectors), np.int64)
-        self.marks[VECTORS], self.marks[POOL] = len(kept), pool
-        (_rehash if JIT else _rehash.py_func)(self.plan.buffers, vectors, self.heads, self.marks)
+        self.table, self.vectors, self.heads = table, new, heads
+        self.ends, self.rows = places
+        marks[IS_FULL] = live >= self.most_rows
 
 
 def _grown(used: int, capacity: int) -> int:
@@ -316,25 +279,106 @@ IN_LOOPS: Final = (mix, hashed, vector_of, first_at_least, has_room, insert, rem
 """The functions that compiled loops call."""
 
 
-def _rehash_loop(buffers: Any, vectors: Any, heads: Any, marks: Any) -> None:
-    """Find a place in empty heads for each vector."""
+def _mark_loop(
+    dead: Any,
+    buffers: Any,
+    ends: Any,
+    rows: Any,
+    vectors: Any,
+    marks: Any,
+    is_live: Any,
+    sizes: Any,
+) -> None:
+    """Drop what is dead at the front of each vector, and mark the rows that stay; ``sizes``: the
+    vectors that are left, and the places that they need."""
     for v in range(marks[VECTORS]):
+        first, stop, base = vectors[v, FIRST], vectors[v, STOP], vectors[v, BASE]
+        until = dead[vectors[v, BUFFER]]
+        # The state at the time of death is the last row before it.
+        keeps = buffers[vectors[v, BUFFER], KEEPS_LAST]
+        while first + keeps < stop and ends[base + first + keeps] < until:
+            first += 1
+        vectors[v, FIRST] = first
+        for at in range(base + first, base + stop):
+            is_live[rows[at]] = 1
+        if first < stop:
+            sizes[0] += 1
+            sizes[1] += stop - first + (stop - first) // 2 + 1
+
+
+def _copy_loop(
+    table: Any,
+    buffers: Any,
+    ends: Any,
+    rows: Any,
+    vectors: Any,
+    marks: Any,
+    moved: Any,
+    new_table: Any,
+    new_ends: Any,
+    new_rows: Any,
+    new_vectors: Any,
+    heads: Any,
+) -> None:
+    """Copy the rows that are marked in ``moved``, which gets their new places, and the vectors."""
+    used = 0
+    for row in range(marks[ROWS]):
+        if moved[row]:
+            for word in range(table.shape[1]):
+                new_table[used, word] = table[row, word]
+            moved[row] = used
+            used += 1
+    marks[ROWS] = used
+    used, pool = 0, 0
+    for v in range(marks[VECTORS]):
+        first, stop, base = vectors[v, FIRST], vectors[v, STOP], vectors[v, BASE]
+        size = stop - first
+        if size == 0:
+            continue
+        for at in range(size):
+            new_ends[pool + at] = ends[base + first + at]
+            new_rows[pool + at] = moved[rows[base + first + at]]
+        for word in range(vectors.shape[1]):
+            new_vectors[used, word] = vectors[v, word]
+        new_vectors[used, BASE], new_vectors[used, FIRST] = pool, 0
+        new_vectors[used, STOP], new_vectors[used, PLACES] = size, size + size // 2 + 1
+        pool += size + size // 2 + 1
         buffer = vectors[v, BUFFER]
-        mixed = hashed(buffer, buffers[buffer, KEY_COUNT], vectors[v], VECTOR_KEYS)
-        place = mixed & (heads.shape[0] - 1)
+        place = hashed(buffer, buffers[buffer, KEY_COUNT], vectors[v], VECTOR_KEYS)
+        place &= heads.shape[0] - 1
         while heads[place] != 0:
             place = (place + 1) & (heads.shape[0] - 1)
-        heads[place] = v + 1
+        used += 1
+        heads[place] = used
+    marks[VECTORS], marks[POOL] = used, pool
 
 
-def _rehash_signature() -> Any:
+def _types() -> tuple[Any, Any]:
     from numba import types
     from numba.extending import register_jitable
 
     for function in IN_LOOPS:
         register_jitable(function)
-    table = types.int64[:, ::1]
-    return types.void(table, table, types.int64[::1], types.int64[::1])
+    return types.int64[::1], types.int64[:, ::1]
 
 
-_rehash = Kernel(_rehash_loop, _rehash_signature)
+def _mark_signature() -> Any:
+    from numba import types
+
+    row, table = _types()
+    return types.void(row, table, row, row, table, row, row, row)
+
+
+def _copy_signature() -> Any:
+    from numba import types
+
+    row, table = _types()
+    return types.void(table, table, row, row, table, row, row, table, row, row, table, row)
+
+
+def _run(kernel: Kernel, *arguments: Any) -> None:
+    (kernel if JIT else kernel.py_func)(*arguments)
+
+
+_mark = Kernel(_mark_loop, _mark_signature, allocates=False)
+_copy = Kernel(_copy_loop, _copy_signature, allocates=False)
