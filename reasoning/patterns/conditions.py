@@ -28,6 +28,7 @@ from .plan import (
     Condition,
     Constant,
     Expression,
+    Key,
     PatternPlan,
     PlanError,
     Time,
@@ -196,6 +197,8 @@ class ConditionPacker:
                         self._emit(TO_FLOAT)
                 self._emit(_INTEGER_CODES[operator] if is_integer else _CODES[operator])
                 return depth
+            case Key():
+                raise PlanError(f"{expression.text} has no number yet")
             case Aggregate():
                 raise PlanError("an aggregate has no place in a pattern without repetition")
             case _:

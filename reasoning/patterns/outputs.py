@@ -15,6 +15,7 @@ from .plan import (
     ColumnType,
     Constant,
     Expression,
+    Key,
     Listed,
     Output,
     PatternPlan,
@@ -72,6 +73,8 @@ class _Reader:
                 if self._plan.is_integer(expression):
                     return _of_integers(operator, a, b)
                 return _of_numbers(operator, _as_numbers(a), _as_numbers(b))
+            case Key():
+                raise PlanError(f"{expression.text} has no number yet")
             case Aggregate():
                 raise PlanError("an aggregate has no place in a pattern without repetition")
             case _:

@@ -108,6 +108,13 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
+class Key:
+    """An object or a text, before it has its number (`query.with_numbers`)."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Arithmetic:
     """``left + right``; the operator is one of ``+ - * / %``. It is computed in 64-bit integers if
     both sides are integers and the operator is ``+ - *``, else in floats. A division by 0 is
@@ -130,7 +137,7 @@ class Aggregate:
     is_before: bool = False
 
 
-Expression: TypeAlias = Value | Time | Constant | Arithmetic | Aggregate
+Expression: TypeAlias = Value | Time | Constant | Key | Arithmetic | Aggregate
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,6 +322,8 @@ class PatternPlan:
                 return True
             case Constant(value):
                 return isinstance(value, int)
+            case Key():
+                return True
             case Arithmetic(operator, left, right):
                 return operator in "+-*" and self.is_integer(left) and self.is_integer(right)
             case Aggregate(function, _, column):
@@ -330,7 +339,7 @@ class PatternPlan:
         return tuple(dict.fromkeys(kind for each in read for kind in each.kinds))
 
 
-def leaves_of(expression: Expression) -> Iterator[Value | Time | Constant | Aggregate]:
+def leaves_of(expression: Expression) -> Iterator[Value | Time | Constant | Key | Aggregate]:
     """The parts of an expression that are no calculations, from left to right."""
     if isinstance(expression, Arithmetic):
         yield from leaves_of(expression.left)
@@ -348,7 +357,7 @@ def elements_of(condition: Condition) -> frozenset[int]:
                 found.add(element)
             case Time(elements):
                 found.update(elements)
-            case Constant():
+            case Constant() | Key():
                 pass
             case _:
                 assert_never(leaf)
@@ -451,7 +460,7 @@ def _check_expression(plan: PatternPlan, expression: Expression, known: range) -
         case Time(elements):
             for element in elements:
                 _check_element(plan, element, known)
-        case Constant():
+        case Constant() | Key():
             pass
         case _:
             assert_never(expression)

@@ -18,6 +18,7 @@ from .plan import (
     CountProbe,
     Element,
     Expression,
+    Key,
     Listed,
     PatternPlan,
     Point,
@@ -135,6 +136,8 @@ class _Names:
                 return f"{'start' if is_start else 'end'}({', '.join(map(self.of, elements))})"
             case Constant(value):
                 return str(value)
+            case Key(text):
+                return text if text.startswith("<") else f'{text}"'
             case Arithmetic(operator, left, right):
                 return f"({self.expression(left)} {operator} {self.expression(right)})"
             case Aggregate(function, element, column, is_before):

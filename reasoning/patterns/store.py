@@ -46,8 +46,8 @@ class Store:
 
     Law: a row that a match may still use is found until then, in order of end and arrival. Cost:
     O(1) hashing and O(log n) comparisons a look-up; compaction is O(live), once in half as many
-    rows. Memory: 8 bytes a word of a live row and 16 bytes a candidate, both 1.5 to 2.3 times; while
-    it compacts, twice that.
+    rows. Memory: 8 bytes a word of a live row and 16 bytes a candidate, both 1.5 to 2.3 times;
+    while it compacts, twice that.
     """
 
     plan: PackedPlan

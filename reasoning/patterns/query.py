@@ -1,0 +1,167 @@
+"""A pattern as a continuous query: what its rows are, and what becomes of its matches (SPEC §8).
+
+The three languages compile to a `PatternQuery`. An evaluator needs streams for its sources, which
+matching finds, and turns their samples into `rows.Rows`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+from ...languages.mtl.checked import Kind
+from .plan import ColumnType, Constant, Key, PatternPlan
+
+START, END = "start", "end"
+"""Outputs that every plan has: the times (ns) at which a match starts and ends."""
+
+
+class Part(StrEnum):
+    """The part of a sample that a column of the rows has."""
+
+    OBJECT = "object"
+    """The object of an argument of the feature."""
+    VALUE = "value"
+    """The value of the feature, in the unit of the ontology."""
+    BEFORE = "value before"
+    """The value of the sample before, of the same objects; none for the first one."""
+    FIELD = "field"
+    """A field of the stream, by its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceColumn:
+    """A ``column`` of the plan, and what fills it. ``argument``: which object (from 0), for
+    `Part.OBJECT`; ``field``: its name, for `Part.FIELD`."""
+
+    column: str
+    part: Part
+    argument: int = 0
+    field: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """Whose samples a source has: those of one ``object`` (an IRI), or of all objects of a ``sort``
+    (an IRI). With both, the object is taken to belong to the sort."""
+
+    sort: str | None = None
+    object: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The samples that are rows of one ``kind``.
+
+    ``concept``: the IRI of a feature, of an event or of a sort; of a sort they are the samples of
+    all streams that tell something of its objects. ``arguments``: the objects of the feature, at
+    least the first one. A sample without a value is no row.
+    """
+
+    kind: str
+    concept: str
+    arguments: tuple[Argument, ...]
+    columns: tuple[SourceColumn, ...]
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether the value before is read."""
+        return any(each.part is Part.BEFORE for each in self.columns)
+
+
+Kinds: TypeAlias = Mapping[tuple[str, str], Kind]
+"""The kind of the values in a field, by the kind of the rows and the name of the field: known once
+matching has found the streams."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A field of the results: the output of the plans with that ``name``, of ``kind``. Where it is
+    an object of a `Source`, ``argument`` tells of which."""
+
+    name: str
+    kind: Kind
+    argument: Argument | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PatternQuery:
+    """A compiled pattern. ``name`` is empty if the text gives none.
+
+    Its results have the fields ``start``, ``end`` and ``results``. ``valid``: the output that is
+    the valid time (ns) of a result. A column of numbers has values of `Kind.NUMBER`, one of
+    integers truths (0 or 1) or times (ns), one of keys texts or IRIs, by `Keys`; a `Key`
+    of the plans has such a text.
+    """
+
+    name: str
+    sources: tuple[Source, ...]
+    plans: tuple[PatternPlan, ...]
+    results: tuple[Result, ...]
+    valid: str = END
+
+
+def column_type(kind: Kind) -> ColumnType:
+    """The type of a column with values of a kind."""
+    match kind:
+        case Kind.NUMBER:
+            return ColumnType.NUMBER
+        case Kind.TRUTH | Kind.TIME:
+            return ColumnType.INTEGER
+        case Kind.TEXT | Kind.OBJECT:
+            return ColumnType.KEY
+
+
+class Keys:
+    """Numbers for objects and texts. ``key`` of an object is its IRI in angle brackets, of a text
+    the text after a double quote. Memory: an entry for each."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+        self._keys: list[str] = []
+
+    def number(self, key: str) -> int:
+        """Return the number of a key; a new one gets the next."""
+        number = self._numbers.setdefault(key, len(self._keys))
+        if number == len(self._keys):
+            self._keys.append(key)
+        return number
+
+    def key(self, number: int) -> str:
+        """Return the key with this number."""
+        return self._keys[number]
+
+
+def object_key(iri: str) -> str:
+    """Return the key of an object."""
+    return f"<{iri}>"
+
+
+def text_key(text: str) -> str:
+    """Return the key of a text."""
+    return f'"{text}'
+
+
+def with_numbers(plan: PatternPlan, keys: Keys) -> PatternPlan:
+    """Return the plan with the numbers of `Key`s: evaluators need that."""
+    changed: PatternPlan = _with_numbers(plan, keys)
+    return changed
+
+
+def _with_numbers(node: Any, keys: Keys) -> Any:
+    if isinstance(node, Key):
+        return Constant(keys.number(node.text))
+    if isinstance(node, tuple):
+        return tuple(_with_numbers(each, keys) for each in node)
+    if not dataclasses.is_dataclass(node):
+        return node
+    fields = {each.name: getattr(node, each.name) for each in dataclasses.fields(node)}
+    changed = {
+        name: new
+        for name, old in fields.items()
+        if (new := _with_numbers(old, keys)) is not old and new != old
+    }
+    return replace(node, **changed) if changed else node  # type: ignore[type-var]
