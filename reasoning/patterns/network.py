@@ -176,7 +176,8 @@ def minimal_network(plan: PatternPlan) -> Network:
     """The first variable on the way of least weight from a to b."""
     for a, b, weight in _constraints(plan):
         greatest[a][b] = min(greatest[a][b], weight)
-    if bad := next((a for a in range(size) if greatest[a][a] < 0), None):
+    bad = next((a for a in range(size) if greatest[a][a] < 0), None)
+    if bad is not None:
         raise _contradiction(plan, [bad])
     for k in range(size):
         through = greatest[k]
