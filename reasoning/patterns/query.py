@@ -34,11 +34,13 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SourceColumn:
-    """A ``column`` of the plan, and what fills it. ``argument``: which object (from 0), for
-    `Part.OBJECT`; ``field``: its name, for `Part.FIELD`."""
+    """A ``column`` of the plan, and what fills it. ``kind``: of its values (None: that of the
+    stream's field); ``argument``: which object (from 0), for `Part.OBJECT`; ``field``: its name,
+    for `Part.FIELD`."""
 
     column: str
     part: Part
+    kind: Kind | None = None
     argument: int = 0
     field: str = ""
 
@@ -58,7 +60,9 @@ class Source:
 
     ``concept``: the IRI of a feature, of an event or of a sort; of a sort they are the samples of
     all streams that tell something of its objects. ``arguments``: the objects of the feature, at
-    least the first one. A sample without a value is no row.
+    least the first one. A sample without a value is no row. A sample is one row of each source
+    that it suits, so a query has one source for each concept: which objects an element means,
+    where that differs, is a condition on their column.
     """
 
     kind: str
