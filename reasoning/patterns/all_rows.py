@@ -18,9 +18,10 @@ from .conditions import COLUMNS, END, NUMBER, START
 from .join_loop import ask, join, scratch
 from .network import minimal_network
 from .outputs import output_columns
-from .packing import kind_codes, pack
+from .packing import OF, kind_codes, pack
 from .plan import NO_VALUE, ColumnType, PatternPlan
 from .printer import print_network, print_plan
+from .row_values import Row
 from .rows import Matches, Rows, concatenated
 from .store import (
     CROWDED,
@@ -183,6 +184,28 @@ class AllRows:
     def size(self) -> int:
         """The bytes of rows and candidates."""
         return self._store.size
+
+    def rows(self) -> list[list[Row]]:
+        """The rows in memory that suit each element, then each probe; of the element that always
+        comes last there are none."""
+        plan, store = self.plan, self._store
+        buffers = self._packed.buffers[:, OF].tolist()
+        found = []
+        for of in range(len(plan.elements) + len(plan.probes)):
+            places = store.places(buffers.index(of)) if of in buffers else ()
+            found.append([self._row(place) for place in places])
+        return found
+
+    def _row(self, place: int) -> Row:
+        record = self._store.table[place]
+        floats = record.view(np.float64)
+        values: dict[str, int | float | None] = {}
+        for i, (name, is_number) in enumerate(
+            zip(self._packed.columns, self._is_number, strict=True), COLUMNS
+        ):
+            value = float(floats[i]) if is_number else int(record[i])
+            values[name] = None if value == NO_VALUE or value != value else value
+        return Row(int(record[NUMBER]), int(record[START]), int(record[END]), values)
 
     def state(self) -> tuple[Any, ...]:
         """Everything that `restore` needs; it can be pickled and does not change later."""

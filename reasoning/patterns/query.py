@@ -84,11 +84,13 @@ matching has found the streams."""
 @dataclass(frozen=True, slots=True)
 class Result:
     """A field of the results: the output of the plans with that ``name``, of ``kind``. Where it is
-    an object of a `Source`, ``argument`` tells of which."""
+    an object of a `Source`, ``argument`` tells of which. ``is_list``: the output is `plan.Listed`.
+    """
 
     name: str
     kind: Kind
     argument: Argument | None = None
+    is_list: bool = False
 
 
 @dataclass(frozen=True, slots=True)
