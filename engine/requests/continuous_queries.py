@@ -268,6 +268,10 @@ class RegisteredQueries:
             plan=explanations.plan_view(self._configuration, unit),
         )
 
+    def unit(self, name: str) -> RegisteredUnit:
+        """The unit of a query. Raises `UnknownQuery`."""
+        return self._get(name).unit
+
     def latest(self, name: str) -> WindowResult:
         """The result of the last closed window. Raises `UnknownQuery` and `NoResult`."""
         running = self._get(name)

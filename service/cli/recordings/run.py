@@ -101,9 +101,9 @@ def run(
         as_json=as_json,
     )
     if is_monitor(text):
-        from .monitor_run import run_monitor
+        from .samples_run import run_over_samples
 
-        run_monitor(options)
+        run_over_samples(options, "monitor")
     else:
         from .query_run import run_query
 
