@@ -42,6 +42,7 @@ CASES = (
     Case("any A;B;C", sequence("ABC"), ANY, 3, 100, 10),
     Case("any A;B;C", sequence("ABC"), ANY, 3, 10_000, 10),
     Case("any A;~D;C", sequence("A~DC"), WITHOUT_D, 2, 100, 5),
+    Case("any A;~D", sequence("A~D"), ENDING_WITHOUT_D, 1, 100, 3),
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from esper import ANY, WITHOUT_D, Esper, NoEsper
+from esper import ANY, ENDING_WITHOUT_D, WITHOUT_D, Esper, NoEsper
 from pattern_data import ANY_MATCHES, batches, data, sequence
 from pattern_data import WITHOUT_D as MATCHES_WITHOUT_D
 
@@ -41,3 +41,10 @@ def test_negation(esper: Esper) -> None:
     theirs = esper.run(WITHOUT_D, rows, 2).rows
     assert len(theirs) == MATCHES_WITHOUT_D
     assert np.array_equal(found(sequence("A~DC"), rows), theirs)
+
+
+def test_negation_at_the_end(esper: Esper) -> None:
+    rows = data(100_000, 100)
+    theirs = esper.run(ENDING_WITHOUT_D, rows, 1).rows
+    assert len(theirs) > 1000
+    assert np.array_equal(found(sequence("A~D"), rows), theirs)

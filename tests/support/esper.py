@@ -29,7 +29,7 @@ WITHOUT_D = (
     f"(every c=C(key=a.key) and not D(key=a.key)) {WITHIN}]"
 )
 ENDING_WITHOUT_D = (
-    "select a.row as a, b.row as b from pattern [every a=A -> every b=B(key=a.key) -> "
+    "select a.row as a from pattern [every a=A -> "
     "(timer:interval(1000.5 sec) and not D(key=a.key))]"
 )
 
