@@ -21,10 +21,8 @@ from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import local_name
-from ...reasoning.mtl.evaluator import TooManyStates
-from ...reasoning.mtl.explanation import Explanation, NoStart
-from ...reasoning.states.state_maker import TooManyDue
-from ...streams.time import format_time
+from ...reasoning.mtl.explanation import Explanation
+from ...reasoning.patterns.explanation import ExplainedMatch, PartialMatches
 from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.name_resolution import checked_strategy, did_you_mean
@@ -35,7 +33,6 @@ from ..model.errors import (
     BadArguments,
     Conflict,
     NoResult,
-    Refused,
     UnknownQuery,
 )
 from ..model.status_changes import Change, ChangeKind
@@ -61,6 +58,7 @@ from ..planning.registrations import (
 )
 from ..units.monitor import MonitorUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
+from . import reasoning_answers
 from .empty_reasons import NO_WINDOW, why_empty
 
 
@@ -301,43 +299,17 @@ class RegisteredQueries:
         """The results of kept windows (`KeptWindows.between`). Raises `UnknownQuery`."""
         return self._get(name).started.kept.between(start, end, limit)
 
-    def why(self, name: str, objects: Sequence[str], start: int) -> Callable[[], Explanation]:
-        """Return the work that explains one verdict of a monitor, for another thread: see
-        `RecalledSamples.explain`. Raises `UnknownQuery` and `BadArguments`; the work raises
-        `NoResult`, `Refused` and `Forgotten`."""
-        unit = self._get(name).unit
-        if not isinstance(unit, MonitorUnit):
-            raise BadArguments(
-                f"{name!r} is a query, and only verdicts of monitors are explained",
-                f"GET /queries/{name}?explain=true shows its stages",
-            )
-        names = [f"?{parameter}" for parameter, _ in unit.monitoring.monitor.parameters]
-        if len(names) != len(objects):
-            raise BadArguments(
-                f"{len(objects)} objects are given for a monitor of {len(names)} parameters",
-                f"give `object` once for each of {', '.join(names)}" if names else "give none",
-            )
-        recalled = unit.recall()
+    def why(
+        self, name: str, objects: Sequence[str], start: int
+    ) -> Callable[[], Explanation | tuple[ExplainedMatch, ...]]:
+        """Return the work that explains a verdict or a match, for another thread: see
+        `reasoning_answers.why`. Raises `UnknownQuery`."""
+        return reasoning_answers.why(name, self._get(name).unit, objects, start)
 
-        def explain() -> Explanation:
-            try:
-                return recalled.explain(objects, start)
-            except NoStart as error:
-                around = " and ".join(map(format_time, error.near))
-                raise NoResult(
-                    f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
-                    f"there are states at {around}"
-                    if around
-                    else f"GET /streams/{name}/samples lists the verdicts that it reported",
-                ) from error
-            except (TooManyStates, TooManyDue) as error:
-                raise Refused(
-                    f"the retained samples of the streams of {name!r} make more states than an "
-                    "explanation may evaluate",
-                    "keep fewer samples of these streams (`retention`)",
-                ) from error
-
-        return explain
+    def partial(self, name: str, objects: Sequence[str], limit: int) -> PartialMatches:
+        """The partial matches of a pattern: see `reasoning_answers.partial`. Raises
+        `UnknownQuery`."""
+        return reasoning_answers.partial(name, self._get(name).unit, objects, limit)
 
     def explain_running(self, name: str) -> str:
         """Explain the stages of a running query. Raises `UnknownQuery`."""

@@ -2,54 +2,42 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from ...converters.objects import object_name
+from ...converters.objects import object_iri
 from ...languages.mtl.checked import Kind
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plan import NO_VALUE
-from ...reasoning.patterns.query import END, START, Keys, PatternQuery, Result
-from ...reasoning.patterns.recognition import Recognition, Recognized
-from ...streams.generator import StreamGenerator
-from ...streams.sample import (
-    Column,
-    Field,
-    FieldType,
-    SampleBatch,
-    Schema,
-    column_from_values,
+from ...reasoning.patterns.explanation import (
+    ExplainedMatch,
+    MatchedEvent,
+    PartialMatch,
+    PartialMatches,
+    PendingEvent,
 )
-from ...streams.time import TIME_MAX, format_time
+from ...reasoning.patterns.network import minimal_network
+from ...reasoning.patterns.partial import Partial, partial_matches
+from ...reasoning.patterns.plan import PlanError
+from ...reasoning.patterns.query import END, START, Keys, Part, PatternQuery, object_key
+from ...reasoning.patterns.recognition import SAMPLE, STREAM, Recognition, Recognized
+from ...streams.generator import StreamGenerator
+from ...streams.history import FluentStream
+from ...streams.past_queries import Forgotten
+from ...streams.sample import SampleBatch
+from ...streams.time import TIME_MAX
 from .base import ComputationalUnit
+from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
-
-_TYPES = {
-    Kind.NUMBER: FieldType.FLOAT,
-    Kind.TRUTH: FieldType.BOOLEAN,
-    Kind.TEXT: FieldType.STRING,
-    Kind.TIME: FieldType.STRING,
-    Kind.OBJECT: FieldType.STRING,
-}
-
-
-def match_schema(query: PatternQuery) -> Schema:
-    """Return the fields of a pattern's matches: the results, then the times of start and end."""
-    results = [
-        Field(each.name, FieldType.STRING if each.is_list else _TYPES[each.kind])
-        for each in query.results
-    ]
-    return Schema((*results, Field(START, FieldType.STRING), Field(END, FieldType.STRING)))
 
 
 class PatternUnit(ComputationalUnit):
     """Evaluates a pattern over its inputs; see `Recognition` for when a match is available.
-    ``newest`` returns the greatest available time (ns) of the samples in streams and upstream of
-    them; a later watermark comes from the clock.
+
+    ``lateness`` returns how far (ns) samples of a stream may be behind later ones. ``newest``
+    returns the greatest available time (ns) of the samples in streams and upstream of them; a later
+    watermark comes from the clock.
     """
 
     def __init__(
@@ -58,20 +46,24 @@ class PatternUnit(ComputationalUnit):
         query: PatternQuery,
         inputs_of_sources: Sequence[SourceInput],
         dictionary: TermDictionary,
-        keys: Keys,
         lateness: Callable[[StreamGenerator], int],
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
     ) -> None:
         super().__init__(*args)
         self._newest = newest
-        self._keys = keys
+        self._keys = Keys()
+        self._writer = MatchWriter(query, self._keys)
+        self._inputs_of_sources = tuple(inputs_of_sources)
+        self._lateness = [lateness(each) for each in self.sources]
+        self._first: dict[StreamGenerator, int] = {}
+        """The available time (ns) of the first sample read of each input."""
+        self._readers = row_readers(inputs_of_sources, dictionary, self._keys)
         self.query = query
         self.recognition = Recognition(
-            query, len(self.sources), keys, lateness=[lateness(each) for each in self.sources]
+            query, len(self.sources), self._keys, lateness=self._lateness
         )
         self.samples = self.matches = 0
         """Samples read, and matches found by now."""
-        self._readers = row_readers(inputs_of_sources, dictionary, keys)
 
     @property
     def reads(self) -> Sequence[StreamGenerator]:
@@ -81,20 +73,60 @@ class PatternUnit(ComputationalUnit):
     def explain(self) -> str:
         """Describe the evaluation: the plans, and what has been done by now."""
         run = self.recognition
+        pending = run.evaluator.pending
         return "\n".join(
             [
-                run.evaluator.explain(),
+                run.explain(),
                 f"read         {self.samples:,} samples; {run.late:,} came behind later ones, and "
                 "were left out",
-                f"matches      {self.matches:,} by now; {run.evaluator.pending:,} wait for rows "
-                "that may still come",
+                f"matches      {self.matches:,} by now; {pending:,} wait for what may still come",
                 f"in memory    {run.retained:,} rows and matches",
-                *self._losses(),
+                *(f"left out     {count:,} {what}" for what, count in run.losses().items()),
             ]
+        )
+
+    def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
+        """Return the partial matches of all these objects (as the matches name them, or IRIs).
+        Raises `PlanError` for a pattern whose partial matches are not known."""
+        evaluator = self.recognition.evaluator
+        rows = getattr(evaluator, "rows", None)
+        if rows is None or len(self.query.plans) > 1:
+            raise PlanError("partial matches are told of a single plan under skip_till_any_match")
+        (plan,) = self.recognition.plans
+        now = evaluator.watermark
+        wanted = [self._keys.find(object_key(_iri(each))) for each in objects]
+        if None in wanted:
+            return PartialMatches(now, (), more=False)
+        found = partial_matches(minimal_network(plan), rows(), now, limit, wanted)
+        names = [each.name for each in plan.elements]
+        told = tuple(self._partial(each, names) for each in found.found)
+        return PartialMatches(now, told, found.has_more)
+
+    def recall(self) -> RecalledEvents:
+        """Return the retained samples that it has read, for explanations."""
+        past, evicting = [], []
+        for place, source in enumerate(self.sources):
+            first, batch = self._first.get(source), self.past_of(source)
+            if first is None:
+                continue
+            batch = batch.take(batch.available >= first)
+            if not len(batch) or int(batch.available[0]) > first:
+                evicting.append(source.stream)
+            if len(batch):
+                past.append((place, source, batch))
+        return RecalledEvents(
+            self.query,
+            self._inputs_of_sources,
+            tuple(self._lateness),
+            tuple(past),
+            tuple(evicting),
+            self._end + 1 if self.all_ended else self.least_watermark,
+            self._end if self.all_ended else None,
         )
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self.samples += len(batch)
+        self._first.setdefault(source, int(batch.available[0]))
         place = self.sources.index(source)
         self.recognition.came(place, batch.available, batch.valid)
         for reader in self._readers[source]:
@@ -121,10 +153,14 @@ class PatternUnit(ComputationalUnit):
             return
         self.recognition.ended(self.sources.index(source), self._newest(source))
         if self.all_ended:
-            end = min(self._newest(*self.sources), TIME_MAX - 1)
-            self._advance(end + 1)
-            self._emit(self.recognition.finish(end))
+            self._advance(self._end + 1)
+            self._emit(self.recognition.finish(self._end))
         super().finish(source)
+
+    @property
+    def _end(self) -> int:
+        """The available time (ns) of the end of all inputs, whichever of them ended first."""
+        return min(self._newest(*self.sources), TIME_MAX - 1)
 
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.recognition.late
@@ -132,62 +168,120 @@ class PatternUnit(ComputationalUnit):
         # Beside the samples that were late for the unit itself.
         self.late += self.recognition.late - before
 
-    def _losses(self) -> list[str]:
-        counters = self.recognition.evaluator.counters
-        lost = {
-            "rows, beyond the limit of rows kept": counters.unstored,
-            "rows, beyond the limit of rows kept for one key": counters.crowded,
-            "rows that complete more matches than the limit": counters.cut_short,
-            "matches, beyond the limit of those that wait": counters.unawaited,
-        }
-        return [f"left out     {count:,} {what}" for what, count in lost.items() if count]
-
     def _emit(self, found: Recognized) -> None:
         if not len(found):
             return
         self.matches += len(found)
-        pools = self.output.stream.pools
-        columns = {
-            field.name: self._column(field, found, pools.get(field.name))
-            for field in self.output.schema.fields
-        }
+        columns = self._writer.columns(found, self.output.stream.pools)
         self.output.emit(SampleBatch(self.output.stamps_at(found.available), found.valid, columns))
 
-    def _column(self, field: Field, found: Recognized, pool: Any) -> Column:
-        values = found.outputs[field.name]
-        if field.name in (START, END):
-            return column_from_values(field, list(map(format_time, values.tolist())), pool)
-        result = next(each for each in self.query.results if each.name == field.name)
-        if result.is_list:
-            lists = (list(map(self._text_of(result), each.tolist())) for each in values)
-            texts = [json.dumps(each, ensure_ascii=False) for each in lists]
-            return column_from_values(field, texts, pool)
-        if field.type is FieldType.FLOAT:
-            numbers = values.astype(np.float64)
-            if values.dtype != np.float64:
-                numbers[values == NO_VALUE] = np.nan
-            return Column(field.type, numbers, np.isnan(numbers))
-        told = self._text_of(result)
-        known = {value: told(value) for value in set(values.tolist())}
-        return column_from_values(field, [known[value] for value in values.tolist()], pool)
+    def _partial(self, partial: Partial, names: Sequence[str]) -> PartialMatch:
+        kinds = self._kinds()
+        events = tuple(
+            (
+                names[element],
+                row.end,
+                {
+                    column: self._writer.value(kinds[column], value)
+                    for column, value in row.values.items()
+                    if value is not None
+                },
+            )
+            for element, row in sorted(partial.bound.items())
+        )
+        pending = tuple(
+            PendingEvent(names[each.element], each.earliest, each.latest)
+            for each in partial.pending
+        )
+        return PartialMatch(events, pending)
 
-    def _text_of(self, result: Result) -> Callable[[Any], Any]:
-        """Return what a value of an output is in a sample."""
-        match result.kind:
-            case Kind.TIME:
-                convert: Callable[[Any], Any] = format_time
-            case Kind.TRUTH:
-                convert = bool
-            case Kind.TEXT:
+    def _kinds(self) -> dict[str, Kind]:
+        """The kind of each column of the plans."""
+        columns = [column for source in self.query.sources for column in source.columns]
+        found = {
+            each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
+        }
+        return {column: kind or Kind.NUMBER for column, kind in found.items()}
 
-                def convert(number: int) -> str:
-                    return self._keys.key(number)[1:]
 
-            case Kind.OBJECT:
+@dataclass(frozen=True, slots=True, eq=False)
+class RecalledEvents:
+    """The retained samples that a pattern has read.
 
-                def convert(number: int) -> str:
-                    return object_name(self._keys.key(number)[1:-1], DYKNOW)
+    It shares nothing with the unit that changes, so another thread may explain matches. ``past``:
+    the samples of a stream, with its place and itself; ``evicting``: streams that have evicted
+    some; ``end``: the available time (ns) at which all have ended.
+    """
 
-            case Kind.NUMBER:
-                return lambda number: None if number != number else number
-        return lambda value: None if value == NO_VALUE else convert(value)
+    query: PatternQuery
+    inputs: tuple[SourceInput, ...]
+    lateness: tuple[int, ...]
+    past: tuple[tuple[int, StreamGenerator, SampleBatch], ...]
+    evicting: tuple[FluentStream, ...]
+    watermark: int | None
+    end: int | None
+
+    def explain(self, objects: Sequence[str], start: int) -> tuple[ExplainedMatch, ...]:
+        """Explain the matches of these objects (as the matches name them, or IRIs) that start at
+        ``start`` (ns), or are valid then.
+
+        Raises `Forgotten` if there is none and a stream has evicted samples. Cost: the evaluation
+        of all retained samples.
+        """
+        keys = Keys()
+        writer = MatchWriter(self.query, keys)
+        run = Recognition(
+            self.query, len(self.lateness), keys, lateness=self.lateness, keeps_places=True
+        )
+        readers = row_readers(self.inputs, TermDictionary(), keys)
+        for place, source, batch in self.past:
+            run.came(place, batch.available, batch.valid)
+            for reader in readers.get(source, ()):
+                reader.read(batch, place, run)
+        found = [] if self.watermark is None else [run.advance(self.watermark)]
+        if self.end is not None:
+            found.append(run.finish(self.end))
+        names = [each.name for each in self.query.results if each.kind is Kind.OBJECT]
+        wanted = dict(zip(names, map(_iri, objects), strict=False))
+        explained = []
+        for part in found:
+            for match in range(len(part)):
+                values = writer.values(part, match)
+                of_objects = {name: _iri(str(values[name])) for name in wanted}
+                times = int(part.outputs[START][match]), int(part.valid[match])
+                if start in times and of_objects == wanted:
+                    explained.append(self._explained(run, part, match, values))
+        if not explained and self.evicting:
+            raise Forgotten(self.evicting[0])
+        return tuple(explained)
+
+    def _explained(
+        self, run: Recognition, part: Recognized, match: int, values: dict[str, Any]
+    ) -> ExplainedMatch:
+        samples = {place: (source, batch) for place, source, batch in self.past}
+        places = run.places()
+        events = []
+        for element, row in zip(run.plans[0].elements, part.rows[match].tolist(), strict=False):
+            source, batch = samples[int(places[row, STREAM])]
+            sample = int(places[row, SAMPLE])
+            events.append(
+                MatchedEvent(
+                    element.name,
+                    source.name,
+                    int(batch.available[sample]),
+                    int(batch.valid[sample]),
+                    batch.values_at(sample),
+                )
+            )
+        return ExplainedMatch(
+            int(part.available[match]),
+            int(part.valid[match]),
+            int(part.outputs[START][match]),
+            int(part.outputs[END][match]),
+            values,
+            tuple(events),
+        )
+
+
+def _iri(name: str) -> str:
+    return object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW)

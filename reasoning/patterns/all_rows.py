@@ -171,6 +171,11 @@ class AllRows:
         )
 
     @property
+    def watermark(self) -> int:
+        """The time (ns) before which no row comes any more."""
+        return int(self._store.marks[WATERMARK])
+
+    @property
     def pending(self) -> int:
         """The number of matches that wait."""
         return len(self._waiting)

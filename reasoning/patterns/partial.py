@@ -5,14 +5,14 @@ They are not kept: they are enumerated from the rows of an evaluator when somebo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from ...streams.time import TIME_MAX, TIME_MIN
 from .network import INFINITE, Network
-from .plan import OWN, CountProbe, PatternPlan, Point, elements_of
-from .row_values import Bound, Row, are_same, holds, time_of
+from .plan import OWN, ColumnType, CountProbe, PatternPlan, Point, elements_of
+from .row_values import Bound, Number, Row, are_same, holds, time_of
 
 MOST_STEPS: Final = 100_000
 """Rows tried for one answer."""
@@ -39,6 +39,10 @@ class Partial:
         """The time (ns) of the last event."""
         return max(row.end for row in self.bound.values())
 
+    def keys(self, columns: Collection[str]) -> set[Number | None]:
+        """The keys in these columns of its rows."""
+        return {row.values.get(column) for row in self.bound.values() for column in columns}
+
 
 @dataclass(frozen=True, slots=True)
 class Partials:
@@ -53,7 +57,7 @@ def partial_matches(
     rows: Sequence[Sequence[Row]],
     now: int,
     limit: int,
-    wanted: Mapping[str, int] | None = None,
+    wanted: Collection[int | None] = (),
 ) -> Partials:
     """Return the partial matches of a plan without repetition at the watermark ``now`` (ns).
 
@@ -64,17 +68,10 @@ def partial_matches(
     Cost: exponential in the elements, at most `MOST_STEPS` rows.
     """
     search = _Search(network, rows, now)
-    found = [
-        each
-        for each in search.partials()
-        if not wanted or any(_has(row, wanted) for row in each.bound.values())
-    ]
+    columns = [each.name for each in network.plan.columns if each.type is ColumnType.KEY]
+    found = [each for each in search.partials() if each.keys(columns) >= set(wanted)]
     found.sort(key=lambda each: (-each.last, -len(each.bound)))
     return Partials(tuple(found[:limit]), len(found) > limit or search.is_over)
-
-
-def _has(row: Row, wanted: Mapping[str, int]) -> bool:
-    return all(row.values.get(column) == key for column, key in wanted.items())
 
 
 class _Search:

@@ -136,6 +136,10 @@ class Keys:
             self._keys.append(key)
         return number
 
+    def find(self, key: str) -> int | None:
+        """Return the number of a key; None if it has none."""
+        return self._numbers.get(key)
+
     def key(self, number: int) -> str:
         """Return the key with this number."""
         return self._keys[number]

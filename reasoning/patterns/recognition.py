@@ -35,16 +35,19 @@ class Evaluator(Protocol):
     def pending(self) -> int: ...
     @property
     def kept(self) -> int: ...
+    @property
+    def watermark(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognized:
     """Matches in order of available time. Shape ``(n,)``: ``available`` and ``valid`` are ns;
-    ``outputs`` are those of the plans."""
+    ``outputs`` are those of the plans. ``rows`` as in `Matches`."""
 
     available: Times
     valid: Times
     outputs: Mapping[str, NDArray[Any]]
+    rows: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.valid)
@@ -57,7 +60,8 @@ class Recognition:
     earlier one may come: until the greatest valid times of all streams have passed it by their
     ``lateness`` (ns, one a stream). A match is available when it is decided. Other plans take rows
     as they arrive, and a match is available with the last of its rows. A row behind what has been
-    reached is late in both: it is counted, and left out.
+    reached is late in both: it is counted, and left out. ``keeps_places``: `places` may be asked
+    for.
 
     Law (tests/laws/reasoning/test_recognition.py): results and their available times do not depend
     on batch cuts, nor on the order in which the streams deliver. Cost: a sort of the new rows.
@@ -71,10 +75,11 @@ class Recognition:
         *,
         lateness: Sequence[int] = (),
         limits: Limits = _LIMITS,
+        keeps_places: bool = False,
     ) -> None:
         self.query = query
         self.is_ordered = needs_order(query)
-        plans = [with_numbers(plan, keys) for plan in query.plans]
+        self.plans = plans = tuple(with_numbers(plan, keys) for plan in query.plans)
         self.evaluator = evaluator_of(plans, limits, is_ordered=self.is_ordered)
         self.late = 0
         """Rows that came too late."""
@@ -95,12 +100,35 @@ class Recognition:
         self._parts: list[_Batch] = []
         self._number = 0
         """The number of rows given to the evaluator."""
+        self._places: list[NDArray[np.int64]] | None = [] if keeps_places else None
+
+    def explain(self) -> str:
+        """Describe the plans and their evaluation."""
+        order = "in order of valid time" if self.is_ordered else "as they arrive"
+        return f"{self.evaluator.explain()}\nrows are taken {order}"
+
+    def losses(self) -> dict[str, int]:
+        """Return what was left out for a limit, and how often."""
+        counters = self.evaluator.counters
+        lost = {
+            "rows, beyond the limit of rows kept": counters.unstored,
+            "rows, beyond the limit of rows kept for one key": counters.crowded,
+            "rows that complete more matches than the limit": counters.cut_short,
+            "matches, beyond the limit of those that wait": counters.unawaited,
+        }
+        return {what: count for what, count in lost.items() if count}
 
     @property
     def retained(self) -> int:
         """The number of rows and matches in memory."""
         queued = sum(map(len, (self._new, self._waiting, *self._parts)))
         return queued + self.evaluator.kept + self.evaluator.pending
+
+    def places(self) -> NDArray[np.int64]:
+        """Return where each row came from, by the numbers of `Recognized.rows`: `STREAM`, `SAMPLE`
+        (its number there, from 0) and `KIND`; shape ``(n, 3)``. Contract: with ``keeps_places``."""
+        assert self._places is not None
+        return np.concatenate([np.empty((0, 3), np.int64), *self._places])
 
     def add(
         self,
@@ -180,12 +208,14 @@ class Recognition:
 
     def _pushed(self, batch: _Batch) -> Matches:
         self._number += len(batch)
+        if self._places is not None:
+            self._places.append(batch.place)
         return self.evaluator.push(
             Rows(self._kinds, batch.place[:, KIND].copy(), batch.start, batch.end, batch.columns)
         )
 
     def _results(self, found: Matches, available: Times) -> Recognized:
-        return Recognized(available, found.outputs[self.query.valid], found.outputs)
+        return Recognized(available, found.outputs[self.query.valid], found.outputs, found.rows)
 
 
 def needs_order(query: PatternQuery) -> bool:

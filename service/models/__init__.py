@@ -6,7 +6,8 @@ from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
-from .queries import QueryModel, WhyModel
+from .queries import QueryModel
+from .reasoning import MatchesWhyModel, PartialMatchesModel, WhyModel
 from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
@@ -64,9 +65,11 @@ __all__ = [
     "InsertionModel",
     "MatchIn",
     "MatchModel",
+    "MatchesWhyModel",
     "OneDeclarationModel",
     "OntologyModel",
     "OntologyReportModel",
+    "PartialMatchesModel",
     "PlanModel",
     "PortModel",
     "QualityIn",
