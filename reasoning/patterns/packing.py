@@ -52,8 +52,8 @@ SETTINGS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
-class PackedPlan:
-    """A plan of n elements as arrays."""
+class PackedRows:
+    """What each evaluation reads of a plan of n elements."""
 
     columns: tuple[str, ...]
     """The columns that are read, in the order of their words in a record."""
@@ -61,22 +61,28 @@ class PackedPlan:
     """For each source: the elements, and from bit n on the probes, that read it."""
     own: Integers
     """The own conditions of element or probe e are ``own[e] .. own[e + 1] - 1``."""
-    triggers: Integers
-    levels: Integers
-    """Level l of trigger g in row ``g n + l``; level 0 is the trigger."""
-    greatest: Integers
     buffers: Integers
     probes: Integers
-    hulls: Integers
-    """The elements of both sides, as bits."""
     conditions: ConditionArrays
-    is_sorted: bool
-    """Whether the join makes the matches of a row in order of the plan's elements."""
 
     @property
     def width(self) -> int:
         """The number of words in a record."""
         return COLUMNS + len(self.columns)
+
+
+@dataclass(frozen=True, slots=True)
+class PackedPlan(PackedRows):
+    """A plan of n elements as the join reads it."""
+
+    triggers: Integers
+    levels: Integers
+    """Level l of trigger g in row ``g n + l``; level 0 is the trigger."""
+    greatest: Integers
+    hulls: Integers
+    """The elements of both sides, as bits."""
+    is_sorted: bool
+    """Whether the join makes the matches of a row in order of the plan's elements."""
 
 
 def pack(plan: PatternPlan, network: Network, *, is_ordered: bool) -> PackedPlan:
@@ -124,13 +130,13 @@ class _Packer:
             self.columns,
             self._kinds(),
             own,
-            np.array(triggers, np.int64),
-            _padded(levels, LEVEL_KEYS),
-            np.array(network.greatest, np.int64).reshape(2 * count, 2 * count),
-            _padded([self._buffer_row(*each) for each in self.buffers], KEYS),
-            _padded(probes, PROBE_KEYS),
-            np.array(hulls, np.int64).reshape(-1, 2),
+            padded([self._buffer_row(*each) for each in self.buffers], KEYS),
+            padded(probes, PROBE_KEYS),
             self.conditions.arrays(),
+            np.array(triggers, np.int64),
+            padded(levels, LEVEL_KEYS),
+            np.array(network.greatest, np.int64).reshape(2 * count, 2 * count),
+            np.array(hulls, np.int64).reshape(-1, 2),
             len(triggers) == 1 and orders[0][1:] == sorted(orders[0][1:]),
         )
 
@@ -269,7 +275,7 @@ def _own(expression: Expression, element: int) -> Expression:
             return expression
 
 
-def _padded(rows: list[list[int]], least: int) -> Integers:
+def padded(rows: list[list[int]], least: int) -> Integers:
     """Rows of different lengths as an array of two dimensions and of a width of ``least``."""
     width = max([least, *(len(row) for row in rows)])
     return np.array([row + [0] * (width - len(row)) for row in rows], np.int64).reshape(-1, width)

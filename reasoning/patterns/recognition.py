@@ -4,39 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...streams.sample import Times
 from ..states.departures import Departures, Steps
-from .all_rows import AllRows, Counters, Limits
+from .all_rows import AllRows
+from .evaluator import Evaluator
+from .limits import DEFAULT_LIMITS, Limits
 from .plan import NO_VALUE, PatternPlan, Selection
 from .query import END, Keys, PatternQuery, with_numbers
 from .rows import Matches, Rows, Values, concatenated
 
-_LIMITS: Final = Limits()
 STREAM, SAMPLE, KIND = range(3)
 """Where a row comes from."""
-
-
-class Evaluator(Protocol):
-    """Finds the matches of a plan: see `AllRows`."""
-
-    def push(self, rows: Rows) -> Matches: ...
-    def advance(self, watermark: int) -> Matches: ...
-    def end(self) -> Matches: ...
-    def next_due(self) -> int | None: ...
-    def explain(self) -> str: ...
-    @property
-    def counters(self) -> Counters: ...
-    @property
-    def pending(self) -> int: ...
-    @property
-    def kept(self) -> int: ...
-    @property
-    def watermark(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +57,7 @@ class Recognition:
         keys: Keys,
         *,
         lateness: Sequence[int] = (),
-        limits: Limits = _LIMITS,
+        limits: Limits = DEFAULT_LIMITS,
         keeps_places: bool = False,
     ) -> None:
         self.query = query
@@ -115,6 +98,7 @@ class Recognition:
             "rows, beyond the limit of rows kept for one key": counters.crowded,
             "rows that complete more matches than the limit": counters.cut_short,
             "matches, beyond the limit of those that wait": counters.unawaited,
+            "matches that would have begun, beyond the limit of runs": counters.unstarted,
         }
         return {what: count for what, count in lost.items() if count}
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from pattern_definition import Match, Row, Step, Watermark, matches
 from pattern_drawing import PatternDrawing, rows_of
 
-from dyknow.reasoning.patterns.all_rows import AllRows, Limits
+from dyknow.reasoning.patterns.all_rows import AllRows
+from dyknow.reasoning.patterns.limits import Limits
 from dyknow.reasoning.patterns.network import ContradictoryTimes, UnboundedRetention
 from dyknow.reasoning.patterns.plan import NO_VALUE, PatternPlan
 from dyknow.reasoning.patterns.rows import Matches
