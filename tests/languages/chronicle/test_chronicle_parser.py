@@ -8,7 +8,6 @@ import pytest
 
 from dyknow.languages.chronicle import (
     ast,
-    format_chronicle,
     is_chronicle,
     parse_chronicle,
     parse_chronicle_template,
