@@ -16,14 +16,13 @@ from lark.exceptions import UnexpectedInput
 
 from ...rdf.namespaces import local_name
 from ...streams.policies.policy import SynchronizationPolicy
-from ...streams.time import parse_duration, parse_time
+from ...streams.time import parse_time
 from ..errors import LanguageError, Span
 from ..kpl import ast as kpl
 from ..kpl.constraints import to_synchronization
 from ..kpl.parser import read_constraint
 from ..kpl.printer import DEFAULT_UNIT
 from ..ontology_names import possible_iris
-from ..ssl.parser import read_units
 from ..syntax import (
     check_names,
     expected_hint,
@@ -32,36 +31,20 @@ from ..syntax import (
     syntax_error,
     tokens,
     trees,
-    unquoted,
 )
 from ..text_cache import TextCache
 from . import ast
+from .terms import TermReader
 
 _STARTS: Final = ("start", "formula_text", "template_text")
 DEEPEST: Final = 64
 """The greatest nesting of a formula."""
-_LONGEST: Final = 2**62
-"""Intervals end before it (146 years), so that sums of times stay within 64 bits."""
 _OPTIONS: Final = frozenset({"SAMPLE", "MAX", "REPORT", "PRESENT"})
 _OPTION_HINT: Final = (
     "an option is `sample every t`, `any change`, `max delay t`, `use most recent`, "
     "`no approximation`, `from a to b`, `present for t`, `once`, `robustness` or "
     "`report violations | changes | verdicts`"
 )
-_SPELLED_OUT: Final = {
-    "nanosecond": "ns",
-    "microsecond": "us",
-    "millisecond": "ms",
-    "msec": "ms",
-    "second": "s",
-    "sec": "s",
-    "minute": "m",
-    "hour": "h",
-    "day": "d",
-}
-_DURATION: Final = re.compile(r"([0-9.]+)[ \t]*([A-Za-z]+)\Z")
-_DURATION_HINT: Final = "units are ns, us, ms, s, m, h and d: `5s`, `1.5h`"
-
 
 # A comment reaches to the end of its line: without the assertion a line of many `#` would match in
 # 2^n ways.
@@ -168,11 +151,11 @@ _ABOUT: Final = {
 """What options are about that exclude each other, by the grammar's names."""
 
 
-class _Reader:
+class _Reader(TermReader):
     """Converts trees of the grammar to the AST."""
 
     def __init__(self, source: str) -> None:
-        self._source = source
+        super().__init__(source)
         self._depth = 0
 
     # -- monitors ----------------------------------------------------------------------------
@@ -196,18 +179,6 @@ class _Reader:
             rest.pop(0)
         monitor = self.body(local_name(iri), (), rest, span_of(tree))
         return ast.FormulaTemplate(iri, tuple(slots), monitor, self._source)
-
-    def slot(self, tree: Tree[Token], before: Sequence[ast.Slot]) -> ast.Slot:
-        variable = self.variable(tokens(tree, "VARIABLE")[0])
-        if variable in (slot.variable for slot in before):
-            raise LanguageError(
-                f"`?{variable.name}` is a parameter twice",
-                self._source,
-                variable.span,
-                "give the second another name",
-            )
-        sorts = trees(tree)
-        return ast.Slot(variable, self.symbol(sorts[0]) if sorts else None, span_of(tree))
 
     def body(
         self,
@@ -272,10 +243,6 @@ class _Reader:
         if not any(isinstance(each, kpl.Change) for each in constraints):
             constraints = [kpl.Change("any change", None, span), *constraints]
         return to_synchronization(constraints, self._source, DEFAULT_UNIT, span)
-
-    def binding(self, tree: Tree[Token]) -> ast.Binding:
-        variable = self.variable(tokens(tree, "VARIABLE")[0])
-        return ast.Binding(variable, self.symbol(trees(tree)[0]), span_of(tree))
 
     # -- formulas ----------------------------------------------------------------------------
 
@@ -349,8 +316,7 @@ class _Reader:
             case "quantity":
                 return self.quantity(tree)
             case "measured":
-                unit = read_units(trees(tree)[0], self._source)
-                return ast.Measured(self.variable(tokens(tree)[0]), unit, span)
+                return self.measured(tree)
             case _:
                 assert tree.data == "feature", tree.data
                 return self.feature(tree)
@@ -370,25 +336,6 @@ class _Reader:
         if isinstance(node, Tree):
             return self.symbol(node)
         return self.variable(node) if node.type == "VARIABLE" else self.text(node)
-
-    def symbol(self, tree: Tree[Token]) -> ast.Symbol:
-        return ast.Symbol(str(tree.children[0]), span_of(tree))
-
-    def variable(self, token: Token) -> ast.Variable:
-        return ast.Variable(str(token)[1:], span_of(token))
-
-    def text(self, token: Token) -> ast.Text:
-        return ast.Text(unquoted(token, self._source), span_of(token))
-
-    def quantity(self, tree: Tree[Token]) -> ast.Number:
-        number = float(tokens(tree, "DECIMAL")[0])
-        if number in (float("inf"), float("-inf")):
-            raise LanguageError(
-                "the number exceeds a double", self._source, span_of(tree), "doubles reach 1.7e308"
-            )
-        units = trees(tree)
-        unit = read_units(units[0], self._source) if units else None
-        return ast.Number(number, unit, span_of(tree))
 
     # -- times -------------------------------------------------------------------------------
 
@@ -423,26 +370,6 @@ class _Reader:
                 )
             return 0
         return self.duration(token)
-
-    def duration(self, token: Token) -> int:
-        text = str(token)
-        if text.startswith('"'):
-            text = text[1:].partition('"')[0]
-        elif (parts := _DURATION.match(text)) is not None:
-            word = parts[2].lower()
-            known = _SPELLED_OUT.get(word.removesuffix("s") if len(word) > 2 else word)
-            text = f"{parts[1]}{known or parts[2]}"
-        try:
-            found = parse_duration(text)
-            if found >= _LONGEST:
-                raise ValueError("is outside")
-        except ValueError as error:
-            reason = "exceeds 146 years" if "outside" in str(error) else "is not a duration"
-            if "finer" in str(error):
-                reason = "is finer than a nanosecond"
-            message = f"`{token}` {reason}"
-            raise LanguageError(message, self._source, span_of(token), _DURATION_HINT) from None
-        return found
 
 
 _MARKS: Final = frozenset(

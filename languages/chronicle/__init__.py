@@ -1,0 +1,15 @@
+"""Chronicles: events, and the times between them ([DyKnow10 §2, §7], SPEC §8)."""
+
+from .ast import Chronicle, ChronicleTemplate
+from .parser import is_chronicle, parse_chronicle, parse_chronicle_template
+from .printer import format_chronicle, format_chronicle_template
+
+__all__ = [
+    "Chronicle",
+    "ChronicleTemplate",
+    "format_chronicle",
+    "format_chronicle_template",
+    "is_chronicle",
+    "parse_chronicle",
+    "parse_chronicle_template",
+]
