@@ -28,7 +28,7 @@ from ...languages.errors import LanguageError, Span
 from ...languages.mtl.checked import Calculation, Constant, Kind, ObjectConstant, Parameter
 from ...ontology.vocabulary import THING, Vocabulary
 from ...rdf.namespaces import shorten
-from .network import UnboundedRetention, minimal_network
+from .network import INFINITE, UnboundedRetention, minimal_network
 from .plan import (
     OWN,
     Between,
@@ -235,8 +235,9 @@ class _Compiler:
                 continue
             value = Value(number, column)
             self._equal(test.operand.name, value)
-            # A value that is missing equals no other one, and also not itself.
-            self._conditions.append(Condition("=", value, value))
+            if test is message.before:
+                # The first sample has none before, and what is missing does not equal itself.
+                self._conditions.append(Condition("=", value, value))
 
     def _equal(self, name: str, value: Value) -> None:
         """Demand that a variable equals a value, or take the value for the variable's."""
@@ -370,20 +371,23 @@ class _Compiler:
         events = self._chronicle.events
         try:
             network = minimal_network(plan)
+        except PlanError as error:
+            raise self._error(error.message, events[error.elements[0]].span, error.hint) from None
+        try:
             assert network.retention
             for probe in plan.probes:
                 network.probe_retention(probe)
         except UnboundedRetention as error:
-            event = events[error.elements[0]]
-            other = next((each.point for each in events if each.point != event.point), event.point)
+            first = error.elements[0]
+            event = events[first]
+            later = network.greatest[first]
+            other = next(each.point for i, each in enumerate(events) if later[i] >= INFINITE)
             raise self._error(
-                f"the samples would be kept for ever, as the other events may come at any time "
-                f"after `{event.point}`",
+                f"the samples would be kept for ever, as `{other}` may come at any time after "
+                f"`{event.point}`",
                 event.span,
-                f"bound the times: `{other} - {event.point} in [-1m, 1m]`",
+                f"bound it: `{other} - {event.point} <= 1m`",
             ) from None
-        except PlanError as error:
-            raise self._error(error.message, events[error.elements[0]].span, error.hint) from None
         return plan
 
     def _error(self, message: str, span: Span, hint: str) -> LanguageError:
