@@ -34,6 +34,12 @@ from dyknow.languages.mtl import (
     parse_monitor,
 )
 from dyknow.languages.mtl.checked import Parameter, Reading
+from dyknow.languages.sase import (
+    format_sase,
+    format_sase_template,
+    parse_sase,
+    parse_sase_template,
+)
 from dyknow.languages.specification import (
     format_specification,
     parse_specification,
@@ -194,8 +200,22 @@ def readings(node: object) -> Iterator[Reading]:
             yield from readings(getattr(node, field.name))
 
 
+def print_sase(text: str) -> str:
+    """The pattern or template as it is printed."""
+    if "TEMPLATE" in text.upper():
+        template = parse_sase_template(text)
+        printed = format_sase_template(template)
+        assert parse_sase_template(printed) == template
+        return printed
+    pattern = parse_sase(text)
+    printed = format_sase(pattern)
+    assert parse_sase(printed) == pattern
+    return printed
+
+
 PRINTERS = {
     "mtl": print_mtl,
+    "sase": print_sase,
     "ssl": print_ssl,
     "csparql": print_csparql,
     "kpl": print_kpl,
