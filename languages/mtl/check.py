@@ -14,8 +14,6 @@ from typing import Any, Final, assert_never
 
 from ...ontology.units import Unit, UnitError, conversion, dimension, format_unit
 from ...ontology.vocabulary import THING, Vocabulary
-from ...rdf.datatypes import NUMBERS
-from ...rdf.namespaces import XSD
 from ..errors import LanguageError, Span
 from ..object_cache import ObjectCache
 from ..ontology_names import OntologyNames
@@ -43,13 +41,9 @@ from .checked import (
     Until,
     Value,
     Within,
+    kind_of,
 )
 
-_KINDS: Final = {
-    XSD + "boolean": Kind.TRUTH,
-    XSD + "string": Kind.TEXT,
-    XSD + "dateTime": Kind.TIME,
-}
 _ORDERED: Final = frozenset({"<", "<=", ">", ">="})
 
 
@@ -359,7 +353,7 @@ class _Checker:
         info = self._names.vocabulary.feature(feature)
         range = None if info is None else info.range
         unit = None if info is None else info.unit
-        kind = None if range is None else _kind_of(range)
+        kind = None if range is None else kind_of(range)
         if kind is None and unit is not None:
             kind = Kind.NUMBER
         return _Typed(Reading(feature, arguments, kind or Kind.NUMBER, unit), kind, unit or ())
@@ -466,12 +460,6 @@ def _as(found: _Typed, kind: Kind) -> _Typed:
     if found.kind is not None or not isinstance(found.value, Reading | Parameter):
         return found
     return _Typed(replace(found.value, kind=kind), kind, found.unit)
-
-
-def _kind_of(range: str) -> Kind | None:
-    if range in NUMBERS:
-        return Kind.NUMBER
-    return _KINDS.get(range, None if range.startswith(XSD) else Kind.OBJECT)
 
 
 def _neither(left: _Typed, right: _Typed) -> Unit | None:

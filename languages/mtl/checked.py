@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from ...ontology.units import Unit
+from ...rdf.datatypes import NUMBERS
+from ...rdf.namespaces import XSD
 from ...streams.policies.policy import SynchronizationPolicy
 from .ast import Interval, Report, Temporal
 
@@ -22,6 +24,20 @@ class Kind(StrEnum):
     TEXT = "text"
     TIME = "time"
     OBJECT = "object"
+
+
+_KINDS: Final = {
+    XSD + "boolean": Kind.TRUTH,
+    XSD + "string": Kind.TEXT,
+    XSD + "dateTime": Kind.TIME,
+}
+
+
+def kind_of(range: str) -> Kind | None:
+    """The kind of the values of a range, by its IRI; None for another type of XSD."""
+    if range in NUMBERS:
+        return Kind.NUMBER
+    return _KINDS.get(range, None if range.startswith(XSD) else Kind.OBJECT)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,15 @@ import pytest
 from places import TESTS
 from pyoxigraph import RdfFormat, parse
 
+from dyknow.languages.chronicle import (
+    check_chronicle,
+    check_chronicle_template,
+    format_chronicle,
+    format_chronicle_template,
+    parse_chronicle,
+    parse_chronicle_template,
+)
+from dyknow.languages.chronicle.checked import Message
 from dyknow.languages.csparql import (
     ContinuousQuery,
     bind,
@@ -71,6 +80,11 @@ dyknow:distance a dyknow-o:Feature ; dyknow-o:hasArity 2 .
 dyknow:course a dyknow-o:Feature ; dyknow-o:hasUnit "deg" .
 dyknow:onGround a dyknow-o:Feature , dyknow-o:UnaryFeature ; rdfs:range xsd:boolean .
 dyknow:callsign a dyknow-o:Feature , dyknow-o:UnaryFeature ; rdfs:range xsd:string .
+dyknow:owner a dyknow-o:Feature .
+dyknow:behind a dyknow-o:Feature ; dyknow-o:hasArity 2 ; rdfs:range xsd:boolean .
+dyknow:beside a dyknow-o:Feature ; dyknow-o:hasArity 2 ; rdfs:range xsd:boolean .
+dyknow:inFront a dyknow-o:Feature ; dyknow-o:hasArity 2 ; rdfs:range xsd:boolean .
+dyknow:stopped a dyknow-o:Event .
 dyknow:HighSpeedEvent a dyknow-o:Event .
 """
 
@@ -191,6 +205,43 @@ def print_mtl(text: str) -> str:
     return "\n".join([printed, *lines])
 
 
+def print_chronicle(text: str) -> str:
+    """The chronicle or template as it is printed, then its variables and what it reads."""
+    # What is printed says the same.
+    lines = []
+    if "TEMPLATE" in text.upper():
+        template = parse_chronicle_template(text)
+        printed = format_chronicle_template(template)
+        assert parse_chronicle_template(printed) == template
+        found = check_chronicle_template(template, vocabulary())
+        checked = found.chronicle
+        lines += [f"  ?{s.name}: {s.kind}" for s in found.slots if isinstance(s, Parameter)]
+    else:
+        chronicle = parse_chronicle(text)
+        printed = format_chronicle(chronicle)
+        assert parse_chronicle(printed) == chronicle
+        checked = check_chronicle(chronicle, text, vocabulary())
+    for name, meaning in checked.variables.items():
+        unit = "" if meaning.unit is None else f" [{format_unit(meaning.unit)}]"
+        sort = "" if meaning.sort is None else f" in {shorten(meaning.sort)}"
+        lines.append(f"  ?{name}: {meaning.kind}{sort}{unit}")
+    return "\n".join([printed, *lines, *map(print_message, checked.messages())])
+
+
+def print_message(message: Message) -> str:
+    names = ", ".join(
+        "?" if each is None else shorten(each.iri) if hasattr(each, "iri") else f"?{each.name}"
+        for each in message.arguments
+    )
+    tests = [
+        f"  {word} {test.operator} {test.operand}"
+        for word, test in (("before", message.before), ("value", message.value))
+        if test is not None
+    ]
+    kind = "" if message.kind is None else f": {message.kind}"
+    return "\n".join([f"  {shorten(message.concept)}[{names}]{kind}", *("  " + t for t in tests)])
+
+
 def readings(node: object) -> Iterator[Reading]:
     """The feature values in a checked formula, in order."""
     if isinstance(node, Reading):
@@ -214,6 +265,7 @@ def print_sase(text: str) -> str:
 
 
 PRINTERS = {
+    "chronicle": print_chronicle,
     "mtl": print_mtl,
     "sase": print_sase,
     "ssl": print_ssl,
