@@ -17,11 +17,13 @@ from .plan import (
     Arithmetic,
     Bound,
     Condition,
+    Constant,
     CountProbe,
     Expression,
     Listed,
     PatternPlan,
     PlanError,
+    Position,
     Probe,
     Same,
     Selection,
@@ -52,8 +54,8 @@ SETTINGS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
-class PackedPlan:
-    """A plan of n elements as arrays."""
+class PackedRows:
+    """What each evaluation reads of a plan of n elements."""
 
     columns: tuple[str, ...]
     """The columns that are read, in the order of their words in a record."""
@@ -61,17 +63,9 @@ class PackedPlan:
     """For each source: the elements, and from bit n on the probes, that read it."""
     own: Integers
     """The own conditions of element or probe e are ``own[e] .. own[e + 1] - 1``."""
-    triggers: Integers
-    levels: Integers
-    """Level l of trigger g in row ``g n + l``; level 0 is the trigger."""
-    greatest: Integers
     buffers: Integers
     probes: Integers
-    hulls: Integers
-    """The elements of both sides, as bits."""
     conditions: ConditionArrays
-    is_sorted: bool
-    """Whether the join makes the matches of a row in order of the plan's elements."""
 
     @property
     def width(self) -> int:
@@ -79,26 +73,26 @@ class PackedPlan:
         return COLUMNS + len(self.columns)
 
 
-def pack(plan: PatternPlan, network: Network, *, is_ordered: bool) -> PackedPlan:
-    """Pack a plan.
+@dataclass(frozen=True, slots=True)
+class PackedPlan(PackedRows):
+    """A plan of n elements as the join reads it."""
 
-    Raises `PlanError`: a plan with repetition or another strategy than any match has no join,
-    probes need rows in order; `UnboundedRetention`.
-    """
-    if plan.trends or plan.selection is not Selection.ANY_MATCH:
-        raise PlanError(f"{plan.selection} is evaluated by runs, and trends by products")
-    if any(each.is_kleene for each in plan.elements):
-        raise PlanError("a pattern with repetition is not evaluated by a join")
-    if plan.probes and not is_ordered:
-        raise PlanError("what did not happen is only known of rows in order of their ends")
-    return _Packer(plan, network, is_ordered).packed()
+    triggers: Integers
+    levels: Integers
+    """Level l of trigger g in row ``g n + l``; level 0 is the trigger."""
+    greatest: Integers
+    hulls: Integers
+    """The elements of both sides, as bits."""
+    is_sorted: bool
+    """Whether the join makes the matches of a row in order of the plan's elements."""
 
 
 @dataclass(slots=True)
-class _Packer:
+class Packer:
+    """Packs what each evaluation reads of a plan."""
+
     plan: PatternPlan
     network: Network
-    is_ordered: bool
     conditions: ConditionPacker = field(init=False)
     columns: tuple[str, ...] = field(init=False)
     buffers: dict[tuple[int, tuple[str, ...]], int] = field(default_factory=dict)
@@ -110,29 +104,6 @@ class _Packer:
     @property
     def _places(self) -> dict[str, int]:
         return {name: COLUMNS + i for i, name in enumerate(self.columns)}
-
-    def packed(self) -> PackedPlan:
-        plan, network = self.plan, self.network
-        count = len(plan.elements)
-        own = self._own_conditions()
-        triggers = network.triggers(is_ordered=self.is_ordered)
-        orders = [[e, *(each.element for each in network.join_order(e))] for e in triggers]
-        levels = [level for e in triggers for level in self._levels(e)]
-        probes = [self._probe(i, probe) for i, probe in enumerate(plan.probes)]
-        hulls = [[sum(1 << e for e in set(side)) for side in (h.left, h.right)] for h in plan.hulls]
-        return PackedPlan(
-            self.columns,
-            self._kinds(),
-            own,
-            np.array(triggers, np.int64),
-            _padded(levels, LEVEL_KEYS),
-            np.array(network.greatest, np.int64).reshape(2 * count, 2 * count),
-            _padded([self._buffer_row(*each) for each in self.buffers], KEYS),
-            _padded(probes, PROBE_KEYS),
-            np.array(hulls, np.int64).reshape(-1, 2),
-            self.conditions.arrays(),
-            len(triggers) == 1 and orders[0][1:] == sorted(orders[0][1:]),
-        )
 
     def _kinds(self) -> Integers:
         read = [*self.plan.elements, *(probe.what for probe in self.plan.probes)]
@@ -148,20 +119,109 @@ class _Packer:
         starts = [0]
         for i, element in enumerate(self.plan.elements):
             self.conditions.extend(element.conditions)
-            alone = [each for each in self.plan.conditions if elements_of(each) == {i}]
+            alone = [each for each in self.plan.conditions if is_own(self.plan, each, i)]
             self.conditions.extend(_owned(each, i) for each in alone)
             for variable in variables_of(self.plan):
                 own = [column for e, column in variable if e == i]
-                # A key alone must equal itself: a missing one does not.
+                known = own[:1] if self._is_compared(i, variable) else []
+                # A key must equal itself: a missing one does not.
                 self.conditions.extend(
                     Condition("=", Value(OWN, own[0]), Value(OWN, each))
-                    for each in (own if len(variable) == 1 else own[1:])
+                    for each in own[len(known) :]
                 )
             starts.append(len(self.conditions))
         for probe in self.plan.probes:
             self.conditions.extend(probe.what.conditions)
             starts.append(len(self.conditions))
         return np.array(starts, np.int64)
+
+    def _is_compared(self, element: int, variable: tuple[tuple[int, str], ...]) -> bool:
+        """Whether the first key of a variable in an element is known to be there."""
+        return len(variable) > 1
+
+    def _probe(self, number: int, probe: Probe) -> list[int]:
+        buffer = self._buffer(
+            len(self.plan.elements) + number, tuple(each.first_column for each in probe.same)
+        )
+        keys = self._keys(probe.same)
+        match probe:
+            case CountProbe(_, low, high, least, most, _, conditions):
+                counts = [least, INFINITE if most is None else most]
+                times = [*self._time(low), *self._time(high)]
+                return [buffer, 0, *times, *counts, *self.conditions.extend(conditions), *keys]
+            case StateProbe(_, at, _, state):
+                times = self._time(at) * 2
+                return [buffer, 1, *times, 0, 0, *self.conditions.extend(state), *keys]
+
+    def _time(self, bound: Bound) -> list[int]:
+        point = bound.point
+        slot = self.conditions.slot_at(point.element, is_start=point.is_start)
+        return [slot, int(point.is_start), bound.offset]
+
+    def _keys(self, same: tuple[Same, ...]) -> list[int]:
+        """The bound row and the word of the keys that are looked up."""
+        return [
+            x
+            for each in same
+            for x in (
+                self.conditions.slot(each.second, Position.FIRST),
+                self._places[each.second_column],
+            )
+        ]
+
+    def _buffer(self, of: int, keys: tuple[str, ...]) -> int:
+        return self.buffers.setdefault((of, keys), len(self.buffers))
+
+    def _buffer_row(self, of: int, keys: tuple[str, ...]) -> list[int]:
+        words = [self._places[key] for key in keys]
+        if of < len(self.plan.elements):
+            return [of, self.network.retention[of], 0, len(words), *words]
+        probe = self.plan.probes[of - len(self.plan.elements)]
+        keeps_last = int(isinstance(probe, StateProbe))
+        return [of, self.network.probe_retention(probe), keeps_last, len(words), *words]
+
+
+def pack(plan: PatternPlan, network: Network, *, is_ordered: bool) -> PackedPlan:
+    """Pack a plan.
+
+    Raises `PlanError`: a plan with repetition or another strategy than any match has no join,
+    probes need rows in order; `UnboundedRetention`.
+    """
+    if plan.trends or plan.selection is not Selection.ANY_MATCH:
+        raise PlanError(f"{plan.selection} is evaluated by runs, and trends by products")
+    if any(each.is_kleene for each in plan.elements):
+        raise PlanError("a pattern with repetition is not evaluated by a join")
+    if plan.probes and not is_ordered:
+        raise PlanError("what did not happen is only known of rows in order of their ends")
+    return _JoinPacker(plan, network, is_ordered=is_ordered).packed()
+
+
+@dataclass(slots=True)
+class _JoinPacker(Packer):
+    is_ordered: bool = True
+
+    def packed(self) -> PackedPlan:
+        plan, network = self.plan, self.network
+        count = len(plan.elements)
+        own = self._own_conditions()
+        triggers = network.triggers(is_ordered=self.is_ordered)
+        orders = [[e, *(each.element for each in network.join_order(e))] for e in triggers]
+        levels = [level for e in triggers for level in self._levels(e)]
+        probes = [self._probe(i, probe) for i, probe in enumerate(plan.probes)]
+        hulls = [[sum(1 << e for e in set(side)) for side in (h.left, h.right)] for h in plan.hulls]
+        return PackedPlan(
+            self.columns,
+            self._kinds(),
+            own,
+            padded([self._buffer_row(*each) for each in self.buffers], KEYS),
+            padded(probes, PROBE_KEYS),
+            self.conditions.arrays(),
+            np.array(triggers, np.int64),
+            padded(levels, LEVEL_KEYS),
+            np.array(network.greatest, np.int64).reshape(2 * count, 2 * count),
+            np.array(hulls, np.int64).reshape(-1, 2),
+            len(triggers) == 1 and orders[0][1:] == sorted(orders[0][1:]),
+        )
 
     def _levels(self, trigger: int) -> list[list[int]]:
         first = self.conditions.extend(
@@ -192,38 +252,6 @@ class _Packer:
         share = set(self.plan.elements[a].kinds) & set(self.plan.elements[b].kinds)
         return bool(share) and d[a][b] >= 0 and d[b][a] >= 0
 
-    def _probe(self, number: int, probe: Probe) -> list[int]:
-        buffer = self._buffer(
-            len(self.plan.elements) + number, tuple(each.first_column for each in probe.same)
-        )
-        keys = self._keys(probe.same)
-        match probe:
-            case CountProbe(_, low, high, least, most, _, conditions):
-                counts = [least, INFINITE if most is None else most]
-                times = [*self._time(low), *self._time(high)]
-                return [buffer, 0, *times, *counts, *self.conditions.extend(conditions), *keys]
-            case StateProbe(_, at, _, state):
-                times = self._time(at) * 2
-                return [buffer, 1, *times, 0, 0, *self.conditions.extend(state), *keys]
-
-    def _time(self, bound: Bound) -> list[int]:
-        return [bound.point.element, int(bound.point.is_start), bound.offset]
-
-    def _keys(self, same: tuple[Same, ...]) -> list[int]:
-        """Element and word of the keys that are looked up."""
-        return [x for each in same for x in (each.second, self._places[each.second_column])]
-
-    def _buffer(self, of: int, keys: tuple[str, ...]) -> int:
-        return self.buffers.setdefault((of, keys), len(self.buffers))
-
-    def _buffer_row(self, of: int, keys: tuple[str, ...]) -> list[int]:
-        words = [self._places[key] for key in keys]
-        if of < len(self.plan.elements):
-            return [of, self.network.retention[of], 0, len(words), *words]
-        probe = self.plan.probes[of - len(self.plan.elements)]
-        keeps_last = int(isinstance(probe, StateProbe))
-        return [of, self.network.probe_retention(probe), keeps_last, len(words), *words]
-
 
 def columns_read(plan: PatternPlan) -> tuple[str, ...]:
     """The columns that a plan reads, in its order."""
@@ -250,6 +278,17 @@ def columns_read(plan: PatternPlan) -> tuple[str, ...]:
     return tuple(each.name for each in plan.columns if each.name in found)
 
 
+def is_own(plan: PatternPlan, condition: Condition, element: int) -> bool:
+    """Whether each row of an element meets a condition or not by itself."""
+    if elements_of(condition) != {element}:
+        return False
+    return not plan.elements[element].is_kleene or all(
+        isinstance(leaf, Constant) or (isinstance(leaf, Value) and leaf.position is Position.EACH)
+        for side in (condition.left, condition.right)
+        for leaf in leaves_of(side)
+    )
+
+
 def _owned(condition: Condition, element: int) -> Condition:
     """A condition on one element as one on its own row."""
     return Condition(
@@ -269,7 +308,7 @@ def _own(expression: Expression, element: int) -> Expression:
             return expression
 
 
-def _padded(rows: list[list[int]], least: int) -> Integers:
+def padded(rows: list[list[int]], least: int) -> Integers:
     """Rows of different lengths as an array of two dimensions and of a width of ``least``."""
     width = max([least, *(len(row) for row in rows)])
     return np.array([row + [0] * (width - len(row)) for row in rows], np.int64).reshape(-1, width)

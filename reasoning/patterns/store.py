@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...streams.jit import JIT, Kernel
 from ...streams.time import TIME_MIN
 from .conditions import END
-from .packing import KEEPS_LAST, KEY_COUNT, KEYS, OF, RETAINED, PackedPlan
+from .packing import KEEPS_LAST, KEY_COUNT, KEYS, OF, RETAINED, PackedRows
 from .plan import NO_VALUE
 
 Integers = NDArray[np.int64]
@@ -34,7 +34,9 @@ VECTOR_KEYS: Final = 5
 # whether the loop stopped for want of room for matches; counters.
 ROWS, VECTORS, POOL, OUT, WATERMARK, DECIDED, IS_FULL, IS_OUT_FULL = range(8)
 LOOKED_AT, MADE, CUT_SHORT, LATE, UNSTORED, CROWDED = range(8, 14)
-MARKS: Final = 14
+# Of one row: where its matches begin, whether it has more than the limit.
+FIRST_OUT, IS_SHORT = 14, 15
+MARKS: Final = 16
 CANDIDATES_FULL: Final = -2
 SMALLEST: Final = 64
 """Rows, places and vectors of a new store."""
@@ -50,7 +52,7 @@ class Store:
     while it compacts, twice that.
     """
 
-    plan: PackedPlan
+    plan: PackedRows
     capacity: int = SMALLEST
     most_rows: int = 1 << 62
     table: Integers = field(init=False)
@@ -81,6 +83,17 @@ class Store:
         """The bytes of all arrays."""
         rows = self.table.nbytes + self.vectors.nbytes + self.heads.nbytes
         return int(rows + self.ends.nbytes + self.rows.nbytes)
+
+    def state(self) -> tuple[Integers, ...]:
+        """Copies of all arrays."""
+        arrays = self.table, self.ends, self.rows, self.vectors, self.heads, self.marks
+        return tuple(each.copy() for each in arrays)
+
+    def restore(self, state: tuple[Integers, ...]) -> None:
+        """Take the arrays of a state."""
+        self.table, self.ends, self.rows, self.vectors, self.heads, self.marks = (
+            each.copy() for each in state
+        )
 
     def dead(self) -> Integers:
         """For each buffer the end before which its rows are not joined any more."""
