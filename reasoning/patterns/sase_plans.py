@@ -77,8 +77,10 @@ class _Compiler:
     def query(self) -> PatternQuery:
         text = self._text
         for condition in text.where:
+            is_shared = condition != rewritten(condition, self._with_object)
+            is_shared = is_shared or isinstance(condition, ast.Equivalence)
             for comparison in self._comparisons(condition):
-                self._add(comparison)
+                self._add(comparison, is_shared=is_shared)
         partition = self._partition()
         probes = [self._absence(i) for i, part in enumerate(text.parts) if part.is_negated]
         selection = Selection(text.strategy.value) if text.strategy else Selection.ANY_MATCH
@@ -239,12 +241,16 @@ class _Compiler:
         is_each = isinstance(node, ast.Attribute) and node.index is ast.Index.EACH
         return self._first(node) if is_each else node
 
-    def _add(self, node: ast.Comparison) -> None:
+    def _add(self, node: ast.Comparison, *, is_shared: bool) -> None:
+        """Put a comparison where it belongs. ``is_shared``: an attribute on both sides is not that
+        of each event by itself, but one value of all of them."""
         leaves = [leaf for term in terms_of(node) for leaf in leaves_of(term)]
         read = [leaf for leaf in leaves if isinstance(leaf, ast.Attribute | ast.Aggregate)]
         parts = list(dict.fromkeys(leaf.part for leaf in read))
         absent = next((part for part in parts if self._parts[part].is_negated), None)
-        if (same := self._same_keys(node, absent)) is not None:
+        is_self = isinstance(node.left, ast.Attribute) and node.left == node.right
+        same = None if is_self and not is_shared else self._same_keys(node, absent)
+        if same is not None:
             self._same[absent].append(same)
         elif absent is not None:
             # Only a parameter for objects reads `a[i]` here, and then all its events have one.
