@@ -28,6 +28,8 @@ TERMINALS: Final = {
     "COMPARISON": "a comparison",
     "SIGN": "`+` or `-`",
     "FACTOR": "`*` or `/`",
+    "PLUS": "`+`",
+    "STAR": "`*`",
     "ARROW": "`->`",
     "UNIT_NAME": "a unit (letters only)",
     "POWER": "a power",

@@ -1,8 +1,11 @@
 """Conditions of a plan as arrays that the compiled loops read, and the function that tests one.
 
 A row is a record of 64-bit words in a table (`store`): end, start, number, then the columns of the
-plan; the same table read as floats gives the numbers. ``bound[e]`` is the place of element e's row,
-``bound[n]`` that of the probe's or the element's own row (`OWN`) in a plan of n elements.
+plan; the same table read as floats gives the numbers. In a plan of n elements ``bound[e]`` is the
+place of element e's row, ``bound[n]`` that of the probe's or the element's own row (`OWN`). Of a
+Kleene element ``bound[e]`` is the row ``a[i]``, ``bound[n + 1 + e]`` the first one, and
+``bound[2n + 1 + e]`` the last one, which is ``a[i-1]`` while a row is taken. ``bound[3n + 1]`` is a
+row whose words are the aggregates of the plan.
 
 A comparison of one value with one value or constant is tested at once. Any other condition is a
 program in postfix notation, on a stack of integers and one of floats.
@@ -11,14 +14,13 @@ program in postfix notation, on a stack of integers and one of floats.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .plan import (
-    MOST_ELEMENTS,
     NO_VALUE,
     OPERATORS,
     OWN,
@@ -31,6 +33,7 @@ from .plan import (
     Key,
     PatternPlan,
     PlanError,
+    Position,
     Time,
     Value,
 )
@@ -75,6 +78,8 @@ class ConditionPacker:
     plan: PatternPlan
     places: dict[str, int]
     """The word of each column in a record."""
+    aggregates: dict[Aggregate, int] = field(default_factory=dict)
+    """The word of each aggregate in the row of aggregates."""
     _conditions: list[list[int]] = field(default_factory=list)
     _factors: list[tuple[float, float]] = field(default_factory=list)
     _code: list[tuple[int, int, int]] = field(default_factory=list)
@@ -89,6 +94,24 @@ class ConditionPacker:
         for each in conditions:
             self._add(each)
         return first, len(self)
+
+    def slot(self, element: int, position: Position = Position.EACH) -> int:
+        """The place in ``bound`` of a row of an element."""
+        count = len(self.plan.elements)
+        if element == OWN:
+            return count
+        if position is Position.EACH or not self.plan.elements[element].is_kleene:
+            return element
+        return element + (count if position is Position.FIRST else 2 * count) + 1
+
+    def slot_at(self, element: int, *, is_start: bool) -> int:
+        """The place in ``bound`` of the row with which an element starts or ends."""
+        return self.slot(element, Position.FIRST if is_start else Position.LAST)
+
+    def aggregate(self, aggregate: Aggregate) -> int:
+        """The word of an aggregate, over all rows taken so far."""
+        whole = replace(aggregate, is_before=False)
+        return self.aggregates.setdefault(whole, len(self.aggregates))
 
     def arrays(self) -> ConditionArrays:
         """All conditions added so far."""
@@ -140,18 +163,15 @@ class ConditionPacker:
         match value:
             case None:
                 return NOTHING, 0, 0
-            case Value(element, column):
+            case Value(element, column, position):
                 is_number = self.plan.type_of(column) is ColumnType.NUMBER
-                return self._slot(element), self.places[column], int(is_number)
+                return self.slot(element, position), self.places[column], int(is_number)
             case Time((element,), is_start):
-                return self._slot(element), START if is_start else END, 0
+                return self.slot_at(element, is_start=is_start), START if is_start else END, 0
             case Time():
                 return NO_VALUE, 0, 0
             case _:
                 assert_never(value)
-
-    def _slot(self, element: int) -> int:
-        return len(self.plan.elements) if element == OWN else element
 
     def _add_program(self, condition: Condition, operator: int, is_integer: bool) -> None:
         first = len(self._code)
@@ -179,13 +199,13 @@ class ConditionPacker:
             case Constant(value):
                 self._emit(FLOAT, constant=value)
                 return 1
-            case Value(element, column):
+            case Value(element, column, position):
                 is_number = self.plan.type_of(column) is ColumnType.NUMBER
                 code = PUSH_NUMBER if is_number else PUSH_INTEGER
-                self._emit(code, self._slot(element), self.places[column])
+                self._emit(code, self.slot(element, position), self.places[column])
                 return 1
             case Time(elements, is_start):
-                bits = sum(1 << self._slot(each) for each in set(elements))
+                bits = sum(1 << self.slot_at(each, is_start=is_start) for each in set(elements))
                 self._emit(PUSH_EARLIEST if is_start else PUSH_LATEST, bits)
                 return 1
             case Arithmetic(operator, left, right):
@@ -200,7 +220,10 @@ class ConditionPacker:
             case Key():
                 raise PlanError(f"{expression.text} has no number yet")
             case Aggregate():
-                raise PlanError("an aggregate has no place in a pattern without repetition")
+                code = PUSH_INTEGER if self.plan.is_integer(expression) else PUSH_NUMBER
+                row = 3 * len(self.plan.elements) + 1
+                self._emit(code, row, self.aggregate(expression))
+                return 1
             case _:
                 assert_never(expression)
 
@@ -285,8 +308,8 @@ def holds(
             numbers[top] = constants[at]
             top += 1
         elif do <= PUSH_LATEST:
-            is_first = True
-            for e in range(MOST_ELEMENTS + 1):
+            is_first, e = True, 0
+            while code[at, 1] >> e:
                 if (code[at, 1] >> e) & 1:
                     time = table[bound[e], START if do == PUSH_EARLIEST else END]
                     is_better = (
@@ -295,6 +318,7 @@ def holds(
                     if is_first or is_better:
                         integers[top] = time
                     is_first = False
+                e += 1
             top += 1
         elif do == TO_FLOAT:
             numbers[top - 1] = float(integers[top - 1])

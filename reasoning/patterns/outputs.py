@@ -15,24 +15,85 @@ from .plan import (
     ColumnType,
     Constant,
     Expression,
+    Function,
     Key,
     Listed,
     Output,
     PatternPlan,
     PlanError,
+    Position,
     Time,
     Value,
 )
 from .rows import Values
+from .run_packing import FUNCTIONS, OF_NUMBERS, WORDS, PackedRuns
+from .runs import PARENT, ROW
+
+Integers = NDArray[np.int64]
 
 
 def output_columns(
-    plan: PatternPlan, columns: tuple[str, ...], table: NDArray[np.int64], rows: NDArray[np.int64]
+    plan: PatternPlan,
+    columns: tuple[str, ...],
+    table: Integers,
+    rows: Integers,
+    repetition: Repetition | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Return the plan's outputs for matches of one row an element: ``rows`` are their places in
-    the table of records, shape ``(m, n)``."""
-    reader = _Reader(plan, columns, table, rows)
+    """Return the plan's outputs for matches: ``rows`` are the places of each element's first row in
+    the table of records, shape ``(m, n)``; ``repetition`` has what Kleene elements have beside."""
+    reader = _Reader(plan, columns, table, rows, repetition)
     return {each.name: reader.output(each) for each in plan.outputs}
+
+
+class Repetition:
+    """What records of matches have of their Kleene elements (`runs`)."""
+
+    def __init__(self, packed: PackedRuns, records: Integers, nodes: Integers) -> None:
+        self._packed = packed
+        self._records = records
+        self._nodes = nodes
+        self._count = len(packed.keys)
+
+    @property
+    def last_rows(self) -> Integers:
+        """The places of the last row of each element, shape ``(m, n)``."""
+        return self._records[:, self._count : 2 * self._count]
+
+    def aggregate(self, element: int, word: int | None, function: Function) -> Values:
+        """An aggregate over the rows of an element; ``word``: that of the column."""
+        wanted = [element, -1 if word is None else word]
+        k = next(
+            i for i, each in enumerate(self._packed.accumulators.tolist()) if each[:2] == wanted
+        )
+        at = 3 * self._count + WORDS * k
+        records = self._records[:, at : at + WORDS]
+        counts = records[:, 0]
+        if function is Function.COUNT:
+            return counts
+        is_number = bool(self._packed.accumulators[k, OF_NUMBERS])
+        values = np.ascontiguousarray(records).view(np.float64) if is_number else records
+        if function is Function.AVG:
+            with np.errstate(all="ignore"):
+                return np.where(counts == 0, np.nan, values[:, 1] / counts)
+        found = values[:, FUNCTIONS.index(function)]
+        return np.where(counts == 0, np.nan if is_number else NO_VALUE, found)
+
+    def rows(self, element: int) -> list[Integers]:
+        """The places of all rows of an element, an array a match."""
+        nodes = self._records[:, 2 * self._count + element]
+        matches = np.arange(len(nodes))
+        found, owners = [], []
+        while len(nodes):
+            found.append(self._nodes[nodes, ROW])
+            owners.append(matches)
+            nodes = self._nodes[nodes, PARENT]
+            matches, nodes = matches[nodes != 0], nodes[nodes != 0]
+        if not found:
+            return []
+        owner = np.concatenate(owners[::-1])
+        order = np.argsort(owner, kind="stable")
+        places = np.concatenate(found[::-1])[order]
+        return np.split(places, np.cumsum(np.bincount(owner))[:-1])
 
 
 class _Reader:
@@ -40,28 +101,43 @@ class _Reader:
         self,
         plan: PatternPlan,
         columns: tuple[str, ...],
-        table: NDArray[np.int64],
-        rows: NDArray[np.int64],
+        table: Integers,
+        rows: Integers,
+        repetition: Repetition | None,
     ) -> None:
         self._plan = plan
         self._places = {name: COLUMNS + i for i, name in enumerate(columns)}
         self._table = table
         self._rows = rows
+        self._last_rows = rows if repetition is None else repetition.last_rows
+        self._repetition = repetition
 
     def output(self, output: Output) -> NDArray[Any]:
-        if isinstance(output.value, Listed):
-            raise PlanError(f"{output.name} is a list, but no event is repeated")
-        return self.value(output.value)
+        match output.value, self._repetition:
+            case Listed(element, column), Repetition() as repetition:
+                lists = np.empty(len(self._rows), object)
+                for i, rows in enumerate(repetition.rows(element)):
+                    lists[i] = self.column(rows, column)
+                return lists
+            case Listed(), _:
+                raise PlanError(f"{output.name} is a list, but no event is repeated")
+            case expression, _:
+                return self.value(expression)
+
+    def column(self, rows: Integers, column: str) -> Values:
+        found: Integers = self._table[rows, self._places[column]]
+        is_number = self._plan.type_of(column) is ColumnType.NUMBER
+        return found.view(np.float64) if is_number else found
 
     def value(self, expression: Expression) -> Values:
         match expression:
-            case Value(element, column):
-                found: NDArray[np.int64] = self._table[self._rows[:, element], self._places[column]]
-                is_number = self._plan.type_of(column) is ColumnType.NUMBER
-                return found.view(np.float64) if is_number else found
+            case Value(element, column, position):
+                rows = self._last_rows if position is Position.LAST else self._rows
+                return self.column(rows[:, element], column)
             case Time(elements, is_start):
                 word = START if is_start else END
-                times = self._table[self._rows[:, list(elements)], word]
+                rows = self._rows if is_start else self._last_rows
+                times = self._table[rows[:, list(elements)], word]
                 found = times.min(axis=1) if is_start else times.max(axis=1)
                 return np.asarray(found, np.int64)
             case Constant(value):
@@ -75,8 +151,11 @@ class _Reader:
                 return _of_numbers(operator, _as_numbers(a), _as_numbers(b))
             case Key():
                 raise PlanError(f"{expression.text} has no number yet")
-            case Aggregate():
-                raise PlanError("an aggregate has no place in a pattern without repetition")
+            case Aggregate(function, element, aggregated):
+                if self._repetition is None:
+                    raise PlanError("an aggregate has no place in a pattern without repetition")
+                place = None if aggregated is None else self._places[aggregated]
+                return self._repetition.aggregate(element, place, function)
             case _:
                 assert_never(expression)
 

@@ -17,11 +17,13 @@ from .plan import (
     Arithmetic,
     Bound,
     Condition,
+    Constant,
     CountProbe,
     Expression,
     Listed,
     PatternPlan,
     PlanError,
+    Position,
     Probe,
     Same,
     Selection,
@@ -85,6 +87,100 @@ class PackedPlan(PackedRows):
     """Whether the join makes the matches of a row in order of the plan's elements."""
 
 
+@dataclass(slots=True)
+class Packer:
+    """Packs what each evaluation reads of a plan."""
+
+    plan: PatternPlan
+    network: Network
+    conditions: ConditionPacker = field(init=False)
+    columns: tuple[str, ...] = field(init=False)
+    buffers: dict[tuple[int, tuple[str, ...]], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.columns = columns_read(self.plan)
+        self.conditions = ConditionPacker(self.plan, self._places)
+
+    @property
+    def _places(self) -> dict[str, int]:
+        return {name: COLUMNS + i for i, name in enumerate(self.columns)}
+
+    def _kinds(self) -> Integers:
+        read = [*self.plan.elements, *(probe.what for probe in self.plan.probes)]
+        masks = [
+            sum(1 << i for i, each in enumerate(read) if kind in each.kinds)
+            for kind in self.plan.kinds()
+        ]
+        return np.array(masks, np.int64)
+
+    def _own_conditions(self) -> Integers:
+        """The conditions that a row meets or not by itself: also those of the plan on one element,
+        and equal keys of one."""
+        starts = [0]
+        for i, element in enumerate(self.plan.elements):
+            self.conditions.extend(element.conditions)
+            alone = [each for each in self.plan.conditions if is_own(self.plan, each, i)]
+            self.conditions.extend(_owned(each, i) for each in alone)
+            for variable in variables_of(self.plan):
+                own = [column for e, column in variable if e == i]
+                known = own[:1] if self._is_compared(i, variable) else []
+                # A key must equal itself: a missing one does not.
+                self.conditions.extend(
+                    Condition("=", Value(OWN, own[0]), Value(OWN, each))
+                    for each in own[len(known) :]
+                )
+            starts.append(len(self.conditions))
+        for probe in self.plan.probes:
+            self.conditions.extend(probe.what.conditions)
+            starts.append(len(self.conditions))
+        return np.array(starts, np.int64)
+
+    def _is_compared(self, element: int, variable: tuple[tuple[int, str], ...]) -> bool:
+        """Whether the first key of a variable in an element is known to be there."""
+        return len(variable) > 1
+
+    def _probe(self, number: int, probe: Probe) -> list[int]:
+        buffer = self._buffer(
+            len(self.plan.elements) + number, tuple(each.first_column for each in probe.same)
+        )
+        keys = self._keys(probe.same)
+        match probe:
+            case CountProbe(_, low, high, least, most, _, conditions):
+                counts = [least, INFINITE if most is None else most]
+                times = [*self._time(low), *self._time(high)]
+                return [buffer, 0, *times, *counts, *self.conditions.extend(conditions), *keys]
+            case StateProbe(_, at, _, state):
+                times = self._time(at) * 2
+                return [buffer, 1, *times, 0, 0, *self.conditions.extend(state), *keys]
+
+    def _time(self, bound: Bound) -> list[int]:
+        point = bound.point
+        slot = self.conditions.slot_at(point.element, is_start=point.is_start)
+        return [slot, int(point.is_start), bound.offset]
+
+    def _keys(self, same: tuple[Same, ...]) -> list[int]:
+        """The bound row and the word of the keys that are looked up."""
+        return [
+            x
+            for each in same
+            for x in (
+                self.conditions.slot(each.second, Position.FIRST),
+                self._places[each.second_column],
+            )
+        ]
+
+    def _buffer(self, of: int, keys: tuple[str, ...]) -> int:
+        return self.buffers.setdefault((of, keys), len(self.buffers))
+
+    def _buffer_row(self, of: int, keys: tuple[str, ...]) -> list[int]:
+        words = [self._places[key] for key in keys]
+        if of < len(self.plan.elements):
+            return [of, self.network.retention[of], 0, len(words), *words]
+        probe = self.plan.probes[of - len(self.plan.elements)]
+        keeps_last = int(isinstance(probe, StateProbe))
+        return [of, self.network.probe_retention(probe), keeps_last, len(words), *words]
+
+
 def pack(plan: PatternPlan, network: Network, *, is_ordered: bool) -> PackedPlan:
     """Pack a plan.
 
@@ -97,25 +193,12 @@ def pack(plan: PatternPlan, network: Network, *, is_ordered: bool) -> PackedPlan
         raise PlanError("a pattern with repetition is not evaluated by a join")
     if plan.probes and not is_ordered:
         raise PlanError("what did not happen is only known of rows in order of their ends")
-    return _Packer(plan, network, is_ordered).packed()
+    return _JoinPacker(plan, network, is_ordered=is_ordered).packed()
 
 
 @dataclass(slots=True)
-class _Packer:
-    plan: PatternPlan
-    network: Network
-    is_ordered: bool
-    conditions: ConditionPacker = field(init=False)
-    columns: tuple[str, ...] = field(init=False)
-    buffers: dict[tuple[int, tuple[str, ...]], int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.columns = columns_read(self.plan)
-        self.conditions = ConditionPacker(self.plan, self._places)
-
-    @property
-    def _places(self) -> dict[str, int]:
-        return {name: COLUMNS + i for i, name in enumerate(self.columns)}
+class _JoinPacker(Packer):
+    is_ordered: bool = True
 
     def packed(self) -> PackedPlan:
         plan, network = self.plan, self.network
@@ -139,35 +222,6 @@ class _Packer:
             np.array(hulls, np.int64).reshape(-1, 2),
             len(triggers) == 1 and orders[0][1:] == sorted(orders[0][1:]),
         )
-
-    def _kinds(self) -> Integers:
-        read = [*self.plan.elements, *(probe.what for probe in self.plan.probes)]
-        masks = [
-            sum(1 << i for i, each in enumerate(read) if kind in each.kinds)
-            for kind in self.plan.kinds()
-        ]
-        return np.array(masks, np.int64)
-
-    def _own_conditions(self) -> Integers:
-        """The conditions that a row meets or not by itself: also those of the plan on one element,
-        and equal keys of one."""
-        starts = [0]
-        for i, element in enumerate(self.plan.elements):
-            self.conditions.extend(element.conditions)
-            alone = [each for each in self.plan.conditions if elements_of(each) == {i}]
-            self.conditions.extend(_owned(each, i) for each in alone)
-            for variable in variables_of(self.plan):
-                own = [column for e, column in variable if e == i]
-                # A key alone must equal itself: a missing one does not.
-                self.conditions.extend(
-                    Condition("=", Value(OWN, own[0]), Value(OWN, each))
-                    for each in (own if len(variable) == 1 else own[1:])
-                )
-            starts.append(len(self.conditions))
-        for probe in self.plan.probes:
-            self.conditions.extend(probe.what.conditions)
-            starts.append(len(self.conditions))
-        return np.array(starts, np.int64)
 
     def _levels(self, trigger: int) -> list[list[int]]:
         first = self.conditions.extend(
@@ -198,38 +252,6 @@ class _Packer:
         share = set(self.plan.elements[a].kinds) & set(self.plan.elements[b].kinds)
         return bool(share) and d[a][b] >= 0 and d[b][a] >= 0
 
-    def _probe(self, number: int, probe: Probe) -> list[int]:
-        buffer = self._buffer(
-            len(self.plan.elements) + number, tuple(each.first_column for each in probe.same)
-        )
-        keys = self._keys(probe.same)
-        match probe:
-            case CountProbe(_, low, high, least, most, _, conditions):
-                counts = [least, INFINITE if most is None else most]
-                times = [*self._time(low), *self._time(high)]
-                return [buffer, 0, *times, *counts, *self.conditions.extend(conditions), *keys]
-            case StateProbe(_, at, _, state):
-                times = self._time(at) * 2
-                return [buffer, 1, *times, 0, 0, *self.conditions.extend(state), *keys]
-
-    def _time(self, bound: Bound) -> list[int]:
-        return [bound.point.element, int(bound.point.is_start), bound.offset]
-
-    def _keys(self, same: tuple[Same, ...]) -> list[int]:
-        """Element and word of the keys that are looked up."""
-        return [x for each in same for x in (each.second, self._places[each.second_column])]
-
-    def _buffer(self, of: int, keys: tuple[str, ...]) -> int:
-        return self.buffers.setdefault((of, keys), len(self.buffers))
-
-    def _buffer_row(self, of: int, keys: tuple[str, ...]) -> list[int]:
-        words = [self._places[key] for key in keys]
-        if of < len(self.plan.elements):
-            return [of, self.network.retention[of], 0, len(words), *words]
-        probe = self.plan.probes[of - len(self.plan.elements)]
-        keeps_last = int(isinstance(probe, StateProbe))
-        return [of, self.network.probe_retention(probe), keeps_last, len(words), *words]
-
 
 def columns_read(plan: PatternPlan) -> tuple[str, ...]:
     """The columns that a plan reads, in its order."""
@@ -254,6 +276,17 @@ def columns_read(plan: PatternPlan) -> tuple[str, ...]:
                 found.add(leaf.column)
     found.update(each.column for each in plan.trends if each.column is not None)
     return tuple(each.name for each in plan.columns if each.name in found)
+
+
+def is_own(plan: PatternPlan, condition: Condition, element: int) -> bool:
+    """Whether each row of an element meets a condition or not by itself."""
+    if elements_of(condition) != {element}:
+        return False
+    return not plan.elements[element].is_kleene or all(
+        isinstance(leaf, Constant) or (isinstance(leaf, Value) and leaf.position is Position.EACH)
+        for side in (condition.left, condition.right)
+        for leaf in leaves_of(side)
+    )
 
 
 def _owned(condition: Condition, element: int) -> Condition:

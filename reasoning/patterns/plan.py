@@ -329,8 +329,8 @@ class PatternPlan:
             case Arithmetic(operator, left, right):
                 return operator in "+-*" and self.is_integer(left) and self.is_integer(right)
             case Aggregate(function, _, column):
-                if function is Function.AVG:
-                    return False
+                if function in (Function.COUNT, Function.AVG):
+                    return function is Function.COUNT
                 return column is None or self.type_of(column) is not ColumnType.NUMBER
             case _:
                 assert_never(expression)

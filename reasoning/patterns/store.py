@@ -34,7 +34,9 @@ VECTOR_KEYS: Final = 5
 # whether the loop stopped for want of room for matches; counters.
 ROWS, VECTORS, POOL, OUT, WATERMARK, DECIDED, IS_FULL, IS_OUT_FULL = range(8)
 LOOKED_AT, MADE, CUT_SHORT, LATE, UNSTORED, CROWDED = range(8, 14)
-MARKS: Final = 14
+# Of one row: where its matches begin, whether it has more than the limit.
+FIRST_OUT, IS_SHORT = 14, 15
+MARKS: Final = 16
 CANDIDATES_FULL: Final = -2
 SMALLEST: Final = 64
 """Rows, places and vectors of a new store."""

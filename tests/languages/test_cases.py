@@ -3,6 +3,7 @@
 ``DYKNOW_REWRITE=1 pytest tests/languages/test_cases.py`` writes the printouts anew.
 """
 
+import json
 import os
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -42,7 +43,17 @@ from dyknow.languages.mtl import (
     parse_formula_template,
     parse_monitor,
 )
-from dyknow.languages.mtl.checked import Parameter, Reading
+from dyknow.languages.mtl.checked import Constant, Kind, ObjectConstant, Parameter, Reading
+from dyknow.languages.sase import (
+    bound_sase,
+    check_sase,
+    check_sase_template,
+    format_sase,
+    format_sase_template,
+    parse_sase,
+    parse_sase_template,
+)
+from dyknow.languages.sase.checked import ValueSlot
 from dyknow.languages.specification import (
     format_specification,
     parse_specification,
@@ -57,7 +68,11 @@ from dyknow.languages.ssl import (
 )
 from dyknow.ontology.units import format_unit
 from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import PREFIXES, shorten
+from dyknow.rdf.namespaces import DYKNOW, PREFIXES, shorten
+from dyknow.reasoning.patterns.printer import print_plan
+from dyknow.reasoning.patterns.query import Source
+from dyknow.reasoning.patterns.sase_plans import sase_query
+from dyknow.reasoning.patterns.sase_sources import sase_sources
 
 CASES = TESTS / "cases"
 
@@ -245,9 +260,62 @@ def readings(node: object) -> Iterator[Reading]:
             yield from readings(getattr(node, field.name))
 
 
+FIELDS = {
+    **dict.fromkeys(("tag", "gate"), Kind.TEXT),
+    **dict.fromkeys(("price", "volume"), Kind.NUMBER),
+    "at": Kind.TIME,
+}
+"""The fields that each stream has for SASE+ patterns."""
+
+
+def print_sase(text: str) -> str:
+    """The pattern or template as it is printed; then its parameters, sources and plan."""
+    if "TEMPLATE" in text.upper():
+        text, _, request = text.partition("==\n")
+        template = parse_sase_template(text)
+        printed = format_sase_template(template)
+        assert parse_sase_template(printed) == template
+        found = check_sase_template(template, vocabulary())
+        lines = [
+            f"?{s.name}: {s.kind or 'any'}"
+            if isinstance(s, ValueSlot)
+            else f"?{s.name} in {shorten(s.sort)}"
+            for s in found.slots
+        ]
+        given = dict(zip((s.name for s in found.slots), json.loads(request or "[]"), strict=False))
+        arguments = {
+            name: ObjectConstant(DYKNOW + value)
+            if isinstance(value, str)
+            else Constant(float(value), Kind.NUMBER)
+            for name, value in given.items()
+            if value is not None
+        }
+        if not request:
+            return "\n".join([printed, *(f"  {line}" for line in lines)])
+        checked = bound_sase(found, arguments)
+    else:
+        pattern = parse_sase(text)
+        printed = format_sase(pattern)
+        assert parse_sase(printed) == pattern
+        checked, lines = check_sase(pattern, text, vocabulary()), []
+    kinds = {(s.kind, field): FIELDS[field] for s in sase_sources(checked) for field in FIELDS}
+    query = sase_query(checked, kinds)
+    lines += [print_source(source) for source in query.sources]
+    lines += print_plan(query.plans[0]).splitlines()
+    lines += [f"result {each.name}: {each.kind}" for each in query.results]
+    return "\n".join([printed, *(f"  {line}" for line in lines)])
+
+
+def print_source(source: Source) -> str:
+    of = ", ".join(print_role(each.sort, each.object, None) for each in source.arguments)
+    columns = ", ".join(f"{each.column} = {each.part}" for each in source.columns)
+    return f"source {source.kind} of {of}: {columns}"
+
+
 PRINTERS = {
     "chronicle": print_chronicle,
     "mtl": print_mtl,
+    "sase": print_sase,
     "ssl": print_ssl,
     "csparql": print_csparql,
     "kpl": print_kpl,

@@ -18,9 +18,12 @@ from dyknow.reasoning.patterns.plan import (
     Condition,
     CountProbe,
     Element,
+    Output,
     PatternPlan,
     Point,
     Same,
+    Selection,
+    Trend,
     Value,
 )
 from dyknow.reasoning.patterns.rows import Rows
@@ -62,13 +65,20 @@ def sequence(
     *,
     within: int = WITHIN,
     conditions: tuple[Condition, ...] = (),
+    selection: Selection = Selection.ANY_MATCH,
+    outputs: tuple[Output, ...] = (),
+    trends: tuple[Trend, ...] = (),
+    max_matches: int | None = None,
 ) -> PatternPlan:
-    """Plan ``SEQ(A, ~D, C)``, written ``A~DC``, of events with one key x, under any match."""
+    """Plan ``SEQ(A, B+, ~D, C)``, written ``AB+~DC``, of events with one key x."""
     names: list[str] = []
     absent: list[tuple[int, str]] = []
+    kleene: set[int] = set()
     for before, letter in zip(" " + text, text, strict=False):
         if before == "~":
             absent.append((len(names), letter))
+        elif letter == "+":
+            kleene.add(len(names) - 1)
         elif letter != "~":
             names.append(letter)
     last = len(names) - 1
@@ -80,12 +90,19 @@ def sequence(
         probes.append(CountProbe(what, low, high, same=(Same(OWN, "x", 0, "x"),)))
     return PatternPlan(
         COLUMNS,
-        tuple(Element(name.lower(), (name,)) for name in names),
-        tuple(Between(Point(i), Point(i + 1), 1) for i in range(last)),
+        tuple(
+            Element(name.lower(), (name,), is_kleene=i in kleene) for i, name in enumerate(names)
+        ),
+        tuple(Between(Point(i), Point(i + 1, True), 1) for i in range(last)),
         tuple(Same(i, "x", i + 1, "x") for i in range(last)),
         conditions,
         tuple(probes),
+        selection,
         within=within,
+        outputs=outputs,
+        trends=trends,
+        partition=("x",) if selection is Selection.PARTITION_CONTIGUITY else (),
+        max_matches=max_matches,
     )
 
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
-import pickle
 from dataclasses import replace
 from random import Random
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from pattern_definition import Match, Row, Step, Watermark, matches
+from pattern_cuts import check_parts, found_in, parts_of
+from pattern_definition import Row, Step, matches
 from pattern_drawing import PatternDrawing, rows_of
 
 from dyknow.reasoning.patterns.all_rows import AllRows
 from dyknow.reasoning.patterns.limits import Limits
 from dyknow.reasoning.patterns.network import ContradictoryTimes, UnboundedRetention
-from dyknow.reasoning.patterns.plan import NO_VALUE, PatternPlan
-from dyknow.reasoning.patterns.rows import Matches
+from dyknow.reasoning.patterns.plan import PatternPlan
 
 SEEDS = st.integers(0, 2**32)
-Found = list[tuple[tuple[int, ...], int, tuple[int | float | None, ...]]]
 
 
 def evaluator(plan: PatternPlan, **options: object) -> AllRows:
@@ -31,40 +28,6 @@ def evaluator(plan: PatternPlan, **options: object) -> AllRows:
         raise
 
 
-def found_in(result: Matches) -> Found:
-    outputs = [[_value(x) for x in column.tolist()] for column in result.outputs.values()]
-    rows = [tuple(row) for row in result.rows.tolist()]
-    values = list(zip(*outputs, strict=True)) if outputs else [()] * len(rows)
-    return list(zip(rows, result.decided.tolist(), values, strict=True))
-
-
-def _value(value: int | float) -> int | float | None:
-    is_missing = value == NO_VALUE or (isinstance(value, float) and math.isnan(value))
-    return None if is_missing else value
-
-
-def wanted_of(wanted: list[Match]) -> Found:
-    return [(each.rows, each.decided, each.outputs) for each in wanted]
-
-
-def parts_of(steps: list[Step], draw: Random) -> list[tuple[int, list[Row] | int]]:
-    """Batches of rows, and watermarks, each with the number of steps up to its end."""
-    parts: list[tuple[int, list[Row] | int]] = []
-    batch: list[Row] = []
-    cut = draw.choice([0.0, 0.2, 0.5, 1.0])
-    for place, step in enumerate(steps):
-        if isinstance(step, Watermark):
-            parts += [(place, batch)] if batch else []
-            parts.append((place + 1, step.time))
-            batch = []
-        else:
-            batch.append(step)
-            if draw.random() < cut:
-                parts.append((place + 1, batch))
-                batch = []
-    return [*parts, (len(steps), batch)] if batch else parts
-
-
 def check(plan: PatternPlan, steps: list[Step], draw: Random, *, is_ordered: bool = True) -> int:
     wanted = matches(plan, steps, is_ordered=is_ordered)
     try:
@@ -72,22 +35,11 @@ def check(plan: PatternPlan, steps: list[Step], draw: Random, *, is_ordered: boo
     except ContradictoryTimes:
         assert not wanted
         return 0
-    done = 0
-    for until, part in parts_of(steps, draw):
-        if draw.random() < 0.1:
-            state = pickle.loads(pickle.dumps(running.state()))
-            running = AllRows(plan, is_ordered=is_ordered, capacity=8)
-            running.restore(state)
-        elif draw.random() < 0.05:
-            running = pickle.loads(pickle.dumps(running))
-        result = running.advance(part) if isinstance(part, int) else running.push(rows_of(part))
-        decided = [each for each in wanted if done <= each.step < until]
-        assert found_in(result) == wanted_of(decided)
-        done = until
-        due = running.next_due()
-        assert (due is None) == (running.pending == 0)
-    counters = running.counters
-    assert (counters.unstored, counters.crowded, counters.cut_short, counters.unawaited) == (0,) * 4
+
+    def make() -> AllRows:
+        return AllRows(plan, is_ordered=is_ordered, capacity=8)
+
+    check_parts(make, running, wanted, steps, draw)
     return len(wanted)
 
 

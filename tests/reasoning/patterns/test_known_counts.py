@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from pattern_data import ANY_MATCHES, WITHOUT_D, batches, data, sequence
+from pattern_data import ANY_MATCHES, NEXT_MATCHES, WITHOUT_D, batches, data, sequence
 
 from dyknow.reasoning.patterns.all_rows import AllRows
+from dyknow.reasoning.patterns.next_rows import NextRows
+from dyknow.reasoning.patterns.plan import Selection
 
 
 @pytest.mark.parametrize("keys", ANY_MATCHES)
@@ -13,6 +15,13 @@ def test_any_match(keys: int) -> None:
     running = AllRows(sequence("ABC"))
     found = sum(len(running.push(part)) for part in batches(data(100_000, keys), 1000))
     assert found == ANY_MATCHES[keys]
+
+
+@pytest.mark.parametrize("keys", NEXT_MATCHES)
+def test_next_match(keys: int) -> None:
+    running = NextRows(sequence("ABC", selection=Selection.NEXT_MATCH))
+    found = sum(len(running.push(part)) for part in batches(data(100_000, keys), 1000))
+    assert found == NEXT_MATCHES[keys]
 
 
 def test_negation() -> None:

@@ -1,0 +1,214 @@
+"""What a SASE+ pattern reads of streams: a source for each concept that is a type (SPEC §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from ...languages.errors import LanguageError, Span
+from ...languages.hints import suggest_name
+from ...languages.mtl.ast import Symbol, Variable
+from ...languages.mtl.checked import Kind
+from ...languages.sase import ast
+from ...languages.sase.checked import (
+    TIME,
+    VALUE,
+    CheckedPattern,
+    EventType,
+    condition_leaves,
+)
+from ...ontology.units import Unit
+from ...ontology.vocabulary import THING
+from ...rdf.namespaces import shorten
+from .plan import Column
+from .query import Argument, Kinds, Part, Source, SourceColumn, column_type
+
+_ALL: Final = Argument(THING)
+
+
+def sase_sources(checked: CheckedPattern) -> tuple[Source, ...]:
+    """Return what matching has to find. The kinds of fields are not known before. Raises
+    `LanguageError`."""
+    return Attributes(checked, None).sources()
+
+
+def source_kind(event_type: EventType) -> str:
+    """The name of the source of a type."""
+    return shorten(event_type.concept).removeprefix("dyknow:")
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """An attribute of the events of a part: its column, and the kind and unit of its values (None:
+    that of a field, or no number). ``argument``: whose objects they are."""
+
+    column: str
+    kind: Kind
+    unit: Unit | None
+    argument: Argument | None = None
+
+
+class Attributes:
+    """The attributes that a pattern reads, as columns of its rows. ``kinds`` of fields: None before
+    streams are found."""
+
+    def __init__(self, checked: CheckedPattern, kinds: Kinds | None) -> None:
+        self._checked = checked
+        self._kinds = kinds
+        self._types = {
+            part.name: types for part, types in zip(checked.text.parts, checked.types, strict=True)
+        }
+        self._columns: dict[str, Column] = {}
+        self._arguments = self._found_arguments()
+        self._read: dict[str, dict[str, SourceColumn]] = {
+            source_kind(each): {} for types in checked.types for each in types
+        }
+        for part, name, span in self._reads():
+            for each in self._types[part]:
+                if name != TIME:
+                    self._read[source_kind(each)][name] = self._column(each, name, span)
+
+    def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
+        return LanguageError(message, self._checked.source, span, hint)
+
+    def columns(self) -> tuple[Column, ...]:
+        """The columns of the plan."""
+        return tuple(self._columns.values())
+
+    def sources(self) -> tuple[Source, ...]:
+        """The sources, in order of the first part that reads each."""
+        types = {source_kind(each): each for types in self._types.values() for each in types}
+        return tuple(
+            Source(kind, each.concept, self._arguments[each], tuple(self._read[kind].values()))
+            for kind, each in types.items()
+        )
+
+    def attribute(self, part: str, name: str, span: Span) -> Attribute:
+        """Return an attribute of a part. Raises `LanguageError` if the types of the part differ."""
+        types = self._types[part]
+        columns = [self._read[source_kind(each)][name] for each in types]
+        is_value = columns[0].part is Part.VALUE
+        units = {each.unit if is_value else None for each in types}
+        if len({(each.kind, each.part) for each in columns}) > 1 or len(units) > 1:
+            kinds = " or ".join(source_kind(each) for each in types)
+            raise self.error(
+                f"`{name}` is not the same in each {kinds}", span, "write a pattern for each type"
+            )
+        first = columns[0]
+        assert first.kind is not None
+        argument = self._arguments[types[0]][first.argument] if len(types) == 1 else None
+        is_object = first.part is Part.OBJECT
+        # The unit of a field is not known here.
+        unit = next(iter(units)) if first.kind is Kind.NUMBER else None
+        return Attribute(first.column, first.kind, unit, argument if is_object else None)
+
+    # -- columns -----------------------------------------------------------------------------
+
+    def _reads(self) -> Iterator[tuple[str, str, Span]]:
+        """The attributes that the text reads: part, name and place."""
+        text = self._checked.text
+        leaves = [leaf for _, leaf in self._checked.returned()]
+        for condition in (*text.where, *text.having):
+            leaves += condition_leaves(condition)
+            if isinstance(condition, ast.Equivalence):
+                yield from ((part, condition.name, condition.span) for part in self._types)
+        for leaf in leaves:
+            if isinstance(leaf, ast.Attribute | ast.Aggregate) and leaf.name is not None:
+                yield leaf.part, leaf.name, leaf.span
+
+    def _column(self, event_type: EventType, name: str, span: Span) -> SourceColumn:
+        argument = event_type.argument(name)
+        if argument is not None:
+            column = self._named(name, Kind.OBJECT)
+            return SourceColumn(column, Part.OBJECT, Kind.OBJECT, argument=argument)
+        kind = event_type.kind if name == VALUE else None
+        if self._kinds is not None and kind is None:
+            kind = self._kinds.get((source_kind(event_type), name))
+        if name == VALUE and not event_type.is_sort:
+            # Without a range a value is a number, as in formulas.
+            kind = kind if self._kinds is None else kind or Kind.NUMBER
+            return SourceColumn(self._named(name, kind), Part.VALUE, kind)
+        if self._kinds is not None and kind is None:
+            own = source_kind(event_type)
+            known = [field for source, field in self._kinds if source == own]
+            raise self.error(
+                f"no stream of {own} has a field `{name}`", span, suggest_name(name, known)
+            )
+        return SourceColumn(self._named(name, kind), Part.FIELD, kind, field=name)
+
+    def _named(self, name: str, kind: Kind | None) -> str:
+        """The column of an attribute: its name, unless another type has it as another kind."""
+        if kind is None:
+            return name
+        type_ = column_type(kind)
+        for column in (name, f"{name} ({type_})"):
+            known = self._columns.setdefault(column, Column(column, type_))
+            if known.type is type_:
+                return column
+        raise AssertionError(name)
+
+    # -- whose events ------------------------------------------------------------------------
+
+    def _found_arguments(self) -> dict[EventType, tuple[Argument, ...]]:
+        """The objects of each type: those that all its parts must have."""
+        found = {}
+        for types in self._types.values():
+            for each in types:
+                parts = [part for part, of in self._types.items() if each in of]
+                found[each] = tuple(
+                    self._argument(each, parts, number) for number in range(self._count(each))
+                )
+        return found
+
+    def _count(self, event_type: EventType) -> int:
+        if event_type.arity is not None:
+            return max(event_type.arity, 1)
+        parts = {part for part, types in self._types.items() if event_type in types}
+        read = [event_type.argument(name) for part, name, _ in self._reads() if part in parts]
+        return 1 + max([number for number in read if number is not None], default=0)
+
+    def _argument(self, event_type: EventType, parts: list[str], number: int) -> Argument:
+        default = Argument(event_type.concept) if event_type.is_sort else _ALL
+        wanted = [self._restriction(part, event_type, number) or default for part in parts]
+        if all(each == wanted[0] for each in wanted):
+            found = wanted[0]
+            is_wide = event_type.is_sort and found.sort == THING
+            return Argument(event_type.concept, found.object) if is_wide else found
+        for part, each in zip(parts, wanted, strict=True):
+            if each.object is None and each.sort not in (default.sort, THING):
+                place = next(p.span for p in self._checked.text.parts if p.name == part)
+                raise self.error(
+                    f"{source_kind(event_type)} is read of {shorten(each.sort or '')} here, and "
+                    "of others elsewhere",
+                    place,
+                    "give all parts of this type the same object, or omit its sort",
+                )
+        return default
+
+    def _restriction(self, part: str, event_type: EventType, number: int) -> Argument | None:
+        """The objects that conditions demand of a part."""
+        objects = {each.name: each for each in self._checked.objects}
+        for condition in self._checked.text.where:
+            match condition:
+                case ast.Equivalence(name, value):
+                    sides = [(ast.Attribute(part, ast.Index.EACH, name, condition.span), value)]
+                case ast.Comparison("=", left, right):
+                    sides = [(left, right), (right, left)]  # type: ignore[list-item]
+                case _:
+                    continue
+            for one, other in sides:
+                if not isinstance(one, ast.Attribute) or one.part != part:
+                    continue
+                if one.index not in (ast.Index.ONE, ast.Index.EACH):
+                    continue
+                if event_type.argument(one.name) != number:
+                    continue
+                match other:
+                    case Symbol(text):
+                        return Argument(None, text[1:-1])
+                    case Variable(name) if name in objects:
+                        return Argument(objects[name].sort, objects[name].object)
+                    case _:
+                        pass
+        return None

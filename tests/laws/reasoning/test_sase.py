@@ -1,0 +1,137 @@
+"""SASE+: what its plans find is what the text means, however the rows are cut."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from pyoxigraph import RdfFormat, parse
+from sase_definition import Match, matches
+from sase_patterns import KINDS, TYPES, PatternDrawing, rows_of
+
+from dyknow.languages.errors import LanguageError
+from dyknow.languages.mtl.checked import Kind
+from dyknow.languages.sase import check_sase, format_sase, parse_sase
+from dyknow.ontology.vocabulary import Vocabulary
+from dyknow.rdf.namespaces import PREFIXES
+from dyknow.reasoning.patterns.all_rows import AllRows
+from dyknow.reasoning.patterns.evaluator import Evaluator
+from dyknow.reasoning.patterns.network import ContradictoryTimes
+from dyknow.reasoning.patterns.next_rows import NextRows
+from dyknow.reasoning.patterns.plan import NO_VALUE, Selection
+from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
+from dyknow.reasoning.patterns.rows import Matches
+from dyknow.reasoning.patterns.sase_plans import sase_query
+
+SEEDS = st.integers(0, 2**32)
+ONTOLOGY = "".join(f"dyknow:{each} a owl:Class .\n" for each in TYPES)
+
+
+def vocabulary() -> Vocabulary:
+    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
+    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
+    return Vocabulary.from_triples(quad.triple for quad in quads)
+
+
+VOCABULARY = vocabulary()
+
+
+def evaluator(query: PatternQuery, keys: Keys) -> Evaluator:
+    plan = with_numbers(query.plans[0], keys)
+    if plan.selection is Selection.ANY_MATCH:
+        return AllRows(plan, capacity=8)
+    return NextRows(plan, capacity=8)
+
+
+def results_of(query: PatternQuery, keys: Keys, found: Matches) -> list[tuple[Any, ...]]:
+    columns = [
+        [_value(value, result.kind, keys) for value in found.outputs[result.name]]
+        for result in query.results
+    ]
+    starts, ends = (found.outputs[name].tolist() for name in ("start", "end"))
+    return list(zip(starts, ends, *columns, strict=True))
+
+
+def _value(value: Any, kind: Kind, keys: Keys) -> Any:
+    if isinstance(value, np.ndarray):
+        return tuple(_value(each, kind, keys) for each in value)
+    if value == NO_VALUE or (isinstance(value, float) and math.isnan(value)):
+        return None
+    match kind:
+        case Kind.TEXT:
+            return keys.key(int(value))[1:]
+        case Kind.OBJECT:
+            return keys.key(int(value))
+        case _:
+            return float(value)
+
+
+def wanted_of(events: list[Any], found: list[Match]) -> list[tuple[Any, ...]]:
+    times = {event.number: event.time for event in events}
+    return [
+        (times[each.events[0][0]], times[each.events[-1][-1]], *map(_plain, each.results))
+        for each in found
+    ]
+
+
+def _plain(value: Any) -> Any:
+    return float(value) if isinstance(value, int | float) else value
+
+
+def check(case: PatternDrawing, count: int, span: int) -> int:
+    """Compare a random pattern with its definition; return the number of matches."""
+    text = case.text()
+    pattern = parse_sase(text)
+    assert parse_sase(format_sase(pattern)) == pattern
+    try:
+        checked = check_sase(pattern, text, VOCABULARY)
+    except LanguageError:
+        assume(False)
+        raise
+    query, keys = sase_query(checked, KINDS), Keys()
+    events = case.events(count, span)
+    wanted = wanted_of(events, matches(checked.text, events))
+    try:
+        running = evaluator(query, keys)
+    except ContradictoryTimes:
+        assert not wanted
+        return 0
+    found: list[tuple[Any, ...]] = []
+    draw = case.random
+    cut = draw.choice([1, 2, 5, count])
+    for start in range(0, count, cut):
+        batch = events[start : start + cut]
+        found += results_of(query, keys, running.push(rows_of(query, keys, batch, draw)))
+        if draw.random() < 0.2:
+            found += results_of(query, keys, running.advance(batch[-1].time))
+    found += results_of(query, keys, running.end())
+    assert Counter(found) == Counter(wanted), text
+    return len(wanted)
+
+
+@settings(deadline=None, max_examples=600)
+@given(SEEDS)
+def test_plans_find_what_texts_mean(seed: int) -> None:
+    case = PatternDrawing(seed)
+    check(case, case.random.randint(1, 11), case.random.choice([8, 20, 40]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_drawing_has_matches(seed: int) -> None:
+    """The law sees matches of each strategy: of random cases a fair share has some."""
+    rich: Counter[str] = Counter()
+    for each in range(1000 * seed, 1000 * seed + 200):
+        case = PatternDrawing(each)
+        text = case.text()
+        try:
+            checked = check_sase(parse_sase(text), text, VOCABULARY)
+        except LanguageError:
+            continue
+        rich[case.strategy] += bool(matches(checked.text, case.events(10, 20)))
+    assert len(rich) == 4
+    assert min(rich.values()) >= 5, rich
