@@ -32,6 +32,7 @@ from .store import (
     MADE,
     OUT,
     ROWS,
+    SMALLEST,
     UNSTORED,
     WATERMARK,
     Store,
@@ -227,6 +228,9 @@ class Evaluator(ABC):
     def _taken(self, rows: Rows) -> Matches:
         batch, kind = self._records(rows)
         self._rows += len(rows)
+        if len(rows) > SMALLEST:
+            # Otherwise large batches are compacted again and again.
+            self._store.capacity = max(self._store.capacity, len(rows))
         if self._store.marks[IS_FULL] and self._store.marks[WATERMARK] >= self._next_try:
             self._compact()
         marks = self._store.marks

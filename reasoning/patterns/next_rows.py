@@ -134,6 +134,7 @@ class NextRows(Evaluator):
 
     def _compact_store(self, made: Integers) -> None:
         watermark = int(self._store.marks[WATERMARK])
+        self._runs.capacity = self._store.capacity
         self._store.compact(*self._runs.compact(watermark, self._waiting.rows, made))
 
     def _ends(self, records: Integers) -> Integers:
