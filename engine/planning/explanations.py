@@ -19,10 +19,10 @@ from ...languages.csparql.ast import (
     CountWindow,
     EventRequest,
     LandmarkWindow,
+    Template,
     TimeWindow,
     Window,
 )
-from ...languages.mtl import FormulaTemplate
 from ...languages.ssl.annotation import StreamAnnotation
 from ...languages.templates import AnyTemplate
 from ...matching.match import Match
@@ -37,12 +37,12 @@ from ...ontology.units import Conversion, UnitError, conversion
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
 from ...streams.time import TIME_MIN, format_duration, format_time
-from ...templates.formulas import BoundFormula
 from ...templates.needs import Needs
+from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
 from ..model.views import MatchView, PlanView, UnitView
 from ..units.base import ComputationalUnit
-from .monitor_start import explain_monitor
+from .reasoning_start import explain_bound
 
 
 def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background:
@@ -141,7 +141,7 @@ def match_view(
 
 def explain_template(template: AnyTemplate) -> str:
     """Explain a template: parameters, window, text."""
-    window = None if isinstance(template, FormulaTemplate) else template.query.window
+    window = template.query.window if isinstance(template, Template) else None
     lines = [
         f"template {shorten(template.name)}",
         "parameters: " + ", ".join(f"?{parameter.value}" for parameter in template.parameters),
@@ -177,8 +177,8 @@ def explain_matched_query(
     return "\n\n".join([f"registered\n{_indent(parsed.source.strip())}", *stages])
 
 
-def explain_monitor_plan(source: str, matches: Sequence[Match], evaluation: str) -> str:
-    """Explain a monitor that is not started: text, matching, evaluation."""
+def explain_reasoning_plan(source: str, matches: Sequence[Match], evaluation: str) -> str:
+    """Explain a monitor or pattern that is not started: text, matching, evaluation."""
     return explain_running_query(source.strip(), (), matches, "none yet", evaluation, "")
 
 
@@ -206,7 +206,7 @@ def explain_running_query(
 def explain_request(
     template: AnyTemplate,
     request: EventRequest,
-    bound: ContinuousQuery | BoundFormula,
+    bound: ContinuousQuery | Bound,
     wanted: Needs,
     matches: Sequence[Match],
     ontology: Ontology,
@@ -217,9 +217,9 @@ def explain_request(
         f"request\n  {request.source.strip()}",
         f"template\n{_indent(template.source.strip())}",
     ]
-    if isinstance(bound, BoundFormula):
+    if not isinstance(bound, ContinuousQuery):
         parts += _found(wanted, matches)
-        return "\n\n".join([*parts, f"evaluation\n{_indent(explain_monitor(bound.monitor))}"])
+        return "\n\n".join([*parts, f"evaluation\n{_indent(explain_bound(bound))}"])
     return "\n\n".join([*parts, *_matching_stages(bound, wanted, matches, ontology, dictionary)])
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...continuous.operators.results import WindowResult
 from ...converters.to_triples import SampleConverter
+from ...languages.csparql.ast import ContinuousQuery
 from ...languages.errors import LanguageError, Span
-from ...languages.mtl import Monitor
 from ...languages.specification.ast import RESERVED
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
@@ -38,25 +38,26 @@ from ..model.errors import (
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
 from ..planning import explanations
-from ..planning.monitor_start import explain_monitor
 from ..planning.plan_execution import Plans
 from ..planning.query_start import (
     QueryStarter,
     RegisteredUnit,
     StartedQuery,
     bad_arguments_for_unsupported,
-    formula_of,
 )
+from ..planning.reasoning_start import bound_of, explain_bound
 from ..planning.registrations import (
     AnyQuery,
     Registration,
     Submission,
     check_same,
+    name_of,
     options_of,
     parse_registered,
     registration_of,
 )
 from ..units.monitor import MonitorUnit
+from ..units.pattern import PatternUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
 from . import reasoning_answers
 from .empty_reasons import NO_WINDOW, why_empty
@@ -148,7 +149,7 @@ class RegisteredQueries:
         """Return the name that a query would get; for a text without a name, or with errors,
         ``wanted`` or the next reserved name."""
         try:
-            name = parse_registered(text).name
+            name = name_of(parse_registered(text))
         except LanguageError:
             name = ""
         return _own_name(name) if name else wanted or self._configuration.next_reserved
@@ -185,7 +186,9 @@ class RegisteredQueries:
             raise
         if existing is not None:
             running.users = running.unit.users = existing.users + 1
-        if query.name and not any(each.name.startswith(RESERVED) for each in running.started.reads):
+        if name_of(query) and not any(
+            each.name.startswith(RESERVED) for each in running.started.reads
+        ):
             # Another run may give a reserved name to another stream, so such a query is not stored.
             self._ontology.registered.queries[name] = registration.json()
         self._lost.pop(name, None)
@@ -273,10 +276,11 @@ class RegisteredQueries:
     def latest(self, name: str) -> WindowResult:
         """The result of the last closed window. Raises `UnknownQuery` and `NoResult`."""
         running = self._get(name)
-        if isinstance(running.unit, MonitorUnit):
+        if isinstance(running.unit, MonitorUnit | PatternUnit):
+            what = running.registration.kind.lower()
             raise NoResult(
-                f"{name!r} is a monitor and has no windows",
-                f"its verdicts are the samples of stream {name} (GET /streams/{name}/samples)",
+                f"{name!r} is a {what} and has no windows",
+                f"its results are the samples of stream {name} (GET /streams/{name}/samples)",
             )
         found = running.started.kept.latest
         if found is None:
@@ -328,11 +332,10 @@ class RegisteredQueries:
         `LanguageError`, `NoPlan` and `BadArguments`."""
         query = parse_registered(text)
         context = self._ontology, self._dictionary
-        if isinstance(query, Monitor):
-            formula = formula_of(query, text, self._ontology)
-            found = self._plans.match(formula.needs.wants, "fast", explained=True)
-            how = explain_monitor(formula.monitor)
-            return explanations.explain_monitor_plan(text, found, how)
+        if not isinstance(query, ContinuousQuery):
+            bound = bound_of(query, text, self._ontology)
+            found = self._plans.match(bound.needs.wants, "fast", explained=True)
+            return explanations.explain_reasoning_plan(text, found, explain_bound(bound))
         with bad_arguments_for_unsupported():
             if query.streams:
                 return explanations.explain_query(query, *context, self._starter.flows(query))
@@ -391,7 +394,8 @@ class RegisteredQueries:
 
     def _name_of(self, query: AnyQuery, submission: Submission, wanted: str) -> str:
         """Return the name of the query and its stream. Raises `Refused` and `AlreadyExists`."""
-        if not query.name:
+        own = name_of(query)
+        if not own:
             for running in self._running.values():
                 if not running.is_named and running.registration.submission == submission:
                     return running.name
@@ -399,7 +403,7 @@ class RegisteredQueries:
                 self._configuration.skip_reserved(wanted)
                 return wanted
             return self._configuration.reserved_name()
-        name = _own_name(query.name)
+        name = _own_name(own)
         if name not in self._running:
             self._declared.check_stream_name(name)
             if self._configuration.has(name):
@@ -413,7 +417,7 @@ class RegisteredQueries:
     def _start(self, name: str, registration: Registration, query: AnyQuery) -> _Running:
         started = self._starter.start(name, query, registration.submission)
         started.unit.users += 1
-        running = _Running(name, bool(query.name), registration, started)
+        running = _Running(name, bool(name_of(query)), registration, started)
         self._running[name] = running
         return running
 

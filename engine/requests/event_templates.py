@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ...languages.csparql.ast import EventRequest
+from ...languages.csparql.ast import EventRequest, Template
 from ...languages.mtl import FormulaTemplate
 from ...languages.templates import AnyTemplate
 from ...matching.space import StreamSpace
@@ -13,7 +13,7 @@ from ...rdf.namespaces import shorten
 from ...templates.library import NoSuchTemplate, TemplateExists, TemplateLibrary, TemplateRefused
 from ...templates.transformations import event_transformation
 from ..catalog.name_resolution import did_you_mean
-from ..configuration.configuration import C_SPARQL, MTL
+from ..configuration.configuration import C_SPARQL, MTL, PATTERN
 from ..model.errors import AlreadyExists, Conflict, Refused, UnknownEvent, UnknownTemplate
 from ..model.status_changes import Change, ChangeKind, KnownTransformation
 from ..model.views import TemplateView
@@ -106,7 +106,7 @@ class EventTemplates:
             transformation = event_transformation(
                 template, lambda: self._ontology.vocabulary, self._library.needs
             )
-            kind = MTL if isinstance(template, FormulaTemplate) else C_SPARQL
+            kind = _kind(template)
             if transformation != self._space.transformations.get(transformation.name):
                 self._report(
                     Change(
@@ -125,3 +125,10 @@ class EventTemplates:
             source=template.source,
             etag=self._library.etag(template.name),
         )
+
+
+def _kind(template: AnyTemplate) -> str:
+    """The transformation that evaluates a template."""
+    if isinstance(template, Template):
+        return C_SPARQL
+    return MTL if isinstance(template, FormulaTemplate) else PATTERN

@@ -112,6 +112,10 @@ class AllRows(Evaluator):
             np.maximum(found, ends[rows[:, element]], out=found)
         return found
 
+    def _last(self, records: Integers) -> Integers:
+        last: Integers = records.max(axis=1)
+        return last
+
     def _ask(self, records: Integers, hold: NDArray[np.bool_]) -> None:
         packed, store = self._packed, self._store
         conditions = packed.conditions

@@ -203,6 +203,10 @@ class Evaluator(ABC):
         """The latest end in each match."""
 
     @abstractmethod
+    def _last(self, records: Integers) -> Integers:
+        """The place of the row of each match that came last."""
+
+    @abstractmethod
     def _order(self, records: Integers) -> Integers | None:
         """The order of matches: by the row that completes each, then by their rows. None: they
         are in order."""
@@ -296,7 +300,8 @@ class Evaluator(ABC):
             records, decided = np.concatenate([late_records, records])[order], decided[order]
         outputs = self._outputs(records)
         numbers = store.table[: int(marks[ROWS]), NUMBER].copy()
-        return Matches(numbers.take(records[:, : len(self.plan.elements)]), decided, outputs)
+        rows = numbers.take(records[:, : len(self.plan.elements)])
+        return Matches(rows, decided, outputs, numbers.take(self._last(records)))
 
     def _wait(self, records: Integers, due: Integers) -> None:
         room = max(0, self._limits.waiting - len(self._waiting))

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from ...streams.sample import Times
 from ..states.departures import Departures, Steps
 from .all_rows import AllRows
+from .changes import Changes
 from .evaluator import Evaluator
 from .limits import DEFAULT_LIMITS, Limits
+from .next_rows import NextRows
 from .plan import NO_VALUE, PatternPlan, Selection
 from .query import END, Keys, PatternQuery, with_numbers
 from .rows import Matches, Rows, Values, concatenated
@@ -39,12 +41,12 @@ class Recognized:
 class Recognition:
     """The matches of a pattern over the samples of ``streams``, numbered from 0.
 
-    A row's end is its valid time. Where order matters (probes, runs, trends), a row waits until no
-    earlier one may come: until the greatest valid times of all streams have passed it by their
-    ``lateness`` (ns, one a stream). A match is available when it is decided. Other plans take rows
-    as they arrive, and a match is available with the last of its rows. A row behind what has been
-    reached is late in both: it is counted, and left out. ``keeps_places``: `places` may be asked
-    for.
+    A row's end is its valid time. Where order matters (probes, runs, trends, changes), a row waits
+    until no earlier one may come: until the greatest valid times of all streams have reached it,
+    less their ``lateness`` (ns, one a stream). A match is available when it is decided. Other plans
+    take rows as they arrive, and a match is available with the last of its rows. A row behind what
+    has been reached is late in both: it is counted, and left out. ``keeps_places``: `places` may be
+    asked for.
 
     Law (tests/laws/reasoning/test_recognition.py): results and their available times do not depend
     on batch cuts, nor on the order in which the streams deliver. Cost: a sort of the new rows.
@@ -67,11 +69,15 @@ class Recognition:
         self.late = 0
         """Rows that came too late."""
         self._kinds = tuple(source.kind for source in query.sources)
+        self.rows_of = dict.fromkeys(self._kinds, 0)
+        """The rows of each kind that came."""
         self._columns = {
             column.name: np.float64 if column.type == "number" else np.int64
             for plan in plans
             for column in plan.columns
         }
+        has_changes = any(source.has_changes for source in query.sources)
+        self._changes = Changes(query.sources) if has_changes else None
         self._departures = Departures(None, streams, lateness)
         self._begun = [0] * streams
         """The number of the first sample in the last batch of each stream."""
@@ -127,6 +133,7 @@ class Recognition:
         """Take the rows of one kind in the batch of a stream that `came` has told of last.
         ``samples``: their places in that batch, in order."""
         count = len(end)
+        self.rows_of[kind] += count
         place = np.empty((count, 3), np.int64)
         place[:, STREAM], place[:, KIND] = stream, self._kinds.index(kind)
         place[:, SAMPLE] = samples + self._begun[stream]
@@ -176,35 +183,39 @@ class Recognition:
         first = self._number
         found = self._pushed(new)
         self.evaluator.advance(steps.latest)
-        if not len(found):
-            return self._results(found, found.decided)
-        return self._results(found, new.available[found.rows.max(axis=1) - first])
+        return self._results(found, new.available[found.last - first])
 
     def _in_order(self, new: _Batch, steps: Steps) -> Recognized:
         rows = _joined([self._waiting, new]).in_order()
-        leave = int(np.searchsorted(rows.end, steps.latest, "left"))
+        leave = int(np.searchsorted(rows.end, steps.latest, "right"))
         self._waiting = rows.take(slice(leave, None))
-        pushed = self._pushed(rows.take(slice(0, leave)))
-        found = concatenated([pushed, self.evaluator.advance(steps.latest)])
-        # A match that had to wait is decided at a watermark, another one by a row that leaves.
-        has_waited = found.decided > found.outputs[END]
-        return self._results(found, steps.left(found.decided - has_waited))
+        rows, first = rows.take(slice(0, leave)), self._number
+        found = concatenated([self._pushed(rows), self.evaluator.advance(steps.latest)])
+        # A match that had to wait is decided when its time is reached, another one by its last row,
+        # which leaves when its time is reached, or later, when it comes.
+        available = steps.reaching(found.decided)
+        by_row = found.decided <= found.outputs[END]
+        came = rows.available[found.last[by_row] - first]
+        available[by_row] = np.maximum(available[by_row], came)
+        return self._results(found, available)
 
     def _pushed(self, batch: _Batch) -> Matches:
         self._number += len(batch)
         if self._places is not None:
             self._places.append(batch.place)
-        return self.evaluator.push(
-            Rows(self._kinds, batch.place[:, KIND].copy(), batch.start, batch.end, batch.columns)
-        )
+        rows = Rows(self._kinds, batch.place[:, KIND].copy(), batch.start, batch.end, batch.columns)
+        if self._changes is not None:
+            rows = self._changes.push(rows)
+        return self.evaluator.push(rows)
 
     def _results(self, found: Matches, available: Times) -> Recognized:
         return Recognized(available, found.outputs[self.query.valid], found.outputs, found.rows)
 
 
 def needs_order(query: PatternQuery) -> bool:
-    """Whether rows must be taken in order of their ends: what did not happen is known only then."""
-    return any(
+    """Whether rows must be taken in order of their ends: what did not happen, what follows and what
+    was before are known only then."""
+    return any(source.has_changes for source in query.sources) or any(
         plan.probes or plan.trends or plan.selection is not Selection.ANY_MATCH
         for plan in query.plans
     )
@@ -213,6 +224,8 @@ def needs_order(query: PatternQuery) -> bool:
 def evaluator_of(plans: Sequence[PatternPlan], limits: Limits, *, is_ordered: bool) -> Evaluator:
     """Return the evaluator of plans. Raises `PlanError`."""
     (plan,) = plans
+    if plan.selection is not Selection.ANY_MATCH:
+        return NextRows(plan, limits=limits)
     return AllRows(plan, is_ordered=is_ordered, limits=limits)
 
 

@@ -41,6 +41,12 @@ class Steps:
             return later(due, self.delay)
         return self.moment[np.searchsorted(self.reached, due, "right")]
 
+    def reaching(self, times: Times) -> Times:
+        """When these times are reached. Contract: they are, in these steps or before; those that
+        were before are taken to be so at the first moment."""
+        last = max(len(self.reached) - 1, 0)
+        return self.moment[np.minimum(np.searchsorted(self.reached, times, "left"), last)]
+
     def reached_before(self, available: Times) -> Times:
         """The time that was reached when samples of these available times came."""
         if self.delay is not None:

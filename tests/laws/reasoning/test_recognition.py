@@ -86,8 +86,8 @@ def expected(query: PatternQuery, sent: list[Sent], lateness: list[int]) -> tupl
             reached = max(reached, passed)
         if is_ordered:
             queue += kept
-            take(in_order([each for each in queue if each.row.end < reached]), at)
-            queue = [each for each in queue if each.row.end >= reached]
+            take(in_order([each for each in queue if each.row.end <= reached]), at)
+            queue = [each for each in queue if each.row.end > reached]
         else:
             take(kept, at)
         steps.append(Watermark(reached))
