@@ -20,7 +20,7 @@ from ..reasoning.patterns.compilation import (
     template_sources,
     with_arguments,
 )
-from ..reasoning.patterns.query import END, START, Kinds, PatternQuery, Source
+from ..reasoning.patterns.query import END, START, Kinds, Part, PatternQuery, Source
 from ..streams.sample import TIME_FIELDS
 from .needs import Needs, NeedsError
 from .slots import Slot, given_arguments
@@ -84,7 +84,12 @@ def pattern_template_wants(template: PatternTemplate, vocabulary: Vocabulary) ->
 
 
 def _bound(checked: CheckedPattern) -> BoundPattern:
-    return BoundPattern(checked, _wants(checked.sources()))
+    bound = BoundPattern(checked, _wants(checked.sources()))
+    columns = (column for source in bound.sources.values() for column in source.columns)
+    if all(column.part is not Part.FIELD for column in columns):
+        # Errors of the text come before those of streams that are missing.
+        bound.query({})
+    return bound
 
 
 def _wants(sources: Iterable[Source]) -> dict[Want, Source]:
