@@ -98,7 +98,7 @@ def _constant(term: Term, kind: Kind, index: int, parameter: Variable) -> Consta
     shown = shorten(term.value) if isinstance(term, NamedNode) else f'"{term.value}"'
     article = "an" if kind is Kind.OBJECT else "a"
     raise argument_error(
-        f"it is {article} {kind} there, and {shown} is none",
+        f"it is {article} {kind} in the template, and {shown} is none",
         index,
         parameter,
         f"give {_example(kind).rstrip(',')}",

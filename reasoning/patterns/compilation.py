@@ -15,7 +15,8 @@ from ...languages.chronicle.checked import with_arguments as chronicle_with_argu
 from ...languages.mtl.checked import Constant, ObjectConstant
 from ...languages.patterns import Pattern, PatternTemplate
 from ...ontology.vocabulary import Vocabulary
-from .chronicle_plans import chronicle_query, chronicle_sources
+from .chronicle_plans import chronicle_query
+from .chronicle_sources import chronicle_sources
 from .query import Kinds, PatternQuery, Source
 from .sase_plans import sase_query
 from .sase_sources import sase_sources

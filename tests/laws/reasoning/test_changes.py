@@ -142,3 +142,11 @@ def test_many_objects_take_little_memory() -> None:
     rows = [("P", 0, (i,), 1.0) for i in range(count)]
     changes.push(rows_of(rows, KINDS))
     assert changes.size <= 4 * 8 * 3 * (count + 4096)
+
+
+def test_without_sources_of_changes_only_late_rows_are_left_out() -> None:
+    changes = Changes([source("E")])
+    rows: list[Row] = [("E", 2, (1,), 1.0), ("E", 1, (1,), 2.5), ("P", 3, (1,), 2.5)]
+    assert [row for row, _ in read(changes.push(rows_of(rows, KINDS)))] == [rows[0], rows[2]]
+    assert changes.late == 1
+    assert not len(changes.push(rows_of([], KINDS)))
