@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Variable
+from pyoxigraph import Variable
 
 from ..languages.mtl import (
     CheckedMonitor,
@@ -18,9 +18,7 @@ from ..languages.mtl import (
 )
 from ..languages.mtl.checked import (
     Constant,
-    Kind,
     ObjectConstant,
-    ObjectSlot,
     ObjectVariable,
     Parameter,
     Reading,
@@ -29,14 +27,13 @@ from ..matching.subject import Subject
 from ..matching.want import Want
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import XSD, shorten
+from ..rdf.namespaces import shorten
 from ..reasoning.mtl.evaluator import sorts_of
 from ..reasoning.mtl.formulas import readings_of
 from ..reasoning.mtl.monitoring import RESULT_FIELDS
 from ..streams.sample import TIME_FIELDS
-from ..streams.time import parse_time
-from .instantiate import argument_error, check_count, number_problem
 from .needs import Needs, NeedsError
+from .slots import bind_slots
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,45 +65,15 @@ def bound_template(
     A variable leaves the objects of a parameter free. Raises `ArgumentError`, and the errors of
     `bound_monitor` where the ontology has changed since the template was registered.
     """
-    check_count(template, arguments)
     checked = check_formula_template(template, vocabulary)
-    values: dict[str, Constant | ObjectConstant] = {}
+    bound = bind_slots(template, checked.slots, arguments)
     sorts = dict(checked.monitor.parameters)
-    fixed: dict[str, str] = {}
-    for index, (slot, argument) in enumerate(zip(checked.slots, arguments, strict=True)):
-        parameter = template.parameters[index]
-        match slot, argument:
-            case Parameter(), Variable():
-                raise argument_error(
-                    "it must be given: the formula finds no value for it",
-                    index,
-                    parameter,
-                    f"give {_EXAMPLES[slot.kind]} instead of {argument}",
-                )
-            case Parameter(), NamedNode() | BlankNode() | Literal():
-                values[slot.name] = _constant(argument, slot.kind, index, parameter)
-            case ObjectSlot(name, sort), NamedNode(value=iri):
-                # A sort of its own, so that quantifiers over the sort go on to mean all objects.
-                sorts[name], fixed[iri] = iri, sort
-            case ObjectSlot(), Variable():
-                if argument in arguments[:index]:
-                    raise argument_error(
-                        f"{argument} is used for two arguments",
-                        index,
-                        parameter,
-                        f"leave the second free under a name of its own: ?{slot.name}",
-                    )
-            case _:
-                raise argument_error(
-                    f"it stands for an object: expected an IRI, found {argument}",
-                    index,
-                    parameter,
-                    "write a name such as dyknow:uav1",
-                )
+    # A sort of its own, so that quantifiers over the sort go on to mean all objects.
+    fixed = {iri: sorts[name] for name, iri in bound.objects.items()}
     monitor = replace(
         checked.monitor,
-        parameters=tuple(sorts.items()),
-        formula=_with_values(checked.monitor.formula, values),
+        parameters=tuple((name, bound.objects.get(name, sort)) for name, sort in sorts.items()),
+        formula=_with_values(checked.monitor.formula, bound.values),
         fixed=tuple(fixed.items()),
     )
     return _bound(monitor, template.monitor, template.source)
@@ -158,48 +125,7 @@ def _want(reading: Reading, sorts: dict[str, str], objects: dict[str, str]) -> W
     return Want(reading.feature, first.sort, first.object, tuple(others))
 
 
-_EXAMPLES = {
-    Kind.NUMBER: "a number, for example 100,",
-    Kind.TRUTH: "true or false",
-    Kind.TEXT: 'a text, for example "red",',
-    Kind.TIME: 'a time, for example "2026-01-01T00:00:00Z"^^xsd:dateTime,',
-    Kind.OBJECT: "an object, for example dyknow:uav1,",
-}
-
-
-def _constant(term: Term, kind: Kind, index: int, parameter: Variable) -> Constant | ObjectConstant:
-    """The value of an argument. Raises `ArgumentError` for another kind."""
-    problem = number_problem(term)
-    datatype = term.datatype.value.removeprefix(XSD) if isinstance(term, Literal) else ""
-    match kind:
-        case Kind.OBJECT if isinstance(term, NamedNode):
-            return ObjectConstant(term.value)
-        case Kind.NUMBER if not problem:
-            return Constant(float(term.value), Kind.NUMBER)
-        case Kind.NUMBER if isinstance(term, Literal):
-            raise argument_error(problem, index, parameter, "give a finite number, such as 100")
-        case Kind.TRUTH if datatype == "boolean" and term.value in ("true", "false", "1", "0"):
-            return Constant(term.value in ("true", "1"), Kind.TRUTH)
-        case Kind.TEXT if datatype == "string":
-            return Constant(term.value, Kind.TEXT)
-        case Kind.TIME if datatype == "dateTime":
-            try:
-                return Constant(parse_time(term.value), Kind.TIME)
-            except ValueError as error:
-                raise argument_error(str(error), index, parameter) from None
-        case _:
-            pass
-    shown = shorten(term.value) if isinstance(term, NamedNode) else f'"{term.value}"'
-    article = "an" if kind is Kind.OBJECT else "a"
-    raise argument_error(
-        f"it is {article} {kind} in the formula, and {shown} is none",
-        index,
-        parameter,
-        f"give {_EXAMPLES[kind].rstrip(',')}",
-    )
-
-
-def _with_values(node: Any, values: dict[str, Constant | ObjectConstant]) -> Any:
+def _with_values(node: Any, values: Mapping[str, Constant | ObjectConstant]) -> Any:
     """The formula with values in place of parameters."""
     if isinstance(node, Parameter):
         return values[node.name]

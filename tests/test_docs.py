@@ -21,6 +21,7 @@ from places import ROOT
 from pyoxigraph import RdfFormat, parse
 
 from dyknow.engine.engine import Engine
+from dyknow.languages.chronicle import is_chronicle
 from dyknow.languages.kpl import parse_kpl
 from dyknow.languages.mtl import (
     is_formula_template,
@@ -143,6 +144,9 @@ def test_blocks_are_of_their_language(page: Path) -> None:
                 parse_kpl(block.text)
             case "ssl":
                 parse_ssl(block.text)
+            case "chronicle":
+                # Refused texts are compared by tests/languages/chronicle/test_chronicles_page.py.
+                assert is_chronicle(block.text)
             case "mtl":
                 # Refused texts are compared by tests/languages/test_formulas_page.py.
                 if is_formula_template(block.text):

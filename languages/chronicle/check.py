@@ -86,7 +86,7 @@ def check_chronicle_template(
                 raise checker.error(
                     f"the matches do not tell of `?{name}`",
                     slot.span,
-                    f"name it in the head: `chronicle {checked.name}(?{name}, …)`",
+                    f"name it in the head: `chronicle {template.chronicle.name}(?{name}, …)`",
                 )
             slots.append(ObjectSlot(name, checked.variables[name].sort or THING))
         elif name in checker.parameters:
@@ -124,6 +124,7 @@ class _Checker:
         self._sorts = self.sorts((*slots, *chronicle.parameters), clauses)
         self._kinds = self.stated_kinds()
         self._variables: dict[str, Meaning] = {}
+        self._arities: dict[str, int] = {}
 
     def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
         return LanguageError(message, self._names.source, span, hint)
@@ -148,7 +149,7 @@ class _Checker:
         if chronicle.emitted is not None:
             self.point(chronicle.emitted)
         return CheckedChronicle(
-            chronicle.name,
+            chronicle.stream or chronicle.name,
             tuple(each.variable.name for each in chronicle.parameters),
             self._variables,
             tuple(
@@ -292,6 +293,13 @@ class _Checker:
                 f"`{name}` is a feature of {count(info.arity or 0, 'object')}, not of {number}",
                 message.span,
                 f"write `{name}[{shown}]`",
+            )
+        before = self._arities.setdefault(feature, number)
+        if before != number:
+            raise self.error(
+                f"`{name}` is an event of {count(before, 'object')} above, and of {number} here",
+                message.span,
+                "name its objects alike, with `?` for any object",
             )
         arguments = tuple(map(self.argument, message.arguments))
         tests = [

@@ -143,11 +143,15 @@ class Network:
         d = self.greatest
         return min(min(d[b][element] + d[element][b], INFINITE) for b in bound)
 
+    @cached_property
+    def _variables(self) -> tuple[tuple[tuple[int, str], ...], ...]:
+        return variables_of(self.plan)
+
     def _shared(self, element: int, bound: list[int]) -> tuple[Same, ...]:
         """One equality for each variable that the element shares with the bound ones: equality is
         transitive, so further ones say nothing new."""
         found = []
-        for variable in variables_of(self.plan):
+        for variable in self._variables:
             own = [column for j, column in variable if j == element]
             other = [(b, column) for b, column in variable if b in bound]
             if own and other:

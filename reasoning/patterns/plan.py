@@ -21,6 +21,8 @@ from typing import Final, TypeAlias, assert_never
 from ...streams.time import TIME_MIN
 
 MOST_ELEMENTS: Final = 16
+MOST_PROBES: Final = 46
+"""Elements and probes are bits of one 64-bit integer (`packing`)."""
 OWN: Final = -1
 """Stands for the row of the probe, or of the element, that a condition belongs to."""
 NO_VALUE: Final = TIME_MIN
@@ -376,6 +378,12 @@ def _check(plan: PatternPlan) -> None:
             f"a pattern has {count} events, and at most {MOST_ELEMENTS} are evaluated together",
             "divide it into patterns that read each other",
             tuple(range(MOST_ELEMENTS, count)),
+        )
+    if len(plan.probes) > MOST_PROBES:
+        raise PlanError(
+            f"a pattern asks {len(plan.probes)} things about what happened besides its events, and "
+            f"at most {MOST_PROBES} are asked",
+            "divide it into patterns that read each other",
         )
     kleene = tuple(i for i, each in enumerate(plan.elements) if each.is_kleene)
     is_listed = plan.selection is Selection.ANY_MATCH and not plan.trends

@@ -139,7 +139,7 @@ def test_what_is_missing(flying):
         ("Reckless(?c, ?d)", "argument 2 (?limit): it must be given", "a number"),
         ('Reckless(?c, "fast")', '"fast" is not a number', "such as 100"),
         ("Reckless(?c, 1e999)", "1e999 is not finite", "such as 100"),
-        ("Reckless(?c, dyknow:uav1)", "it is a number in the formula", "a number"),
+        ("Reckless(?c, dyknow:uav1)", "it is a number in the template", "a number"),
         ("Reckless(100, 100)", "argument 1 (?x): it stands for an object", "dyknow:uav1"),
     ],
 )
