@@ -25,8 +25,21 @@ sys.path[:0] = [str(ROOT / "tests" / "support")]
 from pattern_data import KINDS, WITHIN, S, batches, chronicle, data, rising, sequence  # noqa: E402
 
 from dyknow.reasoning.patterns.all_rows import AllRows  # noqa: E402
-from dyknow.reasoning.patterns.plan import PatternPlan  # noqa: E402
+from dyknow.reasoning.patterns.evaluator import Evaluator  # noqa: E402
+from dyknow.reasoning.patterns.next_rows import NextRows  # noqa: E402
+from dyknow.reasoning.patterns.plan import (  # noqa: E402
+    Aggregate,
+    Condition,
+    Function,
+    Output,
+    PatternPlan,
+    Position,
+    Selection,
+    Trend,
+    Value,
+)
 from dyknow.reasoning.patterns.rows import Rows  # noqa: E402
+from dyknow.reasoning.patterns.trends import Trends  # noqa: E402
 
 RUNS = 3
 
@@ -68,6 +81,23 @@ def by_python(rows: Rows) -> int:
     return found
 
 
+def by_python_next(rows: Rows) -> int:
+    """SEQ(A, B, C) of the next match by two lists of each key; it counts matches."""
+    starts: dict[int, list[int]] = defaultdict(list)
+    middles: dict[int, list[int]] = defaultdict(list)
+    found = 0
+    for end, kind, key in zip(
+        rows.end.tolist(), rows.kind.tolist(), rows.columns["x"].tolist(), strict=True
+    ):
+        if kind == 0:
+            starts[key].append(end)
+        elif kind == 1:
+            middles[key] += [first for first in starts.pop(key, []) if first >= end - WITHIN]
+        elif kind == 2:
+            found += sum(first >= end - WITHIN for first in middles.pop(key, []))
+    return found
+
+
 def by_numpy(rows: Rows) -> int:
     """SEQ(A, B, C) by searches over the whole recording, in order of key and time."""
     span = int(rows.end[-1]) + 2 * WITHIN + 2
@@ -90,6 +120,15 @@ def _pairs(codes: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.nda
     return left, np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts - begin, counts)
 
 
+NEXT = sequence("ABC", selection=Selection.NEXT_MATCH)
+KLEENE = sequence(
+    "AB+C",
+    selection=Selection.NEXT_MATCH,
+    outputs=tuple(Output(f, Aggregate(f, 1, "v")) for f in (Function.SUM, Function.AVG)),
+)
+TOTALS = (Trend("n", Function.COUNT), Trend("s", Function.SUM, 1, "v"))
+TRENDS = sequence("AB+C", trends=TOTALS[:1])
+STEP = Condition(">", Value(1, "v"), Value(1, "v", Position.PREVIOUS))
 CASES = (
     *(
         Case(f"any A;B;C, {keys:,} keys, to {name}", sequence("ABC"), keys, by_hand=by_hand)
@@ -106,6 +145,32 @@ CASES = (
         for keys in (30, 100)
         for more, probes in (("", False), (" + noevent + occurs", True))
     ),
+    *(
+        Case(f"next A;B;C, {keys:,} keys, to Python by hand", NEXT, keys, by_hand=by_python_next)
+        for keys in (10, 100, 10_000)
+    ),
+    Case("next A;B;C, a.v < b.v < c.v, 100 keys", replace(NEXT, conditions=rising(3)), 100),
+    Case("next A;B+;C, sum and avg of b.v, 100 keys", KLEENE, 100),
+    Case("next A;B+;C, b[i].v > b[i-1].v, 100 keys", replace(KLEENE, conditions=(STEP,)), 100),
+    Case("next A;~D;C, 100 keys", sequence("A~DC", selection=Selection.NEXT_MATCH), 100),
+    Case("next A;B;~D, waits, 100 keys", sequence("AB~D", selection=Selection.NEXT_MATCH), 100),
+    *(
+        Case(f"{selection} A;B;C, 100 keys", sequence("ABC", selection=selection), 100)
+        for selection in (Selection.PARTITION_CONTIGUITY, Selection.STRICT_CONTIGUITY)
+    ),
+    *(
+        Case(f"trends of A;B+;C, COUNT(*), {keys:,} keys", TRENDS, keys)
+        for keys in (10, 100, 10_000)
+    ),
+    Case("trends of A;B+;C, COUNT(*), SUM, 10 keys", replace(TRENDS, trends=TOTALS), 10),
+    Case("trends of A;B+;C, b[i].v > b[i-1].v, 10 keys", replace(TRENDS, conditions=(STEP,)), 10),
+    Case(
+        "trends of A;B+;C, COUNT(*), 10 keys, WITHIN 10,000 s",
+        replace(TRENDS, within=10 * WITHIN),
+        10,
+    ),
+    Case("trends of A;B+;C, an event a batch, 10 keys", TRENDS, 10, 20_000, 1),
+    Case("next A;B;C, an event a batch, 100 keys", NEXT, 100, 20_000, 1),
     Case("any A;B;C, an event a batch, 100 keys", sequence("ABC"), 100, 20_000, 1),
     Case("any A;~D;C, an event a batch, 100 keys", sequence("A~DC"), 100, 20_000, 1),
 )
@@ -128,8 +193,16 @@ def run(case: Case) -> None:
     print(line, flush=True)
 
 
+def _evaluator(case: Case) -> Evaluator:
+    if case.plan.trends:
+        return Trends(case.plan)
+    if case.plan.selection is Selection.ANY_MATCH:
+        return AllRows(case.plan, is_ordered=case.is_ordered)
+    return NextRows(case.plan)
+
+
 def _taken(case: Case, parts: list[Rows]) -> int:
-    running = AllRows(case.plan, is_ordered=case.is_ordered)
+    running = _evaluator(case)
     found = 0
     for part in parts:
         found += len(running.push(part))

@@ -31,6 +31,7 @@ from .store import (
     MADE,
     OUT,
     ROWS,
+    SMALLEST,
     UNSTORED,
     WATERMARK,
     Store,
@@ -63,11 +64,13 @@ class Evaluator(ABC):
         width: int,
         limits: Limits,
         capacity: int,
+        rows_given: int | None = None,
     ) -> None:
         self.plan = plan
         self._network = network
         self._limits = limits
         self._width = width
+        self._rows_given = len(plan.elements) if rows_given is None else rows_given
         self._columns = packed.columns
         self._record_width = packed.width
         self._known = {kind: i for i, kind in enumerate(plan.kinds())}
@@ -123,12 +126,9 @@ class Evaluator(ABC):
             crowded=int(marks[CROWDED]),
             cut_short=int(marks[CUT_SHORT]),
             unawaited=self._unawaited,
-            unstarted=self._unstarted,
+            unstarted=0,
+            rounded=0,
         )
-
-    @property
-    def _unstarted(self) -> int:
-        return 0
 
     @property
     def pending(self) -> int:
@@ -206,6 +206,9 @@ class Evaluator(ABC):
     def _taken(self, rows: Rows) -> Matches:
         batch, kind = self._records(rows)
         self._rows += len(rows)
+        if len(rows) > SMALLEST:
+            # Otherwise large batches are compacted again and again.
+            self._store.capacity = max(self._store.capacity, len(rows))
         if self._store.marks[IS_FULL] and self._store.marks[WATERMARK] >= self._next_try:
             self._compact()
         marks = self._store.marks
@@ -271,7 +274,7 @@ class Evaluator(ABC):
             records, decided = np.concatenate([late_records, records])[order], decided[order]
         outputs = self._outputs(records)
         numbers = store.table[: int(marks[ROWS]), NUMBER].copy()
-        return Matches(numbers.take(records[:, : len(self.plan.elements)]), decided, outputs)
+        return Matches(numbers.take(records[:, : self._rows_given]), decided, outputs)
 
     def _wait(self, records: Integers, due: Integers) -> None:
         room = max(0, self._limits.waiting - len(self._waiting))

@@ -204,9 +204,10 @@ def give_out(
         out[o, word] = runs[r, word]
     if row >= 0:
         out[o, n - 1], out[o, 2 * n - 1] = row, row
-    if probes.shape[0] or plan[2][n - 1, WHOLE] < plan[2][n - 1, WHOLE_BELOW]:
+    is_tested = plan[2][n - 1, WHOLE] < plan[2][n - 1, WHOLE_BELOW]
+    if is_tested or probes.shape[0]:
         bind(out, out_sums, o, plan, tests, bound)
-    if not all_hold(n - 1, WHOLE, out, o, plan, tests, nodes, work):
+    if is_tested and not all_hold(n - 1, WHOLE, out, o, plan, tests, nodes, work):
         return False
     now = table[out[o, 2 * n - 1], END]
     until = now
@@ -257,16 +258,16 @@ def visit_list(
         marks[LOOKED_AT] += 1
         after = runs[r, width + NEXT]
         is_gone = table[row, END] - runs[r, width + BEGAN] > settings[LASTS]
-        take = go = False
-        if not is_gone and (takes or goes) and table[row, START] > table[runs[r, n + s], END]:
-            if is_tested:
-                bind(runs, sums, r, plan, tests, bound)
-            if takes:
+        fits = not is_gone and table[row, START] > table[runs[r, n + s], END]
+        take, go = fits and takes, fits and goes
+        if is_tested and (take or go):
+            bind(runs, sums, r, plan, tests, bound)
+            if take:
                 bound[s] = row
                 take = all_hold(s, EACH, runs, r, plan, tests, nodes, work) and all_hold(
                     s, REPEATED, runs, r, plan, tests, nodes, work
                 )
-            if goes:
+            if go:
                 go = all_hold(s, WHOLE, runs, r, plan, tests, nodes, work)
                 bind_next(s + 1, row, n, bound)
                 go = go and all_hold(s + 1, EACH, runs, r, plan, tests, nodes, work)
@@ -485,7 +486,7 @@ def _runs_loop(
         for s in range(n - 1, -1, -1):
             takes = ((kleene & mask) >> s) & 1 != 0
             is_one = going[s] == taking[s]
-            if going[s] >= 0:
+            if going[s] >= 0 and lists[going[s], HEAD] >= 0:
                 is_used = (
                     visit_list(
                         s, going[s], row, takes and is_one, True, plan, tests, store, state, given,
@@ -493,7 +494,7 @@ def _runs_loop(
                     )
                     or is_used
                 )  # fmt: skip
-            if taking[s] >= 0 and not is_one:
+            if taking[s] >= 0 and not is_one and lists[taking[s], HEAD] >= 0:
                 is_used = (
                     visit_list(
                         s, taking[s], row, takes, False, plan, tests, store, state, given, work
