@@ -35,9 +35,11 @@ from dyknow.reasoning.patterns.plan import (  # noqa: E402
     PatternPlan,
     Position,
     Selection,
+    Trend,
     Value,
 )
 from dyknow.reasoning.patterns.rows import Rows  # noqa: E402
+from dyknow.reasoning.patterns.trends import Trends  # noqa: E402
 
 RUNS = 3
 
@@ -124,6 +126,8 @@ KLEENE = sequence(
     selection=Selection.NEXT_MATCH,
     outputs=tuple(Output(f, Aggregate(f, 1, "v")) for f in (Function.SUM, Function.AVG)),
 )
+TOTALS = (Trend("n", Function.COUNT), Trend("s", Function.SUM, 1, "v"))
+TRENDS = sequence("AB+C", trends=TOTALS[:1])
 STEP = Condition(">", Value(1, "v"), Value(1, "v", Position.PREVIOUS))
 CASES = (
     *(
@@ -154,6 +158,18 @@ CASES = (
         Case(f"{selection} A;B;C, 100 keys", sequence("ABC", selection=selection), 100)
         for selection in (Selection.PARTITION_CONTIGUITY, Selection.STRICT_CONTIGUITY)
     ),
+    *(
+        Case(f"trends of A;B+;C, COUNT(*), {keys:,} keys", TRENDS, keys)
+        for keys in (10, 100, 10_000)
+    ),
+    Case("trends of A;B+;C, COUNT(*), SUM, 10 keys", replace(TRENDS, trends=TOTALS), 10),
+    Case("trends of A;B+;C, b[i].v > b[i-1].v, 10 keys", replace(TRENDS, conditions=(STEP,)), 10),
+    Case(
+        "trends of A;B+;C, COUNT(*), 10 keys, WITHIN 10,000 s",
+        replace(TRENDS, within=10 * WITHIN),
+        10,
+    ),
+    Case("trends of A;B+;C, an event a batch, 10 keys", TRENDS, 10, 20_000, 1),
     Case("next A;B;C, an event a batch, 100 keys", NEXT, 100, 20_000, 1),
     Case("any A;B;C, an event a batch, 100 keys", sequence("ABC"), 100, 20_000, 1),
     Case("any A;~D;C, an event a batch, 100 keys", sequence("A~DC"), 100, 20_000, 1),
@@ -178,6 +194,8 @@ def run(case: Case) -> None:
 
 
 def _evaluator(case: Case) -> Evaluator:
+    if case.plan.trends:
+        return Trends(case.plan)
     if case.plan.selection is Selection.ANY_MATCH:
         return AllRows(case.plan, is_ordered=case.is_ordered)
     return NextRows(case.plan)

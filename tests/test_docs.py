@@ -28,6 +28,7 @@ from dyknow.languages.mtl import (
     parse_formula_template,
     parse_monitor,
 )
+from dyknow.languages.sase import is_sase
 from dyknow.languages.ssl import parse_ssl
 from dyknow.service.app import create_app
 from dyknow.service.cli.main import COMMANDS, command
@@ -147,6 +148,9 @@ def test_blocks_are_of_their_language(page: Path) -> None:
             case "chronicle":
                 # Refused texts are compared by tests/languages/chronicle/test_chronicles_page.py.
                 assert is_chronicle(block.text)
+            case "sase":
+                # Refused texts are compared by tests/languages/test_sase_page.py.
+                assert is_sase(block.text)
             case "mtl":
                 # Refused texts are compared by tests/languages/test_formulas_page.py.
                 if is_formula_template(block.text):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -34,6 +35,7 @@ _LONGEST: Final = 1 << 60
 """Windows are shorter (36 years), so that sums of times stay within 64 bits."""
 _RESERVED: Final = frozenset({"start", "end", *TIME_FIELDS})
 _OPEN: Final = frozenset({ast.Index.EACH, ast.Index.PREVIOUS, ast.Index.BEFORE})
+_READING: Final = (ast.Attribute, ast.Aggregate)
 _BEFORE: Final = frozenset({ast.Index.PREVIOUS, ast.Index.BEFORE})
 
 
@@ -256,7 +258,7 @@ class _Checker:
                     leaf.span,
                     "aggregate the events of the match: `count(a[])`, `sum(a[].x)`",
                 )
-        read = [leaf for leaf in leaves if isinstance(leaf, ast.Attribute | ast.Aggregate)]
+        read = [leaf for leaf in leaves if isinstance(leaf, _READING)]
         if isinstance(condition, ast.Equivalence):
             if is_having:
                 raise self.error(
@@ -282,7 +284,7 @@ class _Checker:
             for each in read:
                 self.check_settled(each, "HAVING is about a whole match")
         self.check_absent(condition, read)
-        self.check_before(condition, read)
+        self.check_before(leaves)
 
     def check_leaf(self, leaf: ast.Term) -> None:
         """Refuse a part, an index or a parameter that is not there."""
@@ -346,11 +348,12 @@ class _Checker:
             if absent and not self._parts[leaf.part].is_negated:
                 self.check_settled(leaf, "an absent event is compared with the whole match")
 
-    def check_before(
-        self, condition: ast.Condition, read: Sequence[ast.Attribute | ast.Aggregate]
-    ) -> None:
+    def check_before(self, leaves: Sequence[ast.Term]) -> None:
         """Refuse ``a[i-1]`` where no later event of that part is taken."""
         order = list(self._parts)
+        # A parameter is the object of some part.
+        given = (self._defining.get(leaf.name) for leaf in leaves if isinstance(leaf, Variable))
+        read = [leaf for leaf in (*leaves, *given) if isinstance(leaf, _READING)]
         last = max((leaf.part for leaf in read), key=order.index)
         for leaf in read:
             if leaf.index not in _BEFORE:
@@ -436,24 +439,33 @@ class _Checker:
         index = list(self._parts).index(part)
         return all(each.argument(attribute) is not None for each in self._types[index])
 
-    def defining(self) -> dict[str, Span]:
-        """The variables that an ``id`` of an event that happens equals, and where."""
-        found: dict[str, Span] = {}
+    def defining(self) -> dict[str, ast.Attribute]:
+        """The variables that an ``id`` of an event that happens equals, and the first such one."""
+        found: dict[str, ast.Attribute] = {}
         for condition in self._pattern.where:
             match condition:
                 case ast.Equivalence(name, Variable(variable)):
                     if all(self.is_object(part, name) for part in self._parts):
-                        found.setdefault(variable, condition.span)
+                        there = (part for part in self._parts.values() if not part.is_negated)
+                        for first in itertools.islice(there, 1):
+                            index = ast.Index.EACH if first.is_kleene else ast.Index.ONE
+                            each = ast.Attribute(first.name, index, name, condition.span)
+                            found.setdefault(variable, each)
                 case ast.Comparison("=", left, right):
                     for one, other in ((left, right), (right, left)):
                         match one, other:
-                            case ast.Attribute(part, _, name), Variable(variable):
-                                known = self._parts.get(part)
-                                if known and not known.is_negated and self.is_object(part, name):
-                                    found.setdefault(variable, condition.span)
+                            case ast.Attribute(), Variable(variable) if self.is_defining(one):
+                                found.setdefault(variable, one)
                 case _:
                     pass
         return found
+
+    def is_defining(self, node: ast.Attribute) -> bool:
+        """Whether this is an object of events that happen: of one, or of each."""
+        part = self._parts.get(node.part)
+        is_some = node.index in (ast.Index.ONE, ast.Index.EACH, ast.Index.FIRST)
+        is_there = part is not None and not part.is_negated
+        return is_some and is_there and self.is_object(node.part, node.name)
 
     def object_parameters(self) -> dict[str, ObjectParameter]:
         found = {}
@@ -468,7 +480,7 @@ class _Checker:
                 )
             sort = slot.sort
             iri = THING if sort is None else self._names.sort(sort.text, sort.span)
-            found[name] = ObjectParameter(name, iri)
+            found[name] = ObjectParameter(name, iri, self._defining[name])
         return found
 
     def with_object(self, node: Any) -> Any:

@@ -46,10 +46,12 @@ class EventType:
 @dataclass(frozen=True, slots=True)
 class ObjectParameter:
     """A parameter of a template that stands for objects of a sort (IRI), or for one ``object``
-    (IRI) that is taken to belong to it."""
+    (IRI) that is taken to belong to it. ``defined_by``: the object of an event, or of all events
+    of a repeated part, that equals it."""
 
     name: str
     sort: str
+    defined_by: ast.Attribute
     object: str | None = None
 
 

@@ -65,11 +65,13 @@ class Evaluator(ABC):
         width: int,
         limits: Limits,
         capacity: int,
+        rows_given: int | None = None,
     ) -> None:
         self.plan = plan
         self._network = network
         self._limits = limits
         self._width = width
+        self._rows_given = len(plan.elements) if rows_given is None else rows_given
         self._columns = packed.columns
         self._record_width = packed.width
         self._known = {kind: i for i, kind in enumerate(plan.kinds())}
@@ -125,12 +127,9 @@ class Evaluator(ABC):
             crowded=int(marks[CROWDED]),
             cut_short=int(marks[CUT_SHORT]),
             unawaited=self._unawaited,
-            unstarted=self._unstarted,
+            unstarted=0,
+            rounded=0,
         )
-
-    @property
-    def _unstarted(self) -> int:
-        return 0
 
     @property
     def watermark(self) -> int:
@@ -300,7 +299,7 @@ class Evaluator(ABC):
             records, decided = np.concatenate([late_records, records])[order], decided[order]
         outputs = self._outputs(records)
         numbers = store.table[: int(marks[ROWS]), NUMBER].copy()
-        rows = numbers.take(records[:, : len(self.plan.elements)])
+        rows = numbers.take(records[:, : self._rows_given])
         return Matches(rows, decided, outputs, numbers.take(self._last(records)))
 
     def _wait(self, records: Integers, due: Integers) -> None:

@@ -27,12 +27,13 @@ DEFAULT_LIMITS: Final = Limits()
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """What an evaluation has done. The last six are losses.
+    """What an evaluation has done. The last seven are losses.
 
     ``rows`` taken, ``candidates`` looked at, ``matches`` made, before their last probes;
     ``late`` rows, behind the watermark; ``unstored`` rows beyond the limit of rows, ``crowded``
     ones beyond that of candidates; ``cut_short``: rows that complete more matches than the limit;
     ``unawaited`` matches, beyond the limit of those that wait; ``unstarted`` runs beyond theirs.
+    ``rounded``: numbers that are no 64-bit integers.
     """
 
     rows: int
@@ -44,3 +45,4 @@ class Counters:
     cut_short: int
     unawaited: int
     unstarted: int
+    rounded: int

@@ -6,6 +6,7 @@ A run begins with each row that suits the first element. It takes rows as they c
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from .conditions import END
 from .evaluator import Evaluator
-from .limits import DEFAULT_LIMITS, Limits
+from .limits import DEFAULT_LIMITS, Counters, Limits
 from .outputs import Repetition, output_columns
 from .plan import PatternPlan, Selection
 from .run_loop import ask, run, scratch
@@ -76,8 +77,9 @@ class NextRows(Evaluator):
         return self._store.size + self._runs.size
 
     @property
-    def _unstarted(self) -> int:
-        return int(self._runs.counts[UNSTARTED])
+    def counters(self) -> Counters:
+        """What the evaluation has done, and what it has left out."""
+        return replace(super().counters, unstarted=int(self._runs.counts[UNSTARTED]))
 
     def state(self) -> tuple[Any, ...]:
         """Everything that `restore` needs; it can be pickled and does not change later."""

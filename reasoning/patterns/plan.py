@@ -174,7 +174,8 @@ class Output:
 @dataclass(frozen=True, slots=True)
 class Trend:
     """An aggregate over all matches that end at one row, such as ``COUNT(*)`` or ``SUM(b[].v)``
-    grouped by that row. ``element`` and ``column`` are None for ``count`` of matches."""
+    grouped by that row. ``count`` without an element is the number of matches, without a column
+    that of the element's rows in all matches."""
 
     name: str
     function: Function
@@ -409,7 +410,8 @@ def _check(plan: PatternPlan) -> None:
     for trend in plan.trends:
         if trend.element is not None:
             _check_element(plan, trend.element, range(count))
-            _check_column(plan, trend.column or "")
+        if trend.element is not None and trend.column is not None:
+            _check_column(plan, trend.column)
         elif trend.function is not Function.COUNT:
             raise PlanError(f"{trend.function} needs a value", f"write {trend.function}(a[].x)")
     for output in plan.outputs:

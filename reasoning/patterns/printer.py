@@ -66,7 +66,8 @@ def _lines(plan: PatternPlan) -> Iterator[str]:
         yield f"at most {plan.max_matches} matches of a row"
     yield from (f"return {names.output(each.value)} as {each.name}" for each in plan.outputs)
     for trend in plan.trends:
-        of = "*" if trend.element is None else f"{names.of(trend.element)}[].{trend.column}"
+        of = "*" if trend.element is None else f"{names.of(trend.element)}[]"
+        of += f".{trend.column}" if trend.column is not None else ""
         yield f"return {trend.function}({of}) of all matches as {trend.name}"
 
 

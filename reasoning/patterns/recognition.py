@@ -19,6 +19,7 @@ from .next_rows import NextRows
 from .plan import NO_VALUE, PatternPlan, Selection
 from .query import END, Keys, PatternQuery, with_numbers
 from .rows import Matches, Rows, Values, concatenated
+from .trends import Trends
 
 STREAM, SAMPLE, KIND = range(3)
 """Where a row comes from."""
@@ -224,6 +225,8 @@ def needs_order(query: PatternQuery) -> bool:
 def evaluator_of(plans: Sequence[PatternPlan], limits: Limits, *, is_ordered: bool) -> Evaluator:
     """Return the evaluator of plans. Raises `PlanError`."""
     (plan,) = plans
+    if plan.trends:
+        return Trends(plan, limits=limits)
     if plan.selection is not Selection.ANY_MATCH:
         return NextRows(plan, limits=limits)
     return AllRows(plan, is_ordered=is_ordered, limits=limits)

@@ -120,20 +120,22 @@ def pack_runs(plan: PatternPlan, network: Network) -> PackedRuns:
     if plan.hulls:
         raise PlanError("events that follow each other do not last for the same time")
     _check_rows(plan)
-    return _RunPacker(plan, network).packed_runs()
+    return RunPacker(plan, network).packed_runs()
 
 
 @dataclass(slots=True)
-class _RunPacker(Packer):
+class RunPacker(Packer):
+    """Packs a plan whose elements follow each other."""
+
     each: list[int] = field(default_factory=list)
     keys: list[tuple[str, ...]] = field(init=False)
 
     def packed_runs(self) -> PackedRuns:
         plan = self.plan
-        keys = self.keys = self._run_keys()
+        keys = self.keys = self.run_keys()
         own = self._own_conditions()
         self.each = [0] * len(self.conditions)
-        conditions = [*self._times(), *self._equalities()]
+        conditions = [*self.times(), *self._equalities()]
         conditions += [
             each
             for each in plan.conditions
@@ -189,12 +191,12 @@ class _RunPacker(Packer):
     def _each_of(self, condition: Condition) -> int:
         """The Kleene elements of which a condition reads each row, as bits."""
         found = 0
-        for leaf in _leaves(condition):
+        for leaf in leaves_in(condition):
             if isinstance(leaf, Value) and leaf.position is Position.EACH:
                 found |= int(self.plan.elements[leaf.element].is_kleene) << leaf.element
         return found
 
-    def _run_keys(self) -> list[tuple[str, ...]]:
+    def run_keys(self) -> list[tuple[str, ...]]:
         """For each element the columns that runs are looked up by: under next match the variables
         that each element has."""
         count = len(self.plan.elements)
@@ -211,7 +213,7 @@ class _RunPacker(Packer):
                     found[e].append(first[e])
         return [tuple(each) for each in found]
 
-    def _times(self) -> list[Condition]:
+    def times(self) -> list[Condition]:
         """The bounds on times that do not follow from the order of the elements."""
         found = []
         for each in self.plan.between:
@@ -236,7 +238,7 @@ class _RunPacker(Packer):
         found = []
         for variable in variables_of(self.plan):
             columns = dict(reversed(variable))
-            if self._is_looked_up(columns):
+            if self.is_looked_up(columns):
                 continue
             leader = min(columns)
             other = Value(leader, columns[leader], Position.FIRST)
@@ -245,7 +247,7 @@ class _RunPacker(Packer):
                     found.append(Condition("=", Value(element, column), other))
         return found
 
-    def _is_looked_up(self, columns: dict[int, str]) -> bool:
+    def is_looked_up(self, columns: dict[int, str]) -> bool:
         """Whether all rows of a run agree in a variable with these columns."""
         places = {
             self.keys[e].index(columns[e]) if columns.get(e) in self.keys[e] else -1
@@ -258,7 +260,7 @@ def reads_whole(plan: PatternPlan, condition: Condition, element: int) -> bool:
     """Whether a condition reads what is settled only when a Kleene element is complete."""
     if element not in elements_of(condition) or not plan.elements[element].is_kleene:
         return False
-    for leaf in _leaves(condition):
+    for leaf in leaves_in(condition):
         match leaf:
             case Value(e, _, Position.LAST) | Aggregate(_, e, _, False) if e == element:
                 return True
@@ -269,10 +271,10 @@ def reads_whole(plan: PatternPlan, condition: Condition, element: int) -> bool:
 
 def reads_before(condition: Condition) -> bool:
     """Whether a condition reads ``a[i-1]`` or ``a[..i-1]``."""
-    return any(map(_is_before, _leaves(condition)))
+    return any(map(is_before, leaves_in(condition)))
 
 
-def _is_before(leaf: Expression) -> TypeGuard[Value | Aggregate]:
+def is_before(leaf: Expression) -> TypeGuard[Value | Aggregate]:
     match leaf:
         case Value(_, _, Position.PREVIOUS) | Aggregate(_, _, _, True):
             return True
@@ -280,7 +282,7 @@ def _is_before(leaf: Expression) -> TypeGuard[Value | Aggregate]:
             return False
 
 
-def _leaves(condition: Condition) -> list[Expression]:
+def leaves_in(condition: Condition) -> list[Expression]:
     return [*leaves_of(condition.left), *leaves_of(condition.right)]
 
 
@@ -308,7 +310,7 @@ def _check_rows(plan: PatternPlan) -> None:
         last = max(elements_of(condition), default=0)
         if not reads_before(condition):
             continue
-        before = [leaf for leaf in _leaves(condition) if _is_before(leaf)]
+        before = [leaf for leaf in leaves_in(condition) if is_before(leaf)]
         if reads_whole(plan, condition, last) or any(leaf.element != last for leaf in before):
             name = plan.elements[before[0].element].name
             raise PlanError(
@@ -319,7 +321,7 @@ def _check_rows(plan: PatternPlan) -> None:
     for probe in plan.probes:
         conditions = probe.conditions if isinstance(probe, CountProbe) else probe.state
         for condition in conditions:
-            for leaf in _leaves(condition):
+            for leaf in leaves_in(condition):
                 _check_settled(plan, leaf)
     for output in plan.outputs:
         if not isinstance(output.value, Listed):
@@ -332,7 +334,7 @@ def _check_rows(plan: PatternPlan) -> None:
 
 def _check_settled(plan: PatternPlan, leaf: Expression) -> None:
     """Refuse what has another value for each row of a match."""
-    is_open = _is_before(leaf) or (
+    is_open = is_before(leaf) or (
         isinstance(leaf, Value)
         and leaf.position is Position.EACH
         and leaf.element != OWN

@@ -179,30 +179,12 @@ class _Compiler:
     # -- conditions --------------------------------------------------------------------------
 
     def _object_terms(self) -> dict[str, ast.Term]:
-        """What each parameter for objects stands for: the object, or an ``id`` that equals it."""
+        """What each parameter for objects stands for: an object, or that of some event."""
         found: dict[str, ast.Term] = {}
         for each in self._checked.objects:
-            if each.object is not None:
-                found[each.name] = Symbol(f"<{each.object}>", self._text.span)
-            else:
-                found[each.name] = self._defining(each.name)
+            given = Symbol(f"<{each.object}>", each.defined_by.span)
+            found[each.name] = each.defined_by if each.object is None else given
         return found
-
-    def _defining(self, parameter: str) -> ast.Attribute:
-        """The first ``id`` of an event that happens and that a parameter must equal."""
-        for condition in self._text.where:
-            match condition:
-                case ast.Equivalence(name, Variable(found)) if found == parameter:
-                    return self._each(self._there[0].name, name, condition)
-                case ast.Comparison("=", left, right):
-                    for one, other in ((left, right), (right, left)):
-                        match one, other:
-                            case ast.Attribute(part, _, name), Variable(found):
-                                if found == parameter and part in self._numbers:
-                                    return one
-                case _:
-                    pass
-        raise AssertionError(parameter)
 
     def _each(self, part: str, name: str, at: ast.Condition) -> ast.Attribute:
         index = ast.Index.EACH if self._parts[part].is_kleene else ast.Index.ONE
@@ -301,8 +283,7 @@ class _Compiler:
         trends: list[Trend] = []
         results: list[Result] = []
         for each in self._checked.objects:
-            term = self._defining(each.name)
-            typed = self._terms.term(self._first(term))
+            typed = self._terms.term(self._first(each.defined_by))
             outputs.append(Output(each.name, typed.value))
             argument = Argument(each.sort, each.object)
             results.append(Result(each.name, Kind.OBJECT, argument))

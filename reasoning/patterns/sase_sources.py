@@ -173,6 +173,9 @@ class Attributes:
         wanted = [self._restriction(part, event_type, number) or default for part in parts]
         if all(each == wanted[0] for each in wanted):
             found = wanted[0]
+            if self._is_contiguous():
+                # Events of other objects may stand between those of a match.
+                found = Argument(found.sort or default.sort)
             is_wide = event_type.is_sort and found.sort == THING
             return Argument(event_type.concept, found.object) if is_wide else found
         for part, each in zip(parts, wanted, strict=True):
@@ -185,6 +188,13 @@ class Attributes:
                     "give all parts of this type the same object, or omit its sort",
                 )
         return default
+
+    def _is_contiguous(self) -> bool:
+        """Whether events of other objects end a match."""
+        text = self._checked.text
+        if text.strategy is not ast.Strategy.PARTITION_CONTIGUITY:
+            return text.strategy is ast.Strategy.STRICT_CONTIGUITY
+        return not any(isinstance(c, ast.Equivalence) and c.name == "id" for c in text.where)
 
     def _restriction(self, part: str, event_type: EventType, number: int) -> Argument | None:
         """The objects that conditions demand of a part."""

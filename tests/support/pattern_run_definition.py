@@ -60,6 +60,11 @@ def run_matches(plan: PatternPlan, steps: Sequence[Step]) -> list[Match]:
     return Definition(plan, steps).found()
 
 
+def any_matches(plan: PatternPlan, steps: Sequence[Step]) -> list[Match]:
+    """All matches under skip_till_any_match, in the order in which they are given out."""
+    return AnyDefinition(plan, steps).found()
+
+
 class Definition:
     def __init__(self, plan: PatternPlan, steps: Sequence[Step]) -> None:
         self.plan = plan
@@ -192,9 +197,13 @@ class Definition:
             )
         if is_first and any(before_read(side) for side in (each.left, each.right)):
             return True
-        read = {e for side in (each.left, each.right) for e in each_read(side)}
+        sides = each.left, each.right
+        read = {e for side in sides for e in each_read(side)}
+        later = {e for side in sides for e in elements_read(side) if before_read(side, e)}
+        read |= later
         ranges = [
-            range(len(run.rows[e])) if e not in at else [at[e]] for e in sorted(read | set(at))
+            range(int(e in later), len(run.rows[e])) if e not in at else [at[e]]
+            for e in sorted(read | set(at))
         ]
         for places in itertools.product(*ranges):
             places_of = dict(zip(sorted(read | set(at)), places, strict=True))
@@ -224,7 +233,11 @@ class Definition:
                 return []
         outputs = tuple(self.output(each.value, match) for each in self.plan.outputs)
         rows = [match.rows[e] for e in range(self.last + 1)]
-        order = (*(each[0].number for each in rows), *(each[-1].number for each in rows))
+        order = (
+            *(each[0].number for each in rows),
+            *(each[-1].number for each in rows),
+            *(tuple(row.number for row in each) for each in rows),
+        )
         found = Match(tuple(each[0].number for each in rows), decided, step, outputs)
         return [((step, not waits, decided if waits else 0, order), found)]
 
@@ -265,6 +278,9 @@ class Definition:
 
     def start_of(self, row: Row) -> int:
         return row.start if self.plan.has_intervals else row.end
+
+    def start(self, match: Binding) -> int:
+        return self.start_of(match.rows[0][0])
 
     def time(self, point: Point, run: Binding) -> int:
         rows = run.rows[point.element]
@@ -321,6 +337,49 @@ class Definition:
                 return rows[run.at[element] - 1]
             case _:
                 return rows[run.at[element]] if self.plan.elements[element].is_kleene else rows[0]
+
+
+class AnyDefinition(Definition):
+    """A match is any rows that follow each other and meet all of the plan."""
+
+    def found(self) -> list[Match]:
+        found = []
+        for match in self.all_matches():
+            found += self.given_out(match)
+        return [match for _, match in sorted(found, key=lambda each: each[0])]
+
+    def all_matches(self) -> list[Binding]:
+        """All matches, but for probes."""
+        found = []
+        for place in range(len(self.rows)):
+            begun = self.sequences(Binding({}, {}), 0, self.rows[place:])
+            found += [match for match in begun if self.meets_plan(match)]
+        return found
+
+    def sequences(self, before: Binding, e: int, rest: list[Row]) -> Iterator[Binding]:
+        """The sequences of rows of all elements that go on with the first row of the rest."""
+        row = rest[0]
+        if row.start > row.end or not self.suits(self.plan.elements[e], row):
+            return
+        if before.rows and self.start_of(row) <= before.last.end:
+            return
+        here = before.with_row(e, row)
+        within = self.plan.within
+        if within is not None and row.end - self.start(here) > within:
+            return
+        if e == self.last:
+            yield here
+        for place in range(1, len(rest)):
+            if self.plan.elements[e].is_kleene:
+                yield from self.sequences(here, e, rest[place:])
+            if e < self.last:
+                yield from self.sequences(here, e + 1, rest[place:])
+
+    def meets_plan(self, match: Binding) -> bool:
+        plan = self.plan
+        return all(self.agrees(variable, match) for variable in self.variables()) and all(
+            self.is_met(each, match, {}, False) for each in (*plan.conditions, *plan.between)
+        )
 
 
 def aggregate(function: Function, rows: Sequence[Row], column: str | None) -> Scalar:
@@ -383,9 +442,14 @@ def whole_read(side: Expression, e: int) -> bool:
     )
 
 
-def before_read(side: Expression) -> bool:
+def before_read(side: Expression, e: int | None = None) -> bool:
+    """Whether a side reads ``a[i-1]`` or ``a[..i-1]``, of element e if it is given."""
     return any(
-        (isinstance(leaf, Value) and leaf.position is Position.PREVIOUS)
-        or (isinstance(leaf, Aggregate) and leaf.is_before)
+        (
+            isinstance(leaf, Value)
+            and leaf.position is Position.PREVIOUS
+            and e in (None, leaf.element)
+        )
+        or (isinstance(leaf, Aggregate) and leaf.is_before and e in (None, leaf.element))
         for leaf in leaves(side)
     )

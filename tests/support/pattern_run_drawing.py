@@ -30,6 +30,7 @@ from dyknow.reasoning.patterns.plan import (
     Selection,
     StateProbe,
     Time,
+    Trend,
     Value,
 )
 
@@ -188,3 +189,67 @@ class RunDrawing(PatternDrawing):
 
     def own(self) -> Condition:
         return Condition("<", Value(OWN, "v"), Constant(self.random.choice([1, 2, 3])))
+
+
+class TrendDrawing(RunDrawing):
+    """A plan of aggregates over all matches."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed, selections=(Selection.ANY_MATCH,), most_elements=3)
+        draw = self.random
+        last = self.count - 1
+        place = Position.LAST if last in self.kleene else Position.EACH
+        outputs = (
+            Output("start", Time(tuple(range(self.count)), True)),
+            Output("end", Time((last,))),
+            Output("m", Value(last, "m", place)),
+        )
+        self.plan = replace(
+            self.plan,
+            between=(),
+            same=self.neighbouring_keys(),
+            conditions=tuple(self.neighbouring() for _ in range(draw.choice([0, 0, 1, 2]))),
+            probes=(),
+            outputs=tuple(draw.sample(outputs, draw.randint(0, 3))),
+            trends=tuple(self.trend(i) for i in range(draw.randint(1, 3))),
+            max_matches=None,
+        )
+
+    def neighbouring_keys(self) -> tuple[Same, ...]:
+        draw = self.random
+        drawn = draw.random()
+        if drawn < 0.3 or self.count == 1:
+            return ()
+        if drawn < 0.7:
+            return tuple(Same(i, "x", i + 1, "x") for i in range(self.count - 1))
+        first = draw.randrange(self.count - 1)
+        return (Same(first, "x", first + 1, draw.choice("xy")),)
+
+    def neighbouring(self) -> Condition:
+        """A condition on rows that follow each other."""
+        draw = self.random
+        operator, e = draw.choice(OPERATORS), self.some()
+        right: Expression = Value(e, draw.choice("mv"))
+        if e in self.kleene and (e == 0 or draw.random() < 0.5):
+            left: Expression = Value(e, draw.choice("mv"), Position.PREVIOUS)
+        elif e == 0:
+            left = Constant(draw.choice([0, 1, 2]))
+        else:
+            place = Position.LAST if e - 1 in self.kleene else Position.EACH
+            left = Value(e - 1, draw.choice("mv"), place)
+            if draw.random() < 0.2:
+                left, right = Time((e - 1,)), Time((e,), True)
+                left = Arithmetic("+", left, Constant(draw.randint(1, 6)))
+            elif e in self.kleene:
+                right = Value(e, draw.choice("mv"), Position.FIRST)
+        if draw.random() < 0.3 and not isinstance(left, Arithmetic):
+            left = Arithmetic("+", left, Constant(draw.choice([1, 0.5])))
+        return Condition(operator, right, left)
+
+    def trend(self, number: int) -> Trend:
+        draw = self.random
+        if draw.random() < 0.3:
+            return Trend(f"t{number}", Function.COUNT)
+        function = draw.choice(list(Function))
+        column = draw.choice([None, "m", "v"]) if function is Function.COUNT else draw.choice("mv")
+        return Trend(f"t{number}", function, self.some(), column)

@@ -46,9 +46,23 @@ class PatternDrawing:
     def repeats(self) -> bool:
         return self.strategy != "skip_till_any_match"
 
-    def text(self) -> str:
+    def template(self) -> str:
+        """A template of objects ``?x`` and a value ``?limit``."""
         draw = self.random
-        conditions = [self.condition() for _ in range(draw.choice([0, 0, 1, 1, 2, 3]))]
+        name, _, is_kleene = draw.choice([part for part in self.parts if not part[1]])
+        each = f"{name}[i]" if is_kleene else name
+        conditions = [draw.choice([f"{each}.id = ?x", f"?x = {each}.id", "[id = ?x]"])]
+        conditions.append(f"{self.attribute('n')} {draw.choice(['>', '<=', '!='])} ?limit")
+        if draw.random() < 0.5:
+            conditions.append(f"{self.attribute('id')} {draw.choice(['=', '!='])} ?x")
+        return f"REGISTER TEMPLATE E(?x, ?limit) AS {self.text(*conditions)}"
+
+    def text(self, *conditions_: str) -> str:
+        draw = self.random
+        conditions = [
+            *conditions_,
+            *(self.condition() for _ in range(draw.choice([0, 0, 1, 1, 2, 3]))),
+        ]
         if self.strategy == "partition_contiguity" or draw.random() < 0.3:
             conditions.append(draw.choice(["[tag]", "[id]"]))
         elif draw.random() < 0.2:
@@ -156,7 +170,12 @@ class PatternDrawing:
 def rows_of(query: PatternQuery, keys: Keys, events: list[Event], draw: Random) -> Rows:
     """The rows of a query's sources, as an engine makes them of samples."""
     sources = {source.kind: source for source in query.sources}
-    mine = [event for event in events if event.type in sources]
+    mine = [
+        event
+        for event in events
+        if event.type in sources
+        and sources[event.type].arguments[0].object in (None, event.values["id"][1:-1])
+    ]
     columns: dict[str, list[Any]] = {each.name: [] for plan in query.plans for each in plan.columns}
     for event in mine:
         filled = {each.column: each for each in sources[event.type].columns}

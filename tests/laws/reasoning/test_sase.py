@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,24 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
-from sase_definition import Match, matches
+from sase_definition import Event, Match, matches
 from sase_patterns import KINDS, TYPES, PatternDrawing, rows_of
 
 from dyknow.languages.errors import LanguageError
-from dyknow.languages.mtl.checked import Kind
-from dyknow.languages.sase import check_sase, format_sase, parse_sase
+from dyknow.languages.mtl.ast import Symbol, Variable
+from dyknow.languages.mtl.checked import Constant, Kind, ObjectConstant
+from dyknow.languages.sase import (
+    CheckedPattern,
+    bound_sase,
+    check_sase,
+    check_sase_template,
+    format_sase,
+    parse_sase,
+    parse_sase_template,
+)
+from dyknow.languages.sase.check import rewritten
 from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import PREFIXES
+from dyknow.rdf.namespaces import DYKNOW, PREFIXES
 from dyknow.reasoning.patterns.all_rows import AllRows
 from dyknow.reasoning.patterns.evaluator import Evaluator
 from dyknow.reasoning.patterns.network import ContradictoryTimes
@@ -71,7 +82,7 @@ def _value(value: Any, kind: Kind, keys: Keys) -> Any:
             return float(value)
 
 
-def wanted_of(events: list[Any], found: list[Match]) -> list[tuple[Any, ...]]:
+def wanted_of(events: list[Event], found: list[Match]) -> list[tuple[Any, ...]]:
     times = {event.number: event.time for event in events}
     return [
         (times[each.events[0][0]], times[each.events[-1][-1]], *map(_plain, each.results))
@@ -81,6 +92,23 @@ def wanted_of(events: list[Any], found: list[Match]) -> list[tuple[Any, ...]]:
 
 def _plain(value: Any) -> Any:
     return float(value) if isinstance(value, int | float) else value
+
+
+def run(checked: CheckedPattern, events: list[Event], draw: Random) -> Counter[Any]:
+    """The results of a pattern over events, in random batches."""
+    query, keys = sase_query(checked, KINDS), Keys()
+    try:
+        running = evaluator(query, keys)
+    except ContradictoryTimes:
+        return Counter()
+    found: list[tuple[Any, ...]] = []
+    cut = draw.choice([1, 2, 5, len(events)])
+    for start in range(0, len(events), cut):
+        batch = events[start : start + cut]
+        found += results_of(query, keys, running.push(rows_of(query, keys, batch, draw)))
+        if draw.random() < 0.2:
+            found += results_of(query, keys, running.advance(batch[-1].time))
+    return Counter(found + results_of(query, keys, running.end()))
 
 
 def check(case: PatternDrawing, count: int, span: int) -> int:
@@ -93,25 +121,39 @@ def check(case: PatternDrawing, count: int, span: int) -> int:
     except LanguageError:
         assume(False)
         raise
-    query, keys = sase_query(checked, KINDS), Keys()
     events = case.events(count, span)
     wanted = wanted_of(events, matches(checked.text, events))
-    try:
-        running = evaluator(query, keys)
-    except ContradictoryTimes:
-        assert not wanted
-        return 0
-    found: list[tuple[Any, ...]] = []
-    draw = case.random
-    cut = draw.choice([1, 2, 5, count])
-    for start in range(0, count, cut):
-        batch = events[start : start + cut]
-        found += results_of(query, keys, running.push(rows_of(query, keys, batch, draw)))
-        if draw.random() < 0.2:
-            found += results_of(query, keys, running.advance(batch[-1].time))
-    found += results_of(query, keys, running.end())
-    assert Counter(found) == Counter(wanted), text
+    assert run(checked, events, case.random) == Counter(wanted), text
     return len(wanted)
+
+
+def check_template(case: PatternDrawing, count: int, span: int) -> int:
+    """Compare requests of a random template with the definition; a request for all objects under
+    any match with those for each; return the number of matches."""
+    text = case.template()
+    try:
+        checked = check_sase_template(parse_sase_template(text), VOCABULARY)
+    except LanguageError:
+        assume(False)
+        raise
+    events = case.events(count, span)
+    limit = Constant(case.random.choice([0.0, 1.0, 2.0]), Kind.NUMBER)
+    united: Counter[Any] = Counter()
+    for iri in (DYKNOW + "o1", DYKNOW + "o2"):
+        bound = bound_sase(checked, {"x": ObjectConstant(iri), "limit": limit})
+        found = run(bound, events, case.random)
+        known = rewritten(bound.text, lambda node, iri=iri: _with_object(node, iri))
+        wanted = wanted_of(events, matches(known, events))
+        assert found == Counter((*w[:2], f"<{iri}>", *w[2:]) for w in wanted), (text, iri)
+        united += found
+    free = run(bound_sase(checked, {"limit": limit}), events, case.random)
+    if case.strategy == "skip_till_any_match":
+        assert free == united, text
+    return united.total()
+
+
+def _with_object(node: Any, iri: str) -> Any:
+    return Symbol(f"<{iri}>", node.span) if isinstance(node, Variable) else node
 
 
 @settings(deadline=None, max_examples=600)
@@ -119,6 +161,13 @@ def check(case: PatternDrawing, count: int, span: int) -> int:
 def test_plans_find_what_texts_mean(seed: int) -> None:
     case = PatternDrawing(seed)
     check(case, case.random.randint(1, 11), case.random.choice([8, 20, 40]))
+
+
+@settings(deadline=None, max_examples=300)
+@given(SEEDS)
+def test_requests_of_templates(seed: int) -> None:
+    case = PatternDrawing(seed)
+    check_template(case, case.random.randint(1, 11), case.random.choice([8, 20]))
 
 
 @pytest.mark.parametrize("seed", range(3))

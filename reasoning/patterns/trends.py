@@ -1,0 +1,197 @@
+"""Aggregates over all matches without listing them: ``COUNT(*)``, ``SUM(b[].v)`` and so on, under
+skip_till_any_match (SPEC §8; GRETA, Poppe et al. 2017).
+
+There is a result for each row that ends matches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .conditions import END
+from .evaluator import Evaluator
+from .limits import DEFAULT_LIMITS, Counters, Limits
+from .outputs import output_columns
+from .plan import NO_VALUE, Function, PatternPlan, Trend
+from .rows import Values
+from .run_packing import OF_NUMBERS, sequence_network
+from .store import SMALLEST
+from .trend_loop import (
+    FLOAT_WORDS,
+    HAS_INTERVALS,
+    INTEGER_WORDS,
+    ROOM_NEEDED,
+    run,
+    scratch,
+)
+from .trend_packing import accumulators, is_start, pack_trends
+
+Integers = NDArray[np.int64]
+_EXACT = 2.0**62
+"""Below this the integers of cells are right; the floats may be wrong by some 2^-50 of them."""
+
+
+class Trends(Evaluator):
+    """Aggregates over all matches that end at a row, for each such row that has any.
+
+    The elements follow each other in time: a row begins after the one before it ends. ``count`` of
+    an element is the number of its rows in all matches, ``sum`` and ``avg`` are over all of these;
+    values that are missing do not count. A number of matches or rows from 2^62 on is a float,
+    as are all of the same batch; such results are counted (`Counters.rounded`). A result's only
+    row in `Matches` is the one that ends its matches.
+
+    Law (tests/laws/reasoning/test_pattern_trends.py): the aggregates are those of all matches of
+    the definition, however the rows are cut into batches.
+
+    Cost: O(1) a row; of one that ends matches O(n) for n rows of its keys that may stand in them,
+    where a condition on neighbours is tested O(n²). Memory: `Store`, and a cell for each of the n.
+
+    Raises `PlanError`.
+    """
+
+    def __init__(
+        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
+    ) -> None:
+        network = sequence_network(plan)
+        self._packed = packed = pack_trends(plan, network)
+        added = len(packed.accumulators)
+        self._integers, self._floats = 1 + INTEGER_WORDS * added, 1 + FLOAT_WORDS * added
+        width = 1 + self._integers + self._floats
+        super().__init__(plan, network, packed, width, limits, capacity, rows_given=1)
+        count = len(plan.elements)
+        self._settings = np.zeros(HAS_INTERVALS + 1, np.int64)
+        self._settings[:] = (
+            count,
+            network.reach(count),
+            0,
+            packed.kleene,
+            0,
+            0,
+            limits.candidates,
+            0,
+            int(plan.has_intervals),
+        )
+        self._needs = np.zeros(1, np.int64)
+        self._rounded = 0
+        self._scratch = scratch(packed.buffers, packed.keys)
+        self._make_cells(capacity)
+
+    def _make_cells(self, rows: int) -> None:
+        """Make cells for two elements with this many rows, and three more."""
+        size = 2 * rows + 3
+        self._cells = np.zeros((size, self._integers), np.int64)
+        self._cell_floats = np.zeros((size, self._floats), np.float64)
+        self._places = np.zeros(size, np.int64)
+
+    @property
+    def counters(self) -> Counters:
+        """What the evaluation has done, and what it has left out."""
+        return replace(super().counters, rounded=self._rounded)
+
+    def state(self) -> tuple[Any, ...]:
+        """Everything that `restore` needs; it can be pickled and does not change later."""
+        return (*super().state(), self._rounded)
+
+    def restore(self, state: tuple[Any, ...]) -> None:
+        """Continue where the evaluator of the same plan was that gave this state."""
+        *others, self._rounded = state
+        super().restore(tuple(others))
+
+    def _way(self) -> str:
+        return "evaluated by sums along the rows before each row that ends matches"
+
+    def _take(self, batch: Integers, kind: Integers, begin: int) -> int:
+        packed, store = self._packed, self._store
+        conditions = packed.conditions
+        return run(
+            batch,
+            kind,
+            begin,
+            self._settings,
+            packed.kinds,
+            packed.own,
+            packed.keys,
+            packed.steps,
+            packed.accumulators,
+            packed.buffers,
+            conditions.conditions,
+            conditions.factors,
+            conditions.code,
+            conditions.constants,
+            store.table,
+            store.table.view(np.float64),
+            store.ends,
+            store.rows,
+            store.vectors,
+            store.heads,
+            store.marks,
+            self._cells,
+            self._cell_floats,
+            self._places,
+            self._needs,
+            self._out,
+            self._out.view(np.float64),
+            *self._scratch,
+        )
+
+    def _compact_store(self, made: Integers) -> None:
+        needed = int(self._needs[ROOM_NEEDED])
+        if 2 * needed + 3 > len(self._cells):
+            self._make_cells(2 * needed)
+        self._store.compact(made[:, :1])
+
+    def _ends(self, records: Integers) -> Integers:
+        return self._store.table[:, END][records[:, 0]]
+
+    def _order(self, records: Integers) -> Integers | None:
+        return None
+
+    def _last(self, records: Integers) -> Integers:
+        return records[:, 0]
+
+    def _ask(self, records: Integers, hold: NDArray[np.bool_]) -> None:
+        raise AssertionError("no match of trends waits")
+
+    # -- results -----------------------------------------------------------------------------
+
+    def _outputs(self, records: Integers) -> dict[str, NDArray[Any]]:
+        plan = self.plan
+        rows = np.repeat(records[:, :1], len(plan.elements), axis=1)
+        found = output_columns(plan, self._packed.columns, self._store.table, rows)
+        for output in filter(is_start, plan.outputs):
+            found[output.name] = records[:, 1 + 2].copy()
+        for trend in plan.trends:
+            found[trend.name] = self._trend(trend, records)
+        return found
+
+    def _trend(self, trend: Trend, records: Integers) -> Values:
+        integers, numbers = records[:, 1:], records.view(np.float64)[:, 1 + self._integers :]
+        if trend.element is None:
+            return self._count(integers[:, 0], numbers[:, 0])
+        k = accumulators(self.plan).index((trend.element, trend.column))
+        k += any(map(is_start, self.plan.outputs))
+        i, f = INTEGER_WORDS * k + 1, FLOAT_WORDS * k + 1
+        counts = numbers[:, f]
+        match trend.function:
+            case Function.COUNT:
+                return self._count(integers[:, i], counts)
+            case Function.SUM:
+                return np.where(counts > 0, numbers[:, f + 1], np.nan)
+            case Function.AVG:
+                with np.errstate(invalid="ignore"):
+                    return np.where(counts > 0, numbers[:, f + 1] / counts, np.nan)
+        at = 2 if trend.function is Function.MIN else 3
+        if self._packed.accumulators[k, OF_NUMBERS]:
+            return np.where(counts > 0, numbers[:, f + at], np.nan)
+        return np.where(counts > 0, integers[:, i + at - 1], NO_VALUE)
+
+    def _count(self, exact: Integers, rounded: NDArray[np.float64]) -> Values:
+        is_rounded = rounded >= _EXACT
+        if not is_rounded.any():
+            return exact.copy()
+        self._rounded += int(is_rounded.sum())
+        return np.where(is_rounded, rounded, exact)

@@ -1,0 +1,74 @@
+"""Aggregates over all matches are those of their definition, however the rows are cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pattern_cuts import check_parts
+from pattern_data import KINDS, S, sequence
+from pattern_definition import Step
+from pattern_run_drawing import TrendDrawing
+from trend_definition import trends
+
+from dyknow.reasoning.patterns.network import ContradictoryTimes
+from dyknow.reasoning.patterns.plan import Function, PatternPlan, Trend
+from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.trends import Trends
+
+SEEDS = st.integers(0, 2**32)
+
+
+def check(plan: PatternPlan, steps: list[Step], draw: Random) -> int:
+    wanted = trends(plan, steps)
+    try:
+        running = Trends(plan, capacity=8)
+    except ContradictoryTimes:
+        assert not wanted
+        return 0
+    check_parts(lambda: Trends(plan, capacity=8), running, wanted, steps, draw)
+    return len(wanted)
+
+
+@settings(deadline=None, max_examples=600)
+@given(SEEDS)
+def test_trends(seed: int) -> None:
+    case = TrendDrawing(seed)
+    steps = case.steps(case.random.randint(1, 11), case.random.choice([8, 20, 40]))
+    check(case.plan, steps, case.random)
+
+
+@settings(deadline=None, max_examples=60)
+@given(SEEDS)
+def test_rows_that_are_forgotten(seed: int) -> None:
+    """Over many times the span of a match, at a small capacity."""
+    case = TrendDrawing(seed)
+    plan = replace(case.plan, within=4)
+    check(plan, case.steps(80, 160, objects=2), case.random)
+
+
+@pytest.mark.parametrize("repeats", [40, 60, 61, 64, 200])
+def test_large_numbers(repeats: int) -> None:
+    """Numbers of trends are exact below 2^62, and rounded from there on."""
+    trends = (Trend("n", Function.COUNT), Trend("s", Function.SUM, 1, "v"))
+    trends += (Trend("b", Function.COUNT, 1),)
+    plan = sequence("AB+C", trends=trends)
+    kind = np.array([0, *[1] * repeats, 2])
+    ends = np.arange(len(kind)) * S
+    ones = np.ones(len(kind), np.int64)
+    running = Trends(plan)
+    found = running.push(Rows(KINDS, kind, ends, ends, {"x": ones, "y": ones, "v": ones * 1.0}))
+    numbers = 2**repeats - 1, repeats * 2 ** (repeats - 1)
+    for name, number in zip("nb", numbers, strict=True):
+        column = found.outputs[name]
+        if number < 2**62:
+            assert column.dtype == np.int64
+            assert column.tolist() == [number]
+        else:
+            assert column.tolist() == [pytest.approx(float(number), rel=1e-12)]
+    assert found.outputs["s"].tolist() == [pytest.approx(float(numbers[1]), rel=1e-12)]
+    assert running.counters.rounded == sum(number >= 2**62 for number in numbers)
