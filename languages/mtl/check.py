@@ -359,7 +359,7 @@ class _Checker:
         info = self._names.vocabulary.feature(feature)
         range = None if info is None else info.range
         unit = None if info is None else info.unit
-        kind = None if range is None else _kind_of(range)
+        kind = None if range is None else kind_of_range(range)
         if kind is None and unit is not None:
             kind = Kind.NUMBER
         return _Typed(Reading(feature, arguments, kind or Kind.NUMBER, unit), kind, unit or ())
@@ -468,7 +468,8 @@ def _as(found: _Typed, kind: Kind) -> _Typed:
     return _Typed(replace(found.value, kind=kind), kind, found.unit)
 
 
-def _kind_of(range: str) -> Kind | None:
+def kind_of_range(range: str) -> Kind | None:
+    """Return the kind of a feature's values by its range in the ontology; None: of no kind."""
     if range in NUMBERS:
         return Kind.NUMBER
     return _KINDS.get(range, None if range.startswith(XSD) else Kind.OBJECT)
