@@ -8,9 +8,9 @@ another plan has the same rows (`query.Absence`).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Final, assert_never
+from typing import Any, Final, TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from ...streams.time import TIME_MAX, TIME_MIN
 from .all_rows import AllRows, Counters, Limits
 from .network import minimal_network
 from .plan import NO_VALUE, PatternPlan, PlanError
-from .query import Absence, AllOf, AnyOf, Branch, OutputComparison, Test
+from .query import Absence, AllOf, AnyOf, Branch, OutputComparison, StaticJoin, Test
 from .rows import Matches, Rows
 from .store import SMALLEST
 
@@ -38,6 +38,11 @@ class CombinedMatches(Matches):
     plan: Integers
 
 
+StaticSolutions: TypeAlias = Callable[[StaticJoin, Mapping[str, NDArray[Any]], int], Integers]
+"""Returns the number of solutions of a static join for each of so many rows of values, by
+variable."""
+
+
 class CombinedRows:
     """The results of several plans over the same rows; the face of `AllRows`.
 
@@ -45,7 +50,8 @@ class CombinedRows:
     in order of (time of decision, last row, plan), however the rows are cut into batches. So a
     result that waited comes before those of the row that decides it.
 
-    Without absences the rows may come in any order, as in `AllRows`.
+    Without absences the rows may come in any order, as in `AllRows`. ``static`` answers the static
+    joins of the branches, as of the time when a result is decided.
 
     Cost: that of the plans; besides, for plans with absences, Python operations for each of their
     matches and for each match of the other plans. Memory: an entry for each of the latter, for as
@@ -62,13 +68,17 @@ class CombinedRows:
         is_ordered: bool = True,
         limits: Limits = _LIMITS,
         capacity: int = SMALLEST,
+        static: StaticSolutions | None = None,
     ) -> None:
         branches = branches or [Branch()] * len(plans)
         if not is_ordered and any(branch.absences for branch in branches):
             raise PlanError(
                 "an optional part needs rows in order of time", "sort them, or declare a max delay"
             )
+        if static is None and any(branch.static is not None for branch in branches):
+            raise PlanError("the pattern has static triples", "tell where they are answered")
         self._is_ordered = is_ordered
+        self._static = static
         self._limits = limits
         shown = [
             [output.name for output in plan.outputs]
@@ -174,6 +184,12 @@ class CombinedRows:
         for part, matches in zip(self._parts, made, strict=True):
             found = part.decide(matches, self._watermark, final, self._limits)
             self._unawaited += part.lost
+            join = part.branch.static
+            if join is not None and self._static is not None:
+                values = {name: found.outputs[output] for name, output, _ in join.variables}
+                found = found[
+                    np.repeat(np.arange(len(found)), self._static(join, values, len(found)))
+                ]
             final.append(found)
         for part in self._parts:
             for each in part.found:
@@ -221,7 +237,7 @@ class _Candidates:
     def __len__(self) -> int:
         return len(self.due)
 
-    def __getitem__(self, chosen: Flags) -> _Candidates:
+    def __getitem__(self, chosen: Flags | Integers) -> _Candidates:
         outputs = {name: values[chosen] for name, values in self.outputs.items()}
         return _Candidates(self.rows[chosen], self.own[chosen], self.due[chosen], outputs)
 

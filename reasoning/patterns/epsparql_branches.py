@@ -34,6 +34,7 @@ from ...languages.epsparql.checked import (
     Variable,
 )
 from ...languages.errors import LanguageError, Span
+from ...sparql.ast import variables_of
 
 MOST_BRANCHES: Final = 16
 Samples: TypeAlias = tuple[int, ...]
@@ -98,6 +99,15 @@ def branches_of(
     reader = _Reader(pattern.source, given)
     branches = tuple(reader.group(pattern.where))
     reader.check_times(list(branches), pattern.where.span)
+    names = {
+        place.name
+        for sample in reader.samples
+        for place in places_of(sample)
+        if isinstance(place, Variable)
+    }
+    for branch in branches:
+        for name in names:
+            reader.is_bound(name, branch)
     return tuple(reader.samples), branches
 
 
@@ -197,7 +207,7 @@ class _Reader:
             case Truth():
                 return condition
             case Bound(variable, is_bound):
-                return Truth((variable in branch.names | self._given) == is_bound)
+                return Truth(self.is_bound(variable, branch) == is_bound)
             case Comparison(_, left, right):
                 has_values = all(self._has_value(side, branch) for side in (left, right))
                 return condition if has_values else Truth(False)
@@ -221,13 +231,28 @@ class _Reader:
     def _has_value(self, value: Value, branch: Branch) -> bool:
         match value:
             case Variable(name):
-                return name in branch.names or name in self._given
+                return self.is_bound(name, branch)
             case Calculation(_, left, right):
                 return self._has_value(left, branch) and self._has_value(right, branch)
             case TimeOf():
                 return bool(branch.samples)
             case _:
                 return True
+
+    def is_bound(self, name: str, branch: Branch) -> bool:
+        """Whether a variable has a value in a branch. Raises `LanguageError` for one that only
+        static triples would give one there."""
+        if name in branch.names or name in self._given:
+            return True
+        for static in branch.static:
+            if name in variables_of(static.triple):
+                raise LanguageError(
+                    f"`?{name}` has no value but a static one in one of the alternatives",
+                    self._source,
+                    static.span,
+                    "write the static triple into the groups that read a sample of it",
+                )
+        return False
 
     # -- what is refused ---------------------------------------------------------------------
 

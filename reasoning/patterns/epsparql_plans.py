@@ -37,10 +37,11 @@ from ...languages.epsparql.checked import (
     TimeOf,
     Value,
     Variable,
+    kind_of,
 )
 from ...languages.epsparql.checked import And as AndCondition
 from ...languages.epsparql.expressions import bound_of_duration
-from ...languages.errors import LanguageError
+from ...languages.errors import LanguageError, Span
 from ...languages.mtl.checked import Constant, Kind, ObjectConstant
 from ...rdf.namespaces import local_name
 from ...sparql.ast import variables_of
@@ -182,23 +183,22 @@ class _Compiler:
             assert network.retention
             pack(query.with_numbers(made, query.Keys()), network, is_ordered=True)
         except UnboundedRetention as error:
-            raise self._error(error, branch, _WITHIN) from None
+            raise self._plan_error(error, branch, _WITHIN) from None
         except ContradictoryTimes as error:
-            raise self._error(error, branch, "no solution meets all of them") from None
+            raise self._plan_error(error, branch, "no solution meets all of them") from None
         except PlanError as error:
-            raise self._error(error, branch, error.hint) from None
+            raise self._plan_error(error, branch, error.hint) from None
 
-    def _error(self, error: PlanError, branch: Branch, hint: str) -> LanguageError:
-        span = self._pattern.where.span
+    def _plan_error(self, error: PlanError, branch: Branch, hint: str) -> LanguageError:
+        span = None
         if error.elements:
             span = self.samples[sorted(branch.samples)[error.elements[0]]].span
-        return LanguageError(error.message, self._pattern.source, span, hint)
+        return self.error(error.message, span, hint)
 
-    def too_large(self, error: PlanError) -> LanguageError:
-        """The error of a plan that cannot be."""
-        return LanguageError(
-            error.message, self._pattern.source, self._pattern.where.span, error.hint
-        )
+    def error(self, message: str, span: Span | None, hint: str) -> LanguageError:
+        """An error at a place of the text; None: the whole pattern."""
+        where = self._pattern.where.span
+        return LanguageError(message, self._pattern.source, span or where, hint)
 
 
 @dataclass
@@ -259,7 +259,7 @@ class _Plan:
                 outputs=tuple(outputs),
             )
         except PlanError as error:
-            raise compiler.too_large(error) from None
+            raise compiler.error(error.message, None, error.hint) from None
         return made, tuple(tests)
 
     def with_outputs(self, made: PatternPlan) -> PatternPlan:
@@ -277,13 +277,19 @@ class _Plan:
 
     def static(self) -> query.StaticJoin:
         triples = tuple((each.triple, each.graph) for each in self.branch.static)
-        names = [name for each, _ in triples for name in variables_of(each)]
-        variables = tuple(
-            (name, self._output("static", self.expression(Variable(name, Kind.OBJECT), ())))
-            for name in dict.fromkeys(names)
-            if name in self.branch.names or name in self.compiler.given
-        )
-        return query.StaticJoin(triples, variables)
+        known = {
+            each.name: each
+            for number in self.branch.samples
+            for each in places_of(self.compiler.samples[number])
+            if isinstance(each, Variable)
+        }
+        variables = []
+        for name in dict.fromkeys(name for each, _ in triples for name in variables_of(each)):
+            place = self.compiler.constant(known.get(name) or Variable(name, Kind.OBJECT))
+            if not isinstance(place, Variable) or name in known:
+                output = self._output("static", self.expression(place, self.branch.samples))
+                variables.append((name, output, Kind(kind_of(place))))
+        return query.StaticJoin(triples, tuple(variables))
 
     # -- elements, keys, times ---------------------------------------------------------------
 

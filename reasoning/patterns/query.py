@@ -130,10 +130,10 @@ class Absence:
 class StaticJoin:
     """Triples of static graphs, each with its graph (None: those of FROM, or the ontology), that
     are joined to the matches of a plan: each match is a result once for each solution of them.
-    ``variables``: those that outputs of the plan fill, as (variable, output)."""
+    ``variables``: those that outputs of the plan fill, as (variable, output, kind)."""
 
     triples: tuple[tuple[Triple, str | None], ...]
-    variables: tuple[tuple[str, str], ...]
+    variables: tuple[tuple[str, str, Kind], ...]
 
 
 @dataclass(frozen=True, slots=True)

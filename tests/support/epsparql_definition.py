@@ -30,6 +30,10 @@ COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 }
 
 
+Fact = tuple[Value, str, Value, str | None]
+"""A static triple: subject, predicate (IRI), object, graph."""
+
+
 class NoValue(Exception):
     """An expression has no value: SPARQL's error."""
 
@@ -72,11 +76,12 @@ class Solution:
 
 @dataclass(frozen=True)
 class Definition:
-    """The meaning of a query over ``samples``. ``features``: predicates that have samples."""
+    """The meaning of a query over ``samples``. ``static`` triples have a graph, or None."""
 
     query: ast.EpSparqlQuery
     samples: Sequence[Sample]
     arguments: Mapping[str, Value]
+    static: Sequence[Fact] = ()
 
     def solutions(self) -> list[Solution]:
         """All solutions, without those that last too long."""
@@ -112,6 +117,9 @@ class Definition:
             if isinstance(part, sparql.Triples):
                 for triple in part.triples:
                     found = self.together(found, self.of_triple(triple))
+            elif isinstance(part, ast.Graph):
+                for triple in part.triples:
+                    found = self.together(found, self.of_static(triple, part.name.value))
             elif isinstance(part, ast.Group | ast.Operation):
                 found = self.together(found, self.operand(part))
         for part in group.parts:
@@ -154,23 +162,39 @@ class Definition:
         both = a.joined(b)
         return None if both is None or both.end - both.start > self.within else both
 
+    def of_static(self, triple: sparql.Triple, graph: str | None) -> list[Solution]:
+        """The solutions of a static triple, which have no time."""
+        return [
+            Solution(values, math.inf, -math.inf, ())
+            for subject, predicate, object, where in self.static
+            if predicate == triple.predicate.value and where == graph
+            for values in [self.fitted(triple, subject, object)]
+            if values is not None
+        ]
+
     def of_triple(self, triple: sparql.Triple) -> list[Solution]:
+        if any(predicate == triple.predicate.value for _, predicate, _, _ in self.static):
+            return self.of_static(triple, None)
         found = []
         for each in self.samples:
             if each.feature != triple.predicate.value or each.end - each.start > self.within:
                 continue
-            values: dict[str, Value] = {}
-            fits = True
-            for term, value in (
-                (triple.subject, ("object", each.object)),
-                (triple.object, each.value),
-            ):
-                name = self.name(term)
-                wanted = self.constant(term) if name is None else values.setdefault(name, value)
-                fits = fits and wanted == value
-            if fits:
+            values = self.fitted(triple, ("object", each.object), each.value)
+            if values is not None:
                 found.append(Solution(values, each.start, each.end, (each.number,)))
         return found
+
+    def fitted(
+        self, triple: sparql.Triple, subject: Value, object: Value
+    ) -> dict[str, Value] | None:
+        """The values of the variables of a triple pattern; None if it does not fit."""
+        values: dict[str, Value] = {}
+        for term, value in ((triple.subject, subject), (triple.object, object)):
+            name = self.name(term)
+            wanted = self.constant(term) if name is None else values.setdefault(name, value)
+            if wanted != value:
+                return None
+        return values
 
     def name(self, term: Any) -> str | None:
         """The name of a variable that is not given."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from random import Random
+from typing import Any
 
 import numpy as np
-from epsparql_definition import Sample, Value
-from pyoxigraph import RdfFormat, parse
+from epsparql_definition import Fact, Sample, Value, constant
+from pyoxigraph import RdfFormat, Variable, parse
 
 from dyknow.languages.mtl.checked import Kind
 from dyknow.ontology.vocabulary import Vocabulary
@@ -17,6 +18,7 @@ from dyknow.reasoning.patterns.query import (
     Part,
     PatternQuery,
     Source,
+    StaticJoin,
     column_type,
     object_key,
     text_key,
@@ -68,6 +70,15 @@ DRAWN: dict[str, tuple[Value, ...]] = {
     TEXTS: ((TEXTS, "x"), (TEXTS, "y")),
     TIMES: tuple((TIMES, each) for each in range(1, 4)),
 }
+STATIC: tuple[Fact, ...] = (
+    ((OBJECTS, f"{DYKNOW}o0"), "urn:in", (OBJECTS, "urn:x"), None),
+    ((OBJECTS, f"{DYKNOW}o0"), "urn:in", (OBJECTS, "urn:y"), None),
+    ((OBJECTS, f"{DYKNOW}o1"), "urn:in", (OBJECTS, "urn:y"), None),
+    ((OBJECTS, f"{DYKNOW}o0"), "urn:in", (OBJECTS, f"{DYKNOW}o1"), "urn:g"),
+    ((OBJECTS, "urn:p"), "urn:of", (TEXTS, "x"), None),
+    ((OBJECTS, "urn:q"), "urn:of", (TEXTS, "y"), None),
+    ((OBJECTS, f"{DYKNOW}o0"), "urn:level", (NUMBERS, 1.0), None),
+)
 OPERATORS = ("SEQ", "SEQ", "SEQ", "EQUALS", "OPTIONALSEQ", "EQUALSOPTIONAL", "UNION")
 
 
@@ -80,7 +91,9 @@ def vocabulary() -> Vocabulary:
 class QueryDrawing:
     """The text of a query, and samples for it. ``operators`` are those between groups."""
 
-    def __init__(self, seed: int, operators: tuple[str, ...] = OPERATORS) -> None:
+    def __init__(
+        self, seed: int, operators: tuple[str, ...] = OPERATORS, *, has_static: bool = False
+    ) -> None:
         self.random = draw = Random(seed)
         self.operators = operators
         self.features = draw.sample(sorted(FEATURES), draw.choice([1, 2, 2, 3]))
@@ -94,6 +107,8 @@ class QueryDrawing:
         self.names = names
         items = " ".join(sorted({*names, *VARIABLES[NUMBERS][:1]} & names))
         times = "(getSTARTTIME() AS ?from) (getDURATION() AS ?lasts)"
+        if has_static:
+            chain = f"{{ {chain} {self.static_triple()} }}"
         self.text = f"SELECT {items} {times} WHERE {chain} {filters} {within}"
 
     # -- the text ------------------------------------------------------------------------------
@@ -108,6 +123,17 @@ class QueryDrawing:
             other, more = self.group(depth)
             text, names = f"{text} {draw.choice(self.operators)} {other}", names | more
         return text, names
+
+    def static_triple(self) -> str:
+        """A static triple; beside others, not in a side of an optional operator."""
+        return self.random.choice(
+            [
+                "?a <urn:in> ?k .",
+                "?a <urn:in> <urn:x> . ?k <urn:of> ?m .",
+                "GRAPH <urn:g> { ?a <urn:in> ?b }",
+                "?a <urn:level> ?v .",
+            ]
+        )
 
     def group(self, depth: int) -> tuple[str, set[str]]:
         draw = self.random
@@ -245,6 +271,30 @@ def cell(sample: Sample, source: Source, column: str, keys: Keys) -> int | float
                 return keys.number(object_key(value))
             return keys.number(text_key(value)) if kind == TEXTS else value
     return None
+
+
+def static_solutions(join: StaticJoin, values: dict[str, Value]) -> int:
+    """The number of solutions of a static join in `STATIC`."""
+    found = [values]
+    for triple, graph in join.triples:
+        found = [
+            new
+            for known in found
+            for subject, predicate, object, where in STATIC
+            if predicate == triple.predicate.value and where == graph
+            for new in [fitted(fitted(known, triple.subject, subject), triple.object, object)]
+            if new is not None
+        ]
+    return len(found)
+
+
+def fitted(known: dict[str, Value] | None, term: Any, value: Value) -> dict[str, Value] | None:
+    """What is known, with the term being the value; None if it is another."""
+    if known is None:
+        return None
+    if isinstance(term, Variable):
+        return {**known, term.value: value} if known.get(term.value, value) == value else None
+    return known if constant(term) == value else None
 
 
 def value_of(kind: Kind, number: int | float, keys: Keys) -> Value | None:

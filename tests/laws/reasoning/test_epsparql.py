@@ -6,21 +6,33 @@ from __future__ import annotations
 import math
 import pickle
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from random import Random
+from typing import Any
 
+import numpy as np
 import pytest
 from epsparql_definition import Definition, Sample, Value
-from epsparql_drawing import QueryDrawing, rows_of, suits, value_of, vocabulary
+from epsparql_drawing import (
+    STATIC,
+    QueryDrawing,
+    rows_of,
+    static_solutions,
+    suits,
+    value_of,
+    vocabulary,
+)
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dyknow.languages.epsparql import check_epsparql, parse_epsparql
 from dyknow.languages.errors import LanguageError
 from dyknow.reasoning.patterns.combined import NO_ROW, CombinedMatches, CombinedRows
 from dyknow.reasoning.patterns.epsparql_plans import epsparql_query
 from dyknow.reasoning.patterns.plan import PlanError
-from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
+from dyknow.reasoning.patterns.query import Keys, PatternQuery, StaticJoin, with_numbers
 from dyknow.streams.time import TIME_MAX
 
 SEEDS = st.integers(0, 2**32)
@@ -50,7 +62,23 @@ class Running:
         self.rows = self.made()
 
     def made(self) -> CombinedRows:
-        return CombinedRows(self.plans, self.query.branches, is_ordered=self.is_ordered, capacity=8)
+        return CombinedRows(
+            self.plans,
+            self.query.branches,
+            is_ordered=self.is_ordered,
+            capacity=8,
+            static=self.static_solutions,
+        )
+
+    def static_solutions(
+        self, join: StaticJoin, values: Mapping[str, NDArray[Any]], count: int
+    ) -> NDArray[np.int64]:
+        columns = {
+            name: [value_of(kind, each, self.keys) for each in values[name].tolist()]
+            for name, _, kind in join.variables
+        }
+        rows = ({name: column[i] for name, column in columns.items()} for i in range(count))
+        return np.array([static_solutions(join, row) for row in rows], np.int64)
 
     def push(self, samples: list[Sample]) -> list[Result]:
         rows, numbers = rows_of(samples, self.query, self.keys)
@@ -114,7 +142,7 @@ def check(text: str, samples: list[Sample], draw: Random) -> int:
         return 0
     samples = [each for each in samples if any(suits(each, source) for source in query.sources)]
     taken = in_time(samples)
-    wanted = wanted_of(Definition(parse_epsparql(text), taken, {}))
+    wanted = wanted_of(Definition(parse_epsparql(text), taken, {}, STATIC))
     running = Running(query)
     cut = draw.choice([0.0, 0.3, 1.0])
     batch: list[Sample] = []
@@ -179,6 +207,19 @@ def test_optional_parts(seed: int) -> None:
     """Alone is what is in no joined solution; it waits only where a sample may still come."""
     case = QueryDrawing(seed, ("SEQ", "OPTIONALSEQ", "EQUALSOPTIONAL"))
     check(case.text, case.samples(case.random.randint(4, 10), 6), case.random)
+
+
+@settings(deadline=None, max_examples=300)
+@given(SEEDS)
+def test_static_triples(seed: int) -> None:
+    """A result comes once for each solution of the static triples."""
+    case = QueryDrawing(seed, has_static=True)
+    assume("?a" in case.names)
+    check(
+        case.text,
+        case.samples(case.random.randint(1, 10), case.random.choice([8, 20])),
+        case.random,
+    )
 
 
 @settings(deadline=None, max_examples=300)
