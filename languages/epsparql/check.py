@@ -310,7 +310,8 @@ class _Checker:
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:
-                hint = did_you_mean(f"?{name}", (f"?{each}" for each in names))
+                shown = [f"?{each}" for each in sorted(names) if not each.startswith("_:")]
+                hint = did_you_mean(f"?{name}", shown) or f"the group has {', '.join(shown)}"
             raise self._error(message, span, hint)
 
         return check
