@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from pyoxigraph import Variable
@@ -55,19 +55,27 @@ class BoundPattern:
         return query
 
 
-def bound_pattern(pattern: Pattern, source: str, vocabulary: Vocabulary) -> BoundPattern:
-    """Return a pattern as a query. Raises `LanguageError`; `NeedsError` for a feature without an
-    object."""
-    return _bound(check_pattern(pattern, source, vocabulary))
+def bound_pattern(
+    pattern: Pattern,
+    source: str,
+    vocabulary: Vocabulary,
+    is_static: Callable[[str], bool] | None = None,
+) -> BoundPattern:
+    """Return a pattern as a query; `check_pattern` describes ``is_static``. Raises `LanguageError`;
+    `NeedsError` for a feature without an object."""
+    return _bound(check_pattern(pattern, source, vocabulary, is_static))
 
 
 def bound_pattern_template(
-    template: PatternTemplate, arguments: Sequence[Term | Variable], vocabulary: Vocabulary
+    template: PatternTemplate,
+    arguments: Sequence[Term | Variable],
+    vocabulary: Vocabulary,
+    is_static: Callable[[str], bool] | None = None,
 ) -> BoundPattern:
     """Return the pattern of a template with ``arguments``, one for each parameter; a variable
     leaves an object free. Raises `ArgumentError`, and the errors of `bound_pattern` where the
     ontology has changed since the template was registered."""
-    checked = check_pattern_template(template, vocabulary)
+    checked = check_pattern_template(template, vocabulary, is_static)
     values, objects = given_arguments(template, checked.slots, arguments)
     return _bound(with_arguments(checked, values, objects, template.source, vocabulary))
 

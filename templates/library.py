@@ -115,7 +115,8 @@ class TemplateLibrary:
         ontology has changed."""
         if isinstance(template, Template):
             return instantiate(template, arguments, self._ontology.vocabulary)
-        return bound_template(template, arguments, self._ontology.vocabulary)
+        is_static = is_static_in(self._ontology.static_store)
+        return bound_template(template, arguments, self._ontology.vocabulary, is_static)
 
     def needs(self, query: ContinuousQuery | Bound) -> Needs:
         """Return the `needs` of a query by this library's ontology. Raises `NeedsError`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 from pyoxigraph import Variable
@@ -33,22 +33,31 @@ ReasonedTemplate: TypeAlias = FormulaTemplate | PatternTemplate
 Bound: TypeAlias = BoundFormula | BoundPattern
 
 
-def bound_text(reasoned: Reasoned, source: str, vocabulary: Vocabulary) -> Bound:
-    """Return a monitor or pattern with what it needs. Raises `LanguageError` and `NeedsError`."""
+def bound_text(
+    reasoned: Reasoned,
+    source: str,
+    vocabulary: Vocabulary,
+    is_static: Callable[[str], bool] | None = None,
+) -> Bound:
+    """Return a monitor or pattern with what it needs. ``is_static`` tells whether static graphs may
+    contain a predicate that is no feature. Raises `LanguageError` and `NeedsError`."""
     if isinstance(reasoned, Monitor):
         return bound_monitor(reasoned, source, vocabulary)
-    return bound_pattern(reasoned, source, vocabulary)
+    return bound_pattern(reasoned, source, vocabulary, is_static)
 
 
 def bound_template(
-    template: ReasonedTemplate, arguments: Sequence[Term | Variable], vocabulary: Vocabulary
+    template: ReasonedTemplate,
+    arguments: Sequence[Term | Variable],
+    vocabulary: Vocabulary,
+    is_static: Callable[[str], bool] | None = None,
 ) -> Bound:
     """Return the formula or pattern of a template with ``arguments``, one for each parameter. A
     variable leaves the objects of a parameter free. Raises `ArgumentError`, and the errors of
     `bound_text` where the ontology has changed since the template was registered."""
     if isinstance(template, FormulaTemplate):
         return bound_formula_template(template, arguments, vocabulary)
-    return bound_pattern_template(template, arguments, vocabulary)
+    return bound_pattern_template(template, arguments, vocabulary, is_static)
 
 
 def slots_of(template: ReasonedTemplate, vocabulary: Vocabulary) -> tuple[Slot, ...]:

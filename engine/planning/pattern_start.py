@@ -24,6 +24,7 @@ from ..units.match_samples import match_schema
 from ..units.merge import MergeInput
 from ..units.pattern import PatternUnit
 from ..units.row_readers import SourceInput, kind_of
+from .static_side import closed_ontology
 from .supply_inputs import merge_inputs
 
 
@@ -78,6 +79,7 @@ class PatternStarter:
                     dictionary=self._dictionary,
                     lateness=self._configuration.lateness,
                     newest=self._configuration.newest_sample,
+                    background=closed_ontology(self._ontology, query.graphs[1]),
                 )
             except PlanError as error:
                 raise BadArguments(error.message, error.hint) from error

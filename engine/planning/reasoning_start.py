@@ -11,7 +11,7 @@ from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...streams.generator import StreamGenerator
 from ...templates.formulas import BoundFormula
-from ...templates.needs import NeedsError
+from ...templates.needs import NeedsError, is_static_in
 from ...templates.reasoning import Bound, Reasoned, bound_text
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
@@ -58,7 +58,8 @@ def bound_of(reasoned: Reasoned, source: str, ontology: Ontology) -> Bound:
     """Return a monitor or pattern with what it needs. Raises `LanguageError`, and `BadArguments`
     for what no streams can give."""
     try:
-        return bound_text(reasoned, source, ontology.vocabulary)
+        is_static = is_static_in(ontology.static_store)
+        return bound_text(reasoned, source, ontology.vocabulary, is_static)
     except NeedsError as error:
         raise BadArguments(error.message, error.hint) from error
 

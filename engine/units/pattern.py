@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ...continuous.operators.background import Background
 from ...converters.objects import object_iri
 from ...languages.mtl.checked import Kind
 from ...rdf.dictionary import TermDictionary
@@ -30,6 +31,7 @@ from ...streams.time import TIME_MAX
 from .base import ComputationalUnit
 from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
+from .static_solutions import StaticSolutions
 
 
 class PatternUnit(ComputationalUnit):
@@ -48,6 +50,7 @@ class PatternUnit(ComputationalUnit):
         dictionary: TermDictionary,
         lateness: Callable[[StreamGenerator], int],
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
+        background: Background,
     ) -> None:
         super().__init__(*args)
         self._newest = newest
@@ -60,8 +63,13 @@ class PatternUnit(ComputationalUnit):
         self._readers = row_readers(inputs_of_sources, dictionary, self._keys)
         self.query = query
         self.recognition = Recognition(
-            query, len(self.sources), self._keys, lateness=self._lateness
+            query,
+            len(self.sources),
+            self._keys,
+            lateness=self._lateness,
+            static=StaticSolutions(background, self._keys),
         )
+        self._background = background
         self.samples = self.matches = 0
         """Samples read, and matches found by now."""
 
@@ -120,6 +128,7 @@ class PatternUnit(ComputationalUnit):
             tuple(self._lateness),
             tuple(past),
             tuple(evicting),
+            self._background,
             self._end + 1 if self.all_ended else self.least_watermark,
             self._end if self.all_ended else None,
         )
@@ -218,6 +227,7 @@ class RecalledEvents:
     lateness: tuple[int, ...]
     past: tuple[tuple[int, StreamGenerator, SampleBatch], ...]
     evicting: tuple[FluentStream, ...]
+    background: Background
     watermark: int | None
     end: int | None
 
@@ -231,7 +241,12 @@ class RecalledEvents:
         keys = Keys()
         writer = MatchWriter(self.query, keys)
         run = Recognition(
-            self.query, len(self.lateness), keys, lateness=self.lateness, keeps_places=True
+            self.query,
+            len(self.lateness),
+            keys,
+            lateness=self.lateness,
+            keeps_places=True,
+            static=StaticSolutions(self.background, keys),
         )
         readers = row_readers(self.inputs, TermDictionary(), keys)
         for place, source, batch in self.past:

@@ -13,11 +13,12 @@ from ...streams.sample import Times
 from ..states.departures import Departures, Steps
 from .all_rows import AllRows
 from .changes import Changes
+from .combined import CombinedRows, StaticSolutions
 from .evaluator import Evaluator
 from .limits import DEFAULT_LIMITS, Limits
 from .next_rows import NextRows
-from .plan import NO_VALUE, PatternPlan, Selection
-from .query import END, Keys, PatternQuery, with_numbers
+from .plan import NO_VALUE, Selection
+from .query import END, Branch, Keys, PatternQuery, with_numbers
 from .rows import Matches, Rows, Values, concatenated
 from .trends import Trends
 
@@ -62,11 +63,12 @@ class Recognition:
         lateness: Sequence[int] = (),
         limits: Limits = DEFAULT_LIMITS,
         keeps_places: bool = False,
+        static: StaticSolutions | None = None,
     ) -> None:
         self.query = query
         self.is_ordered = needs_order(query)
         self.plans = plans = tuple(with_numbers(plan, keys) for plan in query.plans)
-        self.evaluator = evaluator_of(plans, limits, is_ordered=self.is_ordered)
+        self.evaluator = self._evaluator(limits, static)
         self.late = 0
         """Rows that came too late."""
         self._kinds = tuple(source.kind for source in query.sources)
@@ -179,6 +181,22 @@ class Recognition:
         found = concatenated([self._pushed(rest), self.evaluator.end()])
         return self._results(found, np.full(len(found), moment, np.int64))
 
+    def _evaluator(
+        self, limits: Limits, static: StaticSolutions | None
+    ) -> Evaluator | CombinedRows:
+        branches = self.query.branches
+        if len(self.plans) > 1 or any(branch != Branch() for branch in branches):
+            ordered = self.is_ordered
+            return CombinedRows(
+                self.plans, branches, is_ordered=ordered, limits=limits, static=static
+            )
+        (plan,) = self.plans
+        if plan.trends:
+            return Trends(plan, limits=limits)
+        if plan.selection is not Selection.ANY_MATCH:
+            return NextRows(plan, limits=limits)
+        return AllRows(plan, is_ordered=self.is_ordered, limits=limits)
+
     def _as_they_come(self, new: _Batch, steps: Steps) -> Recognized:
         new = new.take(new.order(new.available))
         first = self._number
@@ -216,20 +234,14 @@ class Recognition:
 def needs_order(query: PatternQuery) -> bool:
     """Whether rows must be taken in order of their ends: what did not happen, what follows and what
     was before are known only then."""
-    return any(source.has_changes for source in query.sources) or any(
-        plan.probes or plan.trends or plan.selection is not Selection.ANY_MATCH
-        for plan in query.plans
+    return (
+        any(source.has_changes for source in query.sources)
+        or any(branch.absences for branch in query.branches)
+        or any(
+            plan.probes or plan.trends or plan.selection is not Selection.ANY_MATCH
+            for plan in query.plans
+        )
     )
-
-
-def evaluator_of(plans: Sequence[PatternPlan], limits: Limits, *, is_ordered: bool) -> Evaluator:
-    """Return the evaluator of plans. Raises `PlanError`."""
-    (plan,) = plans
-    if plan.trends:
-        return Trends(plan, limits=limits)
-    if plan.selection is not Selection.ANY_MATCH:
-        return NextRows(plan, limits=limits)
-    return AllRows(plan, is_ordered=is_ordered, limits=limits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -182,3 +182,69 @@ def test_it_says_why_it_is_empty(flying):
     assert "none of them of dyknow:altitude" in flying.queries.view("descent").empty
     fly(flying)
     assert "no events match" in flying.queries.view("descent").empty
+
+
+RISE = """PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+SELECT ?c ?p1 ?p2 WHERE { ?c dyknow:speed ?p1 } SEQ { ?c dyknow:speed ?p2 }
+FILTER (?p2 > ?p1 * 1.4 && getDURATION() < "PT3S"^^xsd:duration)"""
+
+
+def test_ep_sparql(flying):
+    view = flying.queries.register("REGISTER STREAM rise AS " + RISE)
+    assert (view.kind, view.dialect) == ("PATTERN", "EP-SPARQL")
+    fly(flying)
+    assert [
+        (int(v), r["c"], r["p1"], r["p2"], r["start"][-3:]) for v, r in samples(flying, "rise")
+    ] == [
+        (2, "uav2", 80.0, 120.0, "01Z"),
+        (3, "uav1", 80.0, 120.0, "01Z"),
+        (3, "uav1", 80.0, 120.0, "02Z"),
+    ]
+    assert [
+        flying.queries.why("rise", ["uav1"], 3 * SECOND)()[i].events[0].valid for i in (0, 1)
+    ] == [
+        1 * SECOND,
+        2 * SECOND,
+    ]
+
+
+def test_ep_sparql_as_a_template(flying):
+    flying.register_template(
+        "REGISTER TEMPLATE dyknow:Rise(?c, ?factor) AS "
+        + RISE.replace("1.4", "?factor").replace("?c ?p1 ?p2 WHERE", "?c ?p2 WHERE")
+    )
+    view = ask(flying, "dyknow:Rise(dyknow:uav2, 1.2)")
+    fly(flying)
+    assert [(int(v), r["c"]) for v, r in samples(flying, view.stream)] == [(2, "uav2")]
+
+
+def test_optional_parts_and_unions(flying):
+    flying.queries.register(
+        """REGISTER STREAM drops AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+        SELECT ?c ?s WHERE { { ?c dyknow:speed ?s FILTER (?s > 100) } OPTIONALSEQ
+        { ?c dyknow:altitude ?h FILTER (?h < 400) } } WITHIN 3 s"""
+    )
+    fly(flying)
+    found = [(int(v), r["c"], r["s"]) for v, r in samples(flying, "drops")]
+    # uav1 is low from 5 s on, and was fast at 3 s: the first two low samples are within 3 s.
+    assert [each for each in found if each[2] is not None] == [
+        (5, "uav1", 120.0),
+        (6, "uav1", 120.0),
+    ]
+    assert {each[0] for each in found if each[1] == "uav1" and each[2] is None} == set(range(7, 12))
+
+
+def test_static_triples_are_joined(flying):
+    flying.load_ontology(
+        "@prefix d: <http://www.ida.liu.se/dyknow/> . @prefix e: <http://e.org/> . "
+        "d:uav1 e:owner e:ann .",
+        name="http://e.org/owners",
+        format="turtle",
+    )
+    flying.queries.register(
+        """REGISTER STREAM owned AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+        PREFIX e: <http://e.org/>
+        SELECT ?c WHERE { ?c dyknow:speed ?v . ?c e:owner e:ann FILTER (?v > 100) } WITHIN 1 s"""
+    )
+    fly(flying)
+    assert [(int(v), r["c"]) for v, r in samples(flying, "owned")] == [(3, "uav1")]
