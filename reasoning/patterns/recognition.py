@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from ...streams.sample import Times
 from ..states.departures import Departures, Steps
-from .all_rows import AllRows
 from .changes import Changes
 from .combined import CombinedRows, StaticSolutions
+from .evaluation import evaluator_of
 from .evaluator import Evaluator
 from .limits import DEFAULT_LIMITS, Limits
-from .next_rows import NextRows
 from .plan import NO_VALUE, Selection
 from .query import END, Branch, Keys, PatternQuery, with_numbers
 from .rows import Matches, Rows, Values, concatenated
-from .trends import Trends
 
 STREAM, SAMPLE, KIND = range(3)
 """Where a row comes from."""
@@ -191,11 +189,7 @@ class Recognition:
                 self.plans, branches, is_ordered=ordered, limits=limits, static=static
             )
         (plan,) = self.plans
-        if plan.trends:
-            return Trends(plan, limits=limits)
-        if plan.selection is not Selection.ANY_MATCH:
-            return NextRows(plan, limits=limits)
-        return AllRows(plan, is_ordered=self.is_ordered, limits=limits)
+        return evaluator_of(plan, is_ordered=self.is_ordered, limits=limits)
 
     def _as_they_come(self, new: _Batch, steps: Steps) -> Recognized:
         new = new.take(new.order(new.available))
@@ -238,7 +232,10 @@ def needs_order(query: PatternQuery) -> bool:
         any(source.has_changes for source in query.sources)
         or any(branch.absences for branch in query.branches)
         or any(
-            plan.probes or plan.trends or plan.selection is not Selection.ANY_MATCH
+            plan.probes
+            or plan.selection is not Selection.ANY_MATCH
+            or any(element.is_kleene for element in plan.elements)
+            or plan.trends
             for plan in query.plans
         )
     )
