@@ -201,6 +201,12 @@ class _Checker:
                 Span(pattern.span.start, pattern.span.start + len("PATTERN")),
                 "write how long a match may last: `WITHIN 12 hours`",
             )
+        if pattern.within < len(there) - 1:
+            raise self.error(
+                f"{len(there)} events that follow each other do not fit into WITHIN",
+                pattern.span,
+                "write a longer time",
+            )
         if pattern.within >= _LONGEST:
             raise self.error(
                 "WITHIN exceeds 36 years", pattern.span, "write a shorter time, such as 365d"
@@ -224,6 +230,13 @@ class _Checker:
                     f"aggregates over all matches need skip_till_any_match, not {strategy}",
                     pattern.items[0].span,
                     "aggregate the events of each match: `count(a[])`, `sum(a[].x)`",
+                )
+            absent = next((part for part in pattern.parts if part.is_negated), None)
+            if absent:
+                raise self.error(
+                    f"aggregates over all matches do not know whether `{absent.name}` is absent",
+                    absent.span,
+                    "return the matches, or omit the part",
                 )
             if pattern.having or pattern.limit is not None:
                 raise self.error(
@@ -412,12 +425,6 @@ class _Checker:
                     "an aggregate over all matches stands by itself",
                     item.span,
                     "calculate with it in a query that reads the results",
-                )
-            if isinstance(leaf, ast.Aggregate) and leaf.name is None:
-                raise self.error(
-                    "the events of all matches are not counted",
-                    leaf.span,
-                    f"count matches by `COUNT(*)`, events of a match by `count({leaf.part}[])`",
                 )
             return
         last = [part for part in self._pattern.parts if not part.is_negated][-1]

@@ -38,9 +38,11 @@ from .plan import (
     Time,
     Trend,
 )
-from .query import END, START, Argument, Kinds, PatternQuery, Result
+from .query import END, START, Argument, Keys, Kinds, PatternQuery, Result, with_numbers
+from .run_packing import sequence_network
 from .sase_sources import Attributes, source_kind
 from .sase_terms import NS, Terms, Typed, is_key
+from .trend_packing import pack_trends
 
 _SECOND: Final = 1e9
 
@@ -86,8 +88,7 @@ class _Compiler:
         selection = Selection(text.strategy.value) if text.strategy else Selection.ANY_MATCH
         probes += self._having(selection)
         outputs, trends, results = self._results()
-        first, last = 0, len(self._there) - 1
-        span = (Time((last,)), Time((last,))) if trends else (Time((first,), True), Time((last,)))
+        last = len(self._there) - 1
         try:
             plan = PatternPlan(
                 self._attributes.columns(),
@@ -101,11 +102,14 @@ class _Compiler:
                 tuple(probes),
                 selection,
                 text.within,
-                outputs=(Output(START, span[0]), Output(END, span[1]), *outputs),
+                outputs=(Output(START, Time((0,), True)), Output(END, Time((last,))), *outputs),
                 trends=trends,
                 partition=partition,
                 max_matches=text.limit,
             )
+            if trends:
+                # It refuses what reads events that are no neighbours. Their place is known here.
+                pack_trends(with_numbers(plan, Keys()), sequence_network(plan))
         except PlanError as error:
             places = [self._there[i].span for i in error.elements] or [text.span]
             raise self._error(error.message, places[0], error.hint) from None
@@ -323,6 +327,8 @@ class _Compiler:
     def _trend(self, name: str, term: ast.Term) -> Trend:
         if not isinstance(term, ast.Aggregate):
             return Trend(name, Function.COUNT)
-        self._terms.numbers(term)
         element = self._numbers[term.part]
+        if term.name is None:
+            return Trend(name, Function.COUNT, element)
+        self._terms.numbers(term)
         return Trend(name, Function(term.function), element, self._terms.column(term))
