@@ -15,8 +15,9 @@ from ...languages.errors import LanguageError
 from ...languages.mtl.ast import Symbol, Variable
 from ...languages.mtl.checked import Kind
 from ...languages.sase import ast
-from ...languages.sase.check import result_name, rewritten
+from ...languages.sase.binding import rewritten
 from ...languages.sase.checked import TIME, CheckedPattern, is_over_matches, leaves_of, terms_of
+from ...languages.sase.results import result_name
 from .plan import (
     OWN,
     Arithmetic,
@@ -287,7 +288,11 @@ class _Compiler:
         trends: list[Trend] = []
         results: list[Result] = []
         for each in self._checked.objects:
-            typed = self._terms.term(self._first(each.defined_by))
+            # All events of a repeated part have one object. Over all matches the last is known.
+            known = self._settled(each.defined_by)
+            if self._checked.is_over_matches and known != each.defined_by:
+                known = replace(known, index=ast.Index.LAST)
+            typed = self._terms.term(known)
             outputs.append(Output(each.name, typed.value))
             argument = Argument(each.sort, each.object)
             results.append(Result(each.name, Kind.OBJECT, argument))

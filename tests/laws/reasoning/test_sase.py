@@ -27,7 +27,7 @@ from dyknow.languages.sase import (
     parse_sase,
     parse_sase_template,
 )
-from dyknow.languages.sase.check import rewritten
+from dyknow.languages.sase.binding import rewritten
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
 from dyknow.reasoning.patterns.all_rows import AllRows
