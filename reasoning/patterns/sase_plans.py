@@ -15,8 +15,9 @@ from ...languages.errors import LanguageError
 from ...languages.mtl.ast import Symbol, Variable
 from ...languages.mtl.checked import Kind
 from ...languages.sase import ast
-from ...languages.sase.check import result_name, rewritten
+from ...languages.sase.binding import rewritten
 from ...languages.sase.checked import TIME, CheckedPattern, is_over_matches, leaves_of, terms_of
+from ...languages.sase.results import result_name
 from .plan import (
     OWN,
     Arithmetic,
@@ -38,9 +39,11 @@ from .plan import (
     Time,
     Trend,
 )
-from .query import END, START, Argument, Kinds, PatternQuery, Result
+from .query import END, START, Argument, Keys, Kinds, PatternQuery, Result, with_numbers
+from .run_packing import sequence_network
 from .sase_sources import Attributes, source_kind
 from .sase_terms import NS, Terms, Typed, is_key
+from .trend_packing import pack_trends
 
 _SECOND: Final = 1e9
 
@@ -86,8 +89,7 @@ class _Compiler:
         selection = Selection(text.strategy.value) if text.strategy else Selection.ANY_MATCH
         probes += self._having(selection)
         outputs, trends, results = self._results()
-        first, last = 0, len(self._there) - 1
-        span = (Time((last,)), Time((last,))) if trends else (Time((first,), True), Time((last,)))
+        last = len(self._there) - 1
         try:
             plan = PatternPlan(
                 self._attributes.columns(),
@@ -101,11 +103,14 @@ class _Compiler:
                 tuple(probes),
                 selection,
                 text.within,
-                outputs=(Output(START, span[0]), Output(END, span[1]), *outputs),
+                outputs=(Output(START, Time((0,), True)), Output(END, Time((last,))), *outputs),
                 trends=trends,
                 partition=partition,
                 max_matches=text.limit,
             )
+            if trends:
+                # It refuses what reads events that are no neighbours. Their place is known here.
+                pack_trends(with_numbers(plan, Keys()), sequence_network(plan))
         except PlanError as error:
             places = [self._there[i].span for i in error.elements] or [text.span]
             raise self._error(error.message, places[0], error.hint) from None
@@ -283,7 +288,11 @@ class _Compiler:
         trends: list[Trend] = []
         results: list[Result] = []
         for each in self._checked.objects:
-            typed = self._terms.term(self._first(each.defined_by))
+            # All events of a repeated part have one object. Over all matches the last is known.
+            known = self._settled(each.defined_by)
+            if self._checked.is_over_matches and known != each.defined_by:
+                known = replace(known, index=ast.Index.LAST)
+            typed = self._terms.term(known)
             outputs.append(Output(each.name, typed.value))
             argument = Argument(each.sort, each.object)
             results.append(Result(each.name, Kind.OBJECT, argument))
@@ -323,6 +332,8 @@ class _Compiler:
     def _trend(self, name: str, term: ast.Term) -> Trend:
         if not isinstance(term, ast.Aggregate):
             return Trend(name, Function.COUNT)
-        self._terms.numbers(term)
         element = self._numbers[term.part]
+        if term.name is None:
+            return Trend(name, Function.COUNT, element)
+        self._terms.numbers(term)
         return Trend(name, Function(term.function), element, self._terms.column(term))

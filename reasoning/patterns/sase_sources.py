@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,6 +24,7 @@ from .plan import Column
 from .query import Argument, Kinds, Part, Source, SourceColumn, column_type
 
 _ALL: Final = Argument(THING)
+_EACH: Final = (ast.Index.ONE, ast.Index.EACH)
 
 
 def sase_sources(checked: CheckedPattern) -> tuple[Source, ...]:
@@ -60,11 +60,12 @@ class Attributes:
             part.name: types for part, types in zip(checked.text.parts, checked.types, strict=True)
         }
         self._columns: dict[str, Column] = {}
+        self._reads = self._found_reads()
         self._arguments = self._found_arguments()
         self._read: dict[str, dict[str, SourceColumn]] = {
             source_kind(each): {} for types in checked.types for each in types
         }
-        for part, name, span in self._reads():
+        for (part, name), span in self._reads.items():
             for each in self._types[part]:
                 if name != TIME:
                     self._read[source_kind(each)][name] = self._column(each, name, span)
@@ -105,17 +106,20 @@ class Attributes:
 
     # -- columns -----------------------------------------------------------------------------
 
-    def _reads(self) -> Iterator[tuple[str, str, Span]]:
-        """The attributes that the text reads: part, name and place."""
+    def _found_reads(self) -> dict[tuple[str, str], Span]:
+        """The attributes that the text reads, by part and name: where it first does."""
+        found: dict[tuple[str, str], Span] = {}
         text = self._checked.text
         leaves = [leaf for _, leaf in self._checked.returned()]
         for condition in (*text.where, *text.having):
             leaves += condition_leaves(condition)
             if isinstance(condition, ast.Equivalence):
-                yield from ((part, condition.name, condition.span) for part in self._types)
+                for part in self._types:
+                    found.setdefault((part, condition.name), condition.span)
         for leaf in leaves:
             if isinstance(leaf, ast.Attribute | ast.Aggregate) and leaf.name is not None:
-                yield leaf.part, leaf.name, leaf.span
+                found.setdefault((leaf.part, leaf.name), leaf.span)
+        return found
 
     def _column(self, event_type: EventType, name: str, span: Span) -> SourceColumn:
         argument = event_type.argument(name)
@@ -152,12 +156,21 @@ class Attributes:
 
     def _found_arguments(self) -> dict[EventType, tuple[Argument, ...]]:
         """The objects of each type: those that all its parts must have."""
-        found = {}
+        found: dict[EventType, tuple[Argument, ...]] = {}
+        restrictions = self._restrictions()
         for types in self._types.values():
-            for each in types:
+            for each in set(types) - found.keys():
                 parts = [part for part, of in self._types.items() if each in of]
+                wanted = {
+                    part: {
+                        each.argument(name): argument
+                        for name, argument in reversed(restrictions[part].items())
+                    }
+                    for part in parts
+                }
                 found[each] = tuple(
-                    self._argument(each, parts, number) for number in range(self._count(each))
+                    self._argument(each, {part: wanted[part].get(number) for part in parts})
+                    for number in range(self._count(each))
                 )
         return found
 
@@ -165,20 +178,21 @@ class Attributes:
         if event_type.arity is not None:
             return max(event_type.arity, 1)
         parts = {part for part, types in self._types.items() if event_type in types}
-        read = [event_type.argument(name) for part, name, _ in self._reads() if part in parts]
+        read = [event_type.argument(name) for part, name in self._reads if part in parts]
         return 1 + max([number for number in read if number is not None], default=0)
 
-    def _argument(self, event_type: EventType, parts: list[str], number: int) -> Argument:
+    def _argument(self, event_type: EventType, of: dict[str, Argument | None]) -> Argument:
+        """The objects of a type at one place, by those that its parts must have."""
         default = Argument(event_type.concept) if event_type.is_sort else _ALL
-        wanted = [self._restriction(part, event_type, number) or default for part in parts]
-        if all(each == wanted[0] for each in wanted):
-            found = wanted[0]
+        wanted = {part: argument or default for part, argument in of.items()}
+        if len(set(wanted.values())) == 1:
+            (found,) = set(wanted.values())
             if self._is_contiguous():
                 # Events of other objects may stand between those of a match.
                 found = Argument(found.sort or default.sort)
             is_wide = event_type.is_sort and found.sort == THING
             return Argument(event_type.concept, found.object) if is_wide else found
-        for part, each in zip(parts, wanted, strict=True):
+        for part, each in wanted.items():
             if each.object is None and each.sort not in (default.sort, THING):
                 place = next(p.span for p in self._checked.text.parts if p.name == part)
                 raise self.error(
@@ -196,29 +210,38 @@ class Attributes:
             return text.strategy is ast.Strategy.STRICT_CONTIGUITY
         return not any(isinstance(c, ast.Equivalence) and c.name == "id" for c in text.where)
 
-    def _restriction(self, part: str, event_type: EventType, number: int) -> Argument | None:
-        """The objects that conditions demand of a part."""
-        objects = {each.name: each for each in self._checked.objects}
+    def _restrictions(self) -> dict[str, dict[str, Argument]]:
+        """The objects that conditions demand of each part, by the attribute."""
+        found: dict[str, dict[str, Argument]] = {part: {} for part in self._types}
         for condition in self._checked.text.where:
             match condition:
                 case ast.Equivalence(name, value):
-                    sides = [(ast.Attribute(part, ast.Index.EACH, name, condition.span), value)]
+                    if demanded := self._demanded(value):
+                        for part in found:
+                            found[part].setdefault(name, demanded)
                 case ast.Comparison("=", left, right):
-                    sides = [(left, right), (right, left)]  # type: ignore[list-item]
+                    for one, other in ((left, right), (right, left)):
+                        if not (isinstance(one, ast.Attribute) and one.index in _EACH):
+                            continue
+                        if demanded := self._demanded(other):
+                            found[one.part].setdefault(one.name, demanded)
                 case _:
-                    continue
-            for one, other in sides:
-                if not isinstance(one, ast.Attribute) or one.part != part:
-                    continue
-                if one.index not in (ast.Index.ONE, ast.Index.EACH):
-                    continue
-                if event_type.argument(one.name) != number:
-                    continue
-                match other:
-                    case Symbol(text):
-                        return Argument(None, text[1:-1])
-                    case Variable(name) if name in objects:
-                        return Argument(objects[name].sort, objects[name].object)
-                    case _:
-                        pass
-        return None
+                    pass
+        return found
+
+    def _demanded(self, value: ast.Term | None) -> Argument | None:
+        """The objects that an ``id`` must be to equal a value."""
+        match value:
+            case Symbol(text):
+                return Argument(None, text[1:-1])
+            case Variable(name):
+                return next(
+                    (
+                        Argument(each.sort, each.object)
+                        for each in self._checked.objects
+                        if each.name == name
+                    ),
+                    None,
+                )
+            case _:
+                return None

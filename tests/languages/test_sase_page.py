@@ -29,6 +29,7 @@ from dyknow.reasoning.patterns.plan import Selection
 from dyknow.reasoning.patterns.query import Keys, text_key, with_numbers
 from dyknow.reasoning.patterns.rows import Rows
 from dyknow.reasoning.patterns.sase_plans import sase_query
+from dyknow.reasoning.patterns.trends import Trends
 
 PAGE = (ROOT / "docs" / "reference" / "sase.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```sase\n(.*?)```", PAGE, re.S)
@@ -50,17 +51,21 @@ def vocabulary() -> Vocabulary:
 
 
 def found(body: str, table: dict[str, list[str]]) -> list[str]:
-    """The matches of a pattern over the events of a table: the times of their events."""
+    """The matches of a pattern over the events of a table: the times of their events. Of a pattern
+    that returns something: the time of each event at the end, and the first result."""
     text = f"PATTERN {body}"
     if "WITHIN" not in body:
-        head, having, rest = text.partition(" HAVING ")
-        text = f"{head} WITHIN 10s{having}{rest}"
+        head, clause, rest = re.split("( HAVING | RETURN |$)", text, maxsplit=1)
+        text = f"{head} WITHIN 10s{clause}{rest}"
     parts = [part for part in parse_sase(text).parts if not part.is_negated]
-    items = [f"{p.name}{'[]' * p.is_kleene}.t AS {p.name}" for p in parts]
-    text += f" RETURN {', '.join(items)}"
+    is_over_matches = "RETURN" in body
+    if not is_over_matches:
+        items = [f"{p.name}{'[]' * p.is_kleene}.t AS {p.name}" for p in parts]
+        text += f" RETURN {', '.join(items)}"
     query, keys = sase_query(check_sase(parse_sase(text), text, vocabulary()), KINDS), Keys()
     plan = with_numbers(query.plans[0], keys)
-    running = (AllRows if plan.selection is Selection.ANY_MATCH else NextRows)(plan)
+    make = AllRows if plan.selection is Selection.ANY_MATCH else NextRows
+    running = Trends(plan) if is_over_matches else make(plan)
     kinds = tuple(source.kind for source in query.sources)
     mine = [i for i, type_ in enumerate(table["event"]) if type_ in kinds]
     times = np.array([int(table["time"][i]) for i in mine], np.int64) * S
@@ -74,6 +79,10 @@ def found(body: str, table: dict[str, list[str]]) -> list[str]:
     shown = []
     for batch in decided:
         for i in range(len(batch)):
+            if is_over_matches:
+                name = query.results[0].name
+                shown.append(f"{batch.outputs['end'][i] // S}:{batch.outputs[name][i]:g}")
+                continue
             values = [np.atleast_1d(batch.outputs[part.name][i]) for part in parts]
             shown.append("-".join(str(int(t) // S) for row in values for t in row))
     return shown

@@ -75,6 +75,9 @@ class _Definition:
         self.within = pattern.within
 
     def found(self) -> Iterator[Match]:
+        if any(map(is_over_matches, self.pattern.items)):
+            yield from self.aggregated_matches()
+            return
         any_match = self.strategy is Strategy.ANY_MATCH
         for bound in self.tuples() if any_match else self.runs():
             if self.nothing_absent(bound) and all(
@@ -104,6 +107,26 @@ class _Definition:
                 bound = dict(zip(self.there, chosen, strict=True))
                 if all(self.holds(each, bound, {}) for each in self.pattern.where):
                     yield bound
+
+    def aggregated_matches(self) -> Iterator[Match]:
+        """For each event that ends matches, its results; the first event is that of the earliest
+        match."""
+        found: dict[int, list[Bound]] = {}
+        for bound in self.tuples():
+            found.setdefault(bound[self.there[-1]][-1].number, []).append(bound)
+        for last, together in found.items():
+            first = min((b[self.there[0]][0] for b in together), key=lambda event: event.time)
+            results = tuple(self.over_matches(item.term, together) for item in self.pattern.items)
+            yield Match(((first.number,), (last,)), results)
+
+    def over_matches(self, term: ast.Term, together: list[Bound]) -> Any:
+        match term:
+            case ast.CountMatches():
+                return len(together)
+            case ast.Aggregate(function, part, Index.ONE, name):
+                return aggregated(function, [e for bound in together for e in bound[part]], name)
+            case _:
+                return self.value(term, together[0], {})
 
     # -- runs ----------------------------------------------------------------------------------
 
@@ -291,6 +314,12 @@ def leaves(node: ast.Condition | ast.Term) -> list[ast.Attribute | ast.Aggregate
             return [node]
         case _:
             return []
+
+
+def is_over_matches(item: ast.Item) -> bool:
+    term = item.term
+    is_aggregate = isinstance(term, ast.Aggregate) and term.index is Index.ONE
+    return is_aggregate or isinstance(term, ast.CountMatches)
 
 
 def is_open(leaf: ast.Attribute | ast.Aggregate) -> bool:

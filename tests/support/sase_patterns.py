@@ -167,6 +167,53 @@ class PatternDrawing:
         return {**found, "id": f"<{DYKNOW}{draw.choice(['o1', 'o2'])}>"}
 
 
+class TrendDrawing(PatternDrawing):
+    """A pattern whose results are aggregates over all matches: its conditions are on neighbours."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed)
+        draw = self.random
+        self.strategy = STRATEGIES[0]
+        self.parts = [(name, False, draw.random() < 0.5) for name, _, _ in self.parts[:3]]
+
+    def text(self) -> str:
+        draw = self.random
+        conditions = [self.condition() for _ in range(draw.choice([0, 1, 1, 2]))]
+        if draw.random() < 0.5:
+            conditions.append(draw.choice(["[tag]", "[id]", "[tag = 'u']", "[n = 1]"]))
+        where = f" WHERE {' and '.join(conditions)}" if conditions else ""
+        last = f"{self.last(self.parts[-1])}.tag AS t"
+        items = ["COUNT(*) AS c", last, *(self.aggregate(i) for i in range(draw.choice([0, 1, 2])))]
+        return (
+            f"PATTERN SEQ({', '.join(map(self.part, self.parts))}){where} WITHIN {self.within}ns "
+            f"RETURN {', '.join(items)}"
+        )
+
+    def aggregate(self, number: int) -> str:
+        draw = self.random
+        name = draw.choice(self.parts)[0]
+        function = draw.choice(["sum", "min", "max", "avg"])
+        return draw.choice([f"{function}({name}.m) AS r{number}", f"count({name}) AS r{number}"])
+
+    def last(self, part: tuple[str, bool, bool]) -> str:
+        return f"{part[0]}[{part[0]}.LEN]" if part[2] else part[0]
+
+    def condition(self) -> str:
+        draw = self.random
+        place = draw.randrange(len(self.parts))
+        name, _, is_kleene = self.parts[place]
+        operator, field = draw.choice(["<", "<=", ">", "!="]), draw.choice(["n", "m"])
+        each = f"{name}[i]" if is_kleene else name
+        if is_kleene and draw.random() < 0.6:
+            return f"{each}.{field} {operator} {name}[i-1].{field} + {draw.choice(['0', '1'])}"
+        if place and draw.random() < 0.6:
+            before, first = self.last(self.parts[place - 1]), f"{name}[1]" if is_kleene else name
+            if draw.random() < 0.3:
+                return f"{first}.valid - {before}.valid {operator} {draw.choice(['2ns', '5ns'])}"
+            return f"{before}.{field} {operator} {first}.{field}"
+        return f"{each}.{field} {operator} 1"
+
+
 def rows_of(query: PatternQuery, keys: Keys, events: list[Event], draw: Random) -> Rows:
     """The rows of a query's sources, as an engine makes them of samples."""
     sources = {source.kind: source for source in query.sources}

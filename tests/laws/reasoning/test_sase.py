@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
 from sase_definition import Event, Match, matches
-from sase_patterns import KINDS, TYPES, PatternDrawing, rows_of
+from sase_patterns import KINDS, TYPES, PatternDrawing, TrendDrawing, rows_of
 
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.ast import Symbol, Variable
@@ -27,7 +27,7 @@ from dyknow.languages.sase import (
     parse_sase,
     parse_sase_template,
 )
-from dyknow.languages.sase.check import rewritten
+from dyknow.languages.sase.binding import rewritten
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
 from dyknow.reasoning.patterns.all_rows import AllRows
@@ -38,6 +38,7 @@ from dyknow.reasoning.patterns.plan import NO_VALUE, Selection
 from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
 from dyknow.reasoning.patterns.rows import Matches
 from dyknow.reasoning.patterns.sase_plans import sase_query
+from dyknow.reasoning.patterns.trends import Trends
 
 SEEDS = st.integers(0, 2**32)
 ONTOLOGY = "".join(f"dyknow:{each} a owl:Class .\n" for each in TYPES)
@@ -54,6 +55,8 @@ VOCABULARY = vocabulary()
 
 def evaluator(query: PatternQuery, keys: Keys) -> Evaluator:
     plan = with_numbers(query.plans[0], keys)
+    if plan.trends:
+        return Trends(plan, capacity=8)
     if plan.selection is Selection.ANY_MATCH:
         return AllRows(plan, capacity=8)
     return NextRows(plan, capacity=8)
@@ -161,6 +164,13 @@ def _with_object(node: Any, iri: str) -> Any:
 def test_plans_find_what_texts_mean(seed: int) -> None:
     case = PatternDrawing(seed)
     check(case, case.random.randint(1, 11), case.random.choice([8, 20, 40]))
+
+
+@settings(deadline=None, max_examples=300)
+@given(SEEDS)
+def test_aggregates_over_all_matches(seed: int) -> None:
+    case = TrendDrawing(seed)
+    check(case, case.random.randint(1, 10), case.random.choice([8, 20, 40]))
 
 
 @settings(deadline=None, max_examples=300)
