@@ -188,9 +188,8 @@ class CombinedRows:
             join = part.branch.static
             if join is not None and self._static is not None:
                 values = {name: found.outputs[output] for name, output, _ in join.variables}
-                found = found[
-                    np.repeat(np.arange(len(found)), self._static(join, values, len(found)))
-                ]
+                counts = self._static(join, values, len(found))
+                found = found[np.repeat(np.arange(len(found)), counts)]
             final.append(found)
         for part in self._parts:
             for each in part.found:
