@@ -51,6 +51,8 @@ from .packing import pack
 from .plan import NO_VALUE, OWN, ColumnType, PatternPlan, PlanError
 from .query import PatternQuery
 
+MOST_PLANS: Final = 32
+"""Of alternatives, and of those that exclude matches of others."""
 _WITHIN: Final = (
     'write `WITHIN 10 min` at the end, or `FILTER (getDURATION() < "PT10M"^^xsd:duration)` after '
     "the last `}`"
@@ -101,6 +103,12 @@ class _Compiler:
         if branch in self._known:
             return self._known[branch]
         others = [self._add(each.branch, given) for each in branch.absences]
+        if len(self._plans) == MOST_PLANS:
+            raise self.error(
+                f"the optional operators need more than {MOST_PLANS} plans",
+                None,
+                "register parts of the pattern, and read their results",
+            )
         is_given = branch in given
         building = _Plan(self, branch)
         made, tests = building.build(self._pattern.items if is_given else (), self._pattern.within)
