@@ -7,38 +7,34 @@ variables of its own group, as in SPARQL.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Final, assert_never
+from collections.abc import Callable, Iterator
+from typing import assert_never
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Variable
+from pyoxigraph import Literal, NamedNode, Variable
 
 from ...ontology.vocabulary import Vocabulary
-from ...rdf.namespaces import local_name, shorten
+from ...rdf.namespaces import shorten
 from ...sparql import ast as sparql
 from ...sparql.ast import variables_of
-from ...streams.sample import LONGEST_NAME, TIME_FIELDS
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
 from ..mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
 from . import ast, checked
-from .checked import DURATION, CheckedPattern, Item, ValueKind, kind_of
+from .checked import DURATION, CheckedPattern, ValueKind, kind_of
 from .expressions import ExpressionChecker, bounds_of_duration
+from .groups import Classes, classes_of, parts_in, triples_in, union, variables_in
+from .head import HeadChecker
+from .kinds import find_kinds
 from .triples import (
-    Classes,
     Read,
     Reading,
     Sorts,
     StaticTriple,
     Term,
     TripleReader,
-    classes_of,
-    triples_in,
-    union,
+    is_variable,
+    name_of,
 )
-
-ID: Final = "id"
-"""The field of a result of CONSTRUCT that names the subject."""
-_RESERVED: Final = ("start", "end", *TIME_FIELDS)
 
 
 def check_epsparql(
@@ -77,108 +73,38 @@ class _Checker:
         query = self._query
         for triples in triples_in(query.where):
             self._read[id(triples)] = self._reader.read(triples)
-        self._find_kinds()
+        reads = [read for reads in self._read.values() for read in reads]
+        readings = [read for read in reads if isinstance(read, Reading)]
+        self._kinds.update(find_kinds(query, reads))
+        self._arguments.update(term for read in readings for term in read.arguments)
+        for read in reads:
+            if isinstance(read, StaticTriple):
+                self._static |= variables_of(read.triple).keys() - self._kinds.keys()
         where = self._group(query.where, {})
-        if not any(isinstance(read, Reading) for reads in self._read.values() for read in reads):
+        if not readings:
             raise self._error(
                 "the pattern reads no feature, so nothing ever happens",
                 query.where.span,
                 "write a triple of a feature: `?c dyknow:price ?p`",
             )
-        items = self._items(set(_names(where)))
+        names = set(_names(where))
+        head = HeadChecker(
+            query,
+            self._expressions,
+            names | self._parameters,
+            {read.feature for read in readings},
+            lambda span: self._known(names, span),
+        )
         return CheckedPattern(
             query.name,
             query.form,
             tuple(map(self._slot, query.parameters)),
-            items,
+            head.items(),
             where,
             self._within(where),
             query.graphs,
             query.source,
         )
-
-    # -- kinds -------------------------------------------------------------------------------
-
-    def _find_kinds(self) -> None:
-        """Find the kind of each variable of samples, of BIND, and of each parameter."""
-        unknown: dict[str, None] = {}
-        for reads in self._read.values():
-            for read in reads:
-                if isinstance(read, Reading):
-                    self._arguments.update(read.arguments)
-                    for term in read.arguments:
-                        self._set_kind(term, Kind.OBJECT, read.span)
-                    if read.kind is not None:
-                        self._set_kind(read.value, read.kind, read.span)
-                    elif _is_variable(read.value):
-                        unknown[_name(read.value)] = None
-        unknown.update(dict.fromkeys(sorted(self._parameters)))
-        parts = list(_parts_in(self._query.where))
-        binds = [part for part in parts if isinstance(part, ast.Bind)]
-        conditions = [part.condition for part in parts if isinstance(part, ast.Filter)]
-        while True:
-            before = len(self._kinds)
-            for bind in binds:
-                if (kind := self._guess(bind.expression)) is not None:
-                    self._kinds.setdefault(bind.variable.value, kind)
-            for condition in conditions:
-                self._learn(condition, unknown)
-            if len(self._kinds) == before:
-                break
-        for name in (*unknown, *(bind.variable.value for bind in binds)):
-            self._kinds.setdefault(name, Kind.NUMBER)
-        for reads in self._read.values():
-            for read in reads:
-                if isinstance(read, StaticTriple):
-                    self._static |= variables_of(read.triple).keys() - self._kinds.keys()
-
-    def _set_kind(self, term: Term, kind: Kind, span: Span) -> None:
-        if not _is_variable(term):
-            return
-        name = _name(term)
-        before = self._kinds.setdefault(name, kind)
-        if before != kind:
-            raise self._error(
-                f"`{_shown(name)}` is of kind {kind} here and of kind {before} before",
-                span,
-                "values of two kinds are never equal: use two variables",
-            )
-
-    def _learn(self, condition: sparql.Expression, unknown: Mapping[str, None]) -> None:
-        """Take the kind of a variable that is compared from the other side."""
-        pairs: list[tuple[sparql.Expression, sparql.Expression]] = []
-        for node in sparql.walk(condition):
-            if isinstance(node, sparql.Comparison):
-                pairs += [(node.left, node.right), (node.right, node.left)]
-            elif isinstance(node, sparql.In):
-                pairs += [(node.operand, option) for option in node.options]
-        for side, other in pairs:
-            if isinstance(side, Variable) and side.value in unknown:
-                kind = self._guess(other)
-                if kind is not None:
-                    self._kinds.setdefault(side.value, kind)
-
-    def _guess(self, node: sparql.Expression) -> ValueKind | None:
-        """The kind of an expression as far as it is known."""
-        match node:
-            case Variable(value=name):
-                return self._kinds.get(name)
-            case NamedNode():
-                return Kind.OBJECT
-            case Literal():
-                return _kind_of_literal(self._expressions, node)
-            case sparql.Call("getDURATION"):
-                return DURATION
-            case sparql.Call("getSTARTTIME" | "getENDTIME"):
-                return Kind.TIME
-            case sparql.Arithmetic(first, rest):
-                kinds = [self._guess(first), *(self._guess(each) for _, each in rest)]
-                found = {kind for kind in kinds if kind is not None}
-                if Kind.TIME in found:
-                    return DURATION if kinds.count(Kind.TIME) == 2 else Kind.TIME
-                return DURATION if DURATION in found else Kind.NUMBER
-            case _:
-                return None
 
     # -- groups ------------------------------------------------------------------------------
 
@@ -257,8 +183,8 @@ class _Checker:
             for sorts in [classes.get(term, frozenset())]
         )
         kind = read.kind
-        if _is_variable(read.value):
-            name = _name(read.value)
+        if is_variable(read.value):
+            name = name_of(read.value)
             known = self._kinds.setdefault(name, Kind.NUMBER)
             assert known != DURATION
             kind = Kind(known)
@@ -273,8 +199,8 @@ class _Checker:
         )
 
     def _place(self, term: Term, kind: Kind, span: Span) -> checked.Place:
-        if _is_variable(term):
-            return checked.Variable(_name(term), kind)
+        if is_variable(term):
+            return checked.Variable(name_of(term), kind)
         if isinstance(term, NamedNode):
             found: checked.Value = ObjectConstant(term.value)
         else:
@@ -316,94 +242,6 @@ class _Checker:
 
         return check
 
-    # -- the head ----------------------------------------------------------------------------
-
-    def _items(self, names: set[str]) -> tuple[Item, ...]:
-        query = self._query
-        if query.template is not None:
-            items = tuple(self._constructed(query.template, names))
-        elif query.projection is None:
-            shown = [] if query.form == sparql.Form.ASK else list(self._all_names(names))
-            items = tuple(self._item(name, Variable(name), query.head, names) for name in shown)
-        else:
-            items = tuple(
-                self._item(each.variable.value, each.expression or each.variable, each.span, names)
-                for each in query.projection
-            )
-        taken: set[str] = set()
-        for item in items:
-            if item.name in taken or item.name in _RESERVED or len(item.name) > LONGEST_NAME:
-                raise self._error(
-                    f"`{item.name}` cannot be the name of this field: it is too long"
-                    if len(item.name) > LONGEST_NAME
-                    else f"the results have a field `{item.name}` already",
-                    item.span,
-                    f"give the value another name: `(?{item.name} AS ?{item.name[:20]}_2)`",
-                )
-            taken.add(item.name)
-        return items
-
-    def _item(self, name: str, node: sparql.Expression, span: Span, names: set[str]) -> Item:
-        if isinstance(node, Variable) is False and name in names:
-            raise self._error(f"`?{name}` is bound already", span, "give the value another name")
-        value = self._expressions.value(node, span, self._known(names, span))
-        return Item(name, value, kind_of(value), span)
-
-    def _all_names(self, names: set[str]) -> Iterator[str]:
-        """The variables of ``*``, in reading order."""
-        written: dict[str, None] = {}
-        for part in _parts_in(self._query.where):
-            if isinstance(part, sparql.Triples):
-                written.update(variables_of(part))
-            elif isinstance(part, ast.Bind):
-                written[part.variable.value] = None
-        return (name for name in written if name in names or name in self._parameters)
-
-    def _constructed(self, template: tuple[sparql.Triple, ...], names: set[str]) -> Iterator[Item]:
-        """The fields of CONSTRUCT: `ID` for the subject, and one for each predicate."""
-        query = self._query
-        if not template:
-            raise self._error("CONSTRUCT has no triple", query.head, "write `{ ?c :rose ?by }`")
-        features = {
-            read.feature
-            for reads in self._read.values()
-            for read in reads
-            if isinstance(read, Reading)
-        }
-        for triple in template:
-            predicate = triple.predicate
-            if isinstance(predicate, NamedNode) and predicate.value in features:
-                raise self._error(
-                    f"the query feeds itself: it reads {shorten(predicate.value)}",
-                    triple.span,
-                    "give the result a predicate of its own",
-                )
-            if triple.subject != template[0].subject or not isinstance(predicate, NamedNode):
-                raise self._error(
-                    "the triples of a result have one subject, and written predicates",
-                    triple.span,
-                    "register a query for each subject",
-                )
-        subject = template[0].subject
-        first = template[0].span
-        if not isinstance(subject, Variable | NamedNode):
-            raise self._error(
-                f"the subject {subject} names no object", first, "write a variable or an IRI"
-            )
-        item = self._expressions.value(subject, first, self._known(names, first))
-        if kind_of(item) is not Kind.OBJECT:
-            raise self._error(f"the subject {subject} is no object", first, "write an object first")
-        yield Item(ID, item, Kind.OBJECT, first)
-        for triple in template:
-            assert isinstance(triple.predicate, NamedNode)
-            if isinstance(triple.object, BlankNode):
-                raise self._error("a blank node has no value", triple.span, "write a variable")
-            name = local_name(triple.predicate.value)
-            value = self._expressions.value(
-                triple.object, triple.span, self._known(names, triple.span)
-            )
-            yield Item(name, value, kind_of(value), triple.span)
-
     def _slot(self, parameter: Variable) -> ObjectSlot | Parameter:
         name = parameter.value
         if parameter in self._arguments:
@@ -414,7 +252,7 @@ class _Checker:
                 if isinstance(read, Sorts) and read.subject == parameter
             }
             return ObjectSlot(name, self._reader.narrowest(frozenset(sorts)))
-        used = {each for part in _parts_in(self._query.where) for each in _variables(part)}
+        used = {each for part in parts_in(self._query.where) for each in variables_in(part)}
         if name not in used:
             raise self._error(
                 f"the pattern does not use `?{name}`",
@@ -444,54 +282,7 @@ class _Checker:
         return LanguageError(message, self._query.source, span, hint)
 
 
-def _kind_of_literal(expressions: ExpressionChecker, literal: Literal) -> ValueKind | None:
-    """The kind of a literal; None for one that is wrong, which its condition reports."""
-    try:
-        return kind_of(expressions.constant(literal, Span(0, 0)))
-    except LanguageError:
-        return None
-
-
 # -- variables -----------------------------------------------------------------------------------
-
-
-def _is_variable(term: Term) -> bool:
-    return isinstance(term, Variable | BlankNode)
-
-
-def _name(term: Term) -> str:
-    assert isinstance(term, Variable | BlankNode)
-    return term.value if isinstance(term, Variable) else f"_:{term.value}"
-
-
-def _shown(name: str) -> str:
-    return name if name.startswith("_:") else f"?{name}"
-
-
-def _parts_in(part: ast.Part) -> Iterator[ast.Part]:
-    """Yield a part and all within it, in reading order."""
-    yield part
-    match part:
-        case ast.Group(parts):
-            for each in parts:
-                yield from _parts_in(each)
-        case ast.Operation(_, left, right):
-            yield from _parts_in(left)
-            yield from _parts_in(right)
-
-
-def _variables(part: ast.Part) -> dict[str, None]:
-    match part:
-        case sparql.Triples():
-            return variables_of(part)
-        case ast.Filter(condition):
-            return variables_of(condition)
-        case ast.Bind(expression):
-            return variables_of(expression)
-        case ast.Graph(_, triples):
-            return variables_of(triples)
-        case _:
-            return {}
 
 
 def _names(part: checked.Part) -> Iterator[str]:

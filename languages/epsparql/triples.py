@@ -9,7 +9,7 @@ triples are of one sample.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
@@ -21,14 +21,10 @@ from ...sparql import ast as sparql
 from ...sparql.ast import Triple, walk
 from ..errors import LanguageError, Span
 from ..mtl.checked import Kind, kind_of
-from . import ast
 
 Term: TypeAlias = NamedNode | Literal | BlankNode | Variable
-Classes: TypeAlias = Mapping[Term, frozenset[str]]
-"""The sorts (IRIs) that an object has in each solution."""
 _MEMBER: Final = re.compile(re.escape(RDF) + r"_([1-9][0-9]?)")
 _VALUE: Final = NamedNode(RDF + "value")
-_NOTHING: Final[frozenset[str]] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +196,17 @@ class TripleReader:
         return LanguageError(message, self._source, span, hint)
 
 
+def is_variable(term: Term) -> bool:
+    """Return whether a term is a variable: blank nodes are, too."""
+    return isinstance(term, Variable | BlankNode)
+
+
+def name_of(term: Term) -> str:
+    """Return the name of a variable; that of a blank node begins with ``_:``."""
+    assert isinstance(term, Variable | BlankNode)
+    return term.value if isinstance(term, Variable) else f"_:{term.value}"
+
+
 def _is_of_node(triple: Triple) -> bool:
     predicate = triple.predicate
     return (
@@ -211,49 +218,3 @@ def _is_of_node(triple: Triple) -> bool:
 
 def _meant(near: tuple[str, ...]) -> str:
     return f"did you mean {' or '.join(near)}?" if near else ""
-
-
-# -- the sorts of objects ------------------------------------------------------------------------
-
-
-def classes_of(part: ast.Part, reads: Callable[[sparql.Triples], tuple[Read, ...]]) -> Classes:
-    """Return the sorts of the objects in each solution of a part of a group."""
-    found: dict[Term, frozenset[str]] = {}
-    match part:
-        case sparql.Triples():
-            for read in reads(part):
-                if isinstance(read, Sorts):
-                    found[read.subject] = found.get(read.subject, _NOTHING) | {read.sort}
-        case ast.Group(parts):
-            for each in parts:
-                found = union(found, classes_of(each, reads))
-        case ast.Operation(operator, left, right):
-            one, other = classes_of(left, reads), classes_of(right, reads)
-            match operator:
-                case ast.Operator.UNION:
-                    return {name: one[name] & other[name] for name in one if name in other}
-                case ast.Operator.OPTIONALSEQ:
-                    return other
-                case ast.Operator.EQUALSOPTIONAL:
-                    return one
-            return union(one, other)
-    return found
-
-
-def union(left: Classes, right: Classes) -> dict[Term, frozenset[str]]:
-    """Return the sorts of both."""
-    names = dict.fromkeys([*left, *right])
-    return {name: left.get(name, _NOTHING) | right.get(name, _NOTHING) for name in names}
-
-
-def triples_in(part: ast.Part) -> Iterator[sparql.Triples]:
-    """Yield the triples of a part, without those of GRAPH, in reading order."""
-    match part:
-        case sparql.Triples():
-            yield part
-        case ast.Group(parts):
-            for each in parts:
-                yield from triples_in(each)
-        case ast.Operation(_, left, right):
-            yield from triples_in(left)
-            yield from triples_in(right)

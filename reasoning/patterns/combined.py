@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Final, TypeAlias, assert_never
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,9 @@ from ...streams.time import TIME_MAX, TIME_MIN
 from .all_rows import AllRows
 from .limits import DEFAULT_LIMITS, Counters, Limits
 from .network import minimal_network
-from .plan import NO_VALUE, PatternPlan, PlanError
-from .query import Absence, AllOf, AnyOf, Branch, OutputComparison, StaticJoin, Test
+from .output_tests import hold, print_test
+from .plan import PatternPlan, PlanError
+from .query import Absence, AllOf, Branch, StaticJoin
 from .rows import Matches, Rows
 from .store import SMALLEST
 
@@ -175,7 +176,7 @@ class CombinedRows:
         for part in self._parts:
             lines.append(f"plan {part.number}" + ("" if part.branch.is_given else ", for others"))
             lines += [f"  {line}" for line in part.rows.explain().splitlines()]
-            lines += [f"  test {_shown(test)}" for test in part.branch.tests]
+            lines += [f"  test {print_test(test)}" for test in part.branch.tests]
             for absence in part.branch.absences:
                 pairs = ", ".join(f"{own} = {other}" for own, other in absence.rows)
                 wait = "" if absence.until is None else f", known after {absence.until}"
@@ -192,9 +193,8 @@ class CombinedRows:
             join = part.branch.static
             if join is not None and self._static is not None:
                 values = {name: found.outputs[output] for name, output, _ in join.variables}
-                found = found[
-                    np.repeat(np.arange(len(found)), self._static(join, values, len(found)))
-                ]
+                counts = self._static(join, values, len(found))
+                found = found[np.repeat(np.arange(len(found)), counts)]
             final.append(found)
         for part in self._parts:
             for each in part.found:
@@ -291,7 +291,7 @@ class _Part:
                 due = np.maximum(due, outputs[absence.until] + 1)
         new = _Candidates(matches.rows, matches.decided, due, outputs)
         if self.branch.tests:
-            new = new[_hold(AllOf(self.branch.tests), new.outputs, len(new))]
+            new = new[hold(AllOf(self.branch.tests), new.outputs, len(new))]
         for each in self.found:
             each.learn(final[each.absence.other])
         if not self.found:
@@ -353,58 +353,3 @@ class _Found:
 
 def _padded(rows: Integers, width: int) -> Integers:
     return np.pad(rows, ((0, 0), (0, width - rows.shape[1])), constant_values=NO_ROW)
-
-
-def _hold(test: Test, outputs: dict[str, NDArray[Any]], count: int) -> Flags:
-    """For which matches a test holds."""
-    match test:
-        case OutputComparison(left, operator, right):
-            return _compared(outputs[left], operator, outputs[right])
-        case AllOf(tests):
-            found = np.ones(count, np.bool_)
-            for each in tests:
-                found &= _hold(each, outputs, count)
-            return found
-        case AnyOf(tests):
-            found = np.zeros(count, np.bool_)
-            for each in tests:
-                found |= _hold(each, outputs, count)
-            return found
-        case _:
-            assert_never(test)
-
-
-def _compared(left: NDArray[Any], operator: str, right: NDArray[Any]) -> Flags:
-    known = ~(_is_missing(left) | _is_missing(right))
-    match operator:
-        case "<":
-            found = left < right
-        case "<=":
-            found = left <= right
-        case ">":
-            found = left > right
-        case ">=":
-            found = left >= right
-        case "=":
-            found = left == right
-        case _:
-            found = left != right
-    return np.asarray(found & known, np.bool_)
-
-
-def _is_missing(values: NDArray[Any]) -> Flags:
-    if values.dtype == np.float64:
-        return np.asarray(np.isnan(values), np.bool_)
-    return np.asarray(values == NO_VALUE, np.bool_)
-
-
-def _shown(test: Test) -> str:
-    match test:
-        case OutputComparison(left, operator, right):
-            return f"{left} {operator} {right}"
-        case AllOf(tests):
-            return f"({' and '.join(map(_shown, tests))})"
-        case AnyOf(tests):
-            return f"({' or '.join(map(_shown, tests))})"
-        case _:
-            assert_never(test)

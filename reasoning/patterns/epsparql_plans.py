@@ -15,11 +15,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Final, TypeAlias, assert_never
+from typing import Final, assert_never
 
 from ...languages.epsparql.ast import DURATION as GET_DURATION
 from ...languages.epsparql.ast import START_TIME
@@ -32,7 +31,6 @@ from ...languages.epsparql.checked import (
     Duration,
     Item,
     Or,
-    Place,
     Sample,
     TimeOf,
     Value,
@@ -43,27 +41,22 @@ from ...languages.epsparql.checked import And as AndCondition
 from ...languages.epsparql.expressions import bound_of_duration
 from ...languages.errors import LanguageError, Span
 from ...languages.mtl.checked import Constant, Kind, ObjectConstant, Parameter
-from ...rdf.namespaces import local_name
 from ...sparql.ast import variables_of
 from ...streams.time import SECOND
 from . import plan, query
 from .epsparql_branches import Alone, Branch, branches_of, places_of
+from .epsparql_sources import VALUES, Argued, PatternSources, object_column
 from .network import ContradictoryTimes, UnboundedRetention, minimal_network
 from .packing import pack
 from .plan import NO_VALUE, OWN, ColumnType, PatternPlan, PlanError
-from .query import Argument, Part, PatternQuery, Source, SourceColumn
+from .query import PatternQuery, Source
 
-Argued: TypeAlias = Mapping[str, Constant | ObjectConstant]
+MOST_PLANS: Final = 32
+"""Of alternatives, and of those that exclude matches of others."""
 _WITHIN: Final = (
     'write `WITHIN 10 min` at the end, or `FILTER (getDURATION() < "PT10M"^^xsd:duration)` after '
     "the last `}`"
 )
-_VALUES: Final = {
-    ColumnType.NUMBER: "number",
-    ColumnType.INTEGER: "integer",
-    ColumnType.KEY: "key",
-}
-"""The columns of values; those of objects are ``object 1``, ``object 2`` …"""
 
 
 def epsparql_query(pattern: CheckedPattern, arguments: Argued | None = None) -> PatternQuery:
@@ -83,7 +76,7 @@ def epsparql_sources(pattern: CheckedPattern, arguments: Argued) -> tuple[Source
     `LanguageError`."""
     values = {slot.name for slot in pattern.slots if isinstance(slot, Parameter)}
     samples, _ = branches_of(pattern, frozenset(values | arguments.keys()))
-    return _Compiler(pattern, arguments, samples).sources()
+    return PatternSources(samples, arguments).sources
 
 
 class _Compiler:
@@ -91,16 +84,9 @@ class _Compiler:
         self, pattern: CheckedPattern, arguments: Argued, samples: tuple[Sample, ...]
     ) -> None:
         self._pattern = pattern
-        self._arguments = arguments
-        self.given = frozenset(arguments)
         self.samples = samples
-        self._sources: dict[tuple[str, tuple[Argument, ...]], Source] = {}
-        self.kinds = tuple(self._source(sample).kind for sample in samples)
+        self.sources = PatternSources(samples, arguments)
         self.has_intervals = any(sample.is_event for sample in samples)
-        count = max(len(sample.arguments) for sample in samples)
-        self.columns = tuple(
-            plan.Column(_object_column(i), ColumnType.KEY) for i in range(count)
-        ) + tuple(plan.Column(name, type) for type, name in _VALUES.items())
         self._plans: list[PatternPlan] = []
         self._branches: list[query.Branch] = []
         self._known: dict[Branch, int] = {}
@@ -111,62 +97,12 @@ class _Compiler:
             self._add(branch, given)
         return PatternQuery(
             self._pattern.name,
-            tuple(self._sources.values()),
+            self.sources.sources,
             tuple(self._plans),
-            tuple(self._result(item) for item in self._pattern.items),
+            tuple(map(self.sources.result, self._pattern.items)),
             branches=tuple(self._branches),
             graphs=self._pattern.graphs,
         )
-
-    def sources(self) -> tuple[Source, ...]:
-        """What the pattern reads."""
-        return tuple(self._sources.values())
-
-    # -- sources and results -----------------------------------------------------------------
-
-    def _source(self, sample: Sample) -> Source:
-        arguments = tuple(self.argument(place, sort) for place, sort in sample.arguments)
-        key = sample.feature, arguments
-        if key not in self._sources:
-            base = local_name(sample.feature)
-            used = {each.kind for each in self._sources.values()}
-            names = itertools.chain([base], (f"{base} {i}" for i in itertools.count(2)))
-            name = next(each for each in names if each not in used)
-            columns = [
-                SourceColumn(_object_column(i), Part.OBJECT, Kind.OBJECT, i)
-                for i in range(len(arguments))
-            ]
-            value = _VALUES[query.column_type(sample.kind)]
-            columns.append(SourceColumn(value, Part.VALUE, sample.kind))
-            self._sources[key] = Source(name, sample.feature, arguments, tuple(columns))
-        return self._sources[key]
-
-    def argument(self, place: Place, sort: str) -> Argument:
-        """The objects of an argument of a feature."""
-        found = self.constant(place)
-        return Argument(sort, found.iri if isinstance(found, ObjectConstant) else None)
-
-    def constant(self, place: Value) -> Value:
-        """A place, or the value that a request gives for it."""
-        return self._arguments.get(place.name, place) if isinstance(place, Variable) else place
-
-    def _result(self, item: Item) -> query.Result:
-        kind = Kind.NUMBER if item.kind == DURATION else Kind(item.kind)
-        value = self.constant(item.value)
-        argument = None
-        if isinstance(value, ObjectConstant):
-            argument = Argument(None, value.iri)
-        elif isinstance(value, Variable):
-            argument = next(
-                (
-                    self.argument(place, sort)
-                    for sample in self.samples
-                    for place, sort in sample.arguments
-                    if place == value
-                ),
-                None,
-            )
-        return query.Result(item.name, kind, argument)
 
     # -- plans -------------------------------------------------------------------------------
 
@@ -175,6 +111,12 @@ class _Compiler:
         if branch in self._known:
             return self._known[branch]
         others = [self._add(each.branch, given) for each in branch.absences]
+        if len(self._plans) == MOST_PLANS:
+            raise self.error(
+                f"the optional operators need more than {MOST_PLANS} plans",
+                None,
+                "register parts of the pattern, and read their results",
+            )
         is_given = branch in given
         building = _Plan(self, branch)
         made, tests = building.build(self._pattern.items if is_given else (), self._pattern.within)
@@ -191,9 +133,7 @@ class _Compiler:
 
     def _check_times(self, made: PatternPlan, branch: Branch) -> None:
         try:
-            network = minimal_network(made)
-            assert network.retention
-            pack(query.with_numbers(made, query.Keys()), network, is_ordered=True)
+            pack(query.with_numbers(made, query.Keys()), minimal_network(made), is_ordered=True)
         except UnboundedRetention as error:
             raise self._plan_error(error, branch, _WITHIN) from None
         except ContradictoryTimes as error:
@@ -259,7 +199,7 @@ class _Plan:
         ]
         try:
             made = PatternPlan(
-                compiler.columns,
+                compiler.sources.columns,
                 tuple(elements),
                 tuple(between),
                 tuple(same),
@@ -297,7 +237,7 @@ class _Plan:
         }
         variables = []
         for name in dict.fromkeys(name for each, _ in triples for name in variables_of(each)):
-            place = self.compiler.constant(known.get(name) or Variable(name, Kind.OBJECT))
+            place = self.compiler.sources.constant(known.get(name) or Variable(name, Kind.OBJECT))
             if not isinstance(place, Variable) or name in known:
                 output = self._output("static", self.expression(place, self.branch.samples))
                 variables.append((name, output, Kind(kind_of(place))))
@@ -312,18 +252,20 @@ class _Plan:
         """The element of a sample; what it has of its variables is noted."""
         sample = self.compiler.samples[number]
         place = self.places[number]
-        columns = [_object_column(i) for i in range(len(sample.arguments))]
-        columns.append(_VALUES[query.column_type(sample.kind)])
+        columns = [object_column(i) for i in range(len(sample.arguments))]
+        columns.append(VALUES[query.column_type(sample.kind)])
         own: list[plan.Condition] = []
         for column, each in zip(columns, places_of(sample), strict=True):
-            found = self.compiler.constant(each)
+            found = self.compiler.sources.constant(each)
             if isinstance(found, Variable):
                 self._carriers.setdefault(found.name, []).append(plan.Value(place, column))
             elif column == columns[-1]:
                 value = plan.Value(OWN, column)
                 own.append(plan.Condition("=", value, self.expression(found, ())))
-        kind = self.compiler.kinds[number]
-        same = sum(self.compiler.kinds[other] == kind for other in self.places if other < number)
+        kind = self.compiler.sources.kinds[number]
+        same = sum(
+            self.compiler.sources.kinds[other] == kind for other in self.places if other < number
+        )
         return plan.Element(f"{kind}{f' ({same + 1})' if same else ''}", (kind,), tuple(own))
 
     def _equalities(self) -> tuple[list[plan.Same], list[plan.Condition]]:
@@ -347,7 +289,9 @@ class _Plan:
 
     def _is_key(self, name: str) -> bool:
         return all(
-            each.type is ColumnType.KEY for each in self.compiler.columns if each.name == name
+            each.type is ColumnType.KEY
+            for each in self.compiler.sources.columns
+            if each.name == name
         )
 
     def _before(self, left: tuple[int, ...], right: tuple[int, ...]) -> Iterator[plan.Between]:
@@ -395,7 +339,7 @@ class _Plan:
 
     def _result(self, item: Item) -> plan.Expression:
         everything = self.branch.samples
-        value = self.compiler.constant(item.value)
+        value = self.compiler.sources.constant(item.value)
         if self._has_value(value):
             found = self.expression(value, everything)
             return (
@@ -409,7 +353,7 @@ class _Plan:
     def _has_value(self, value: Value) -> bool:
         match value:
             case Variable(name):
-                return name in self._carriers or name in self.compiler.given
+                return name in self._carriers or name in self.compiler.sources.arguments
             case Calculation(_, left, right):
                 return self._has_value(left) and self._has_value(right)
             case _:
@@ -417,7 +361,7 @@ class _Plan:
 
     def expression(self, value: Value, samples: tuple[int, ...]) -> plan.Expression:
         """A value in the plan. Durations and times are in ns."""
-        value = self.compiler.constant(value)
+        value = self.compiler.sources.constant(value)
         match value:
             case Variable(name):
                 return self._carriers[name][0]
@@ -443,7 +387,3 @@ class _Plan:
                 )
             case _:
                 assert_never(value)
-
-
-def _object_column(argument: int) -> str:
-    return f"object {argument + 1}"

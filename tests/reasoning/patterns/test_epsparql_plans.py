@@ -196,6 +196,7 @@ ALTERNATIVES = f"{{ {PRICE} UNION {PRICE} }}"
             "more than 16 alternatives",
             "parts",
         ),
+        (f"ASK {' OPTIONALSEQ '.join([PRICE] * 9)} WITHIN 5s", 5, "more than 32 plans", "parts"),
         (f"ASK {PRICE} SEQ {{ }} WITHIN 5s", 32, "no sample in it", "leave it out"),
         (f"ASK {PRICE} UNION {{ ?a <urn:p> ?b }} WITHIN 5s", 34, "no sample in it", ""),
         (f"ASK {PRICE} SEQ {PRICE} FILTER (!BOUND(?v)) WITHIN 5s", 62, "for no solution", "BOUND"),
