@@ -8,6 +8,7 @@ SELECT table column by column.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -32,8 +33,9 @@ from ..streams.sample import (
 )
 from ..streams.string_pool import StringPool
 from .errors import ConversionError
+from .term_tables import TextTable
 from .to_triples import VALUE, edge_conversion, field_of, stream_iri
-from .values import field_column, field_type
+from .values import field_column, field_type, term_text
 
 ID: Final = "id"
 ANSWER: Final = "answer"
@@ -265,6 +267,7 @@ class ResultConverter:
         self._keep_order = keep_order
         self.lost: list[ConversionError] | None = None
         """Gets the first error of each field and result; such values become no_value."""
+        self._texts: dict[str, TextTable] = {}
         self._ranks: dict[str, tuple[StringPool, Ids]] = {}
         self._sizes: dict[str, int] = {}
         """By field, the size of its pool when its texts were sorted last."""
@@ -368,6 +371,12 @@ class ResultConverter:
 
     def _field(self, field: Field, objects: ObjectColumn, dictionary: TermDictionary) -> Column:
         pool = self._pools.get(field.name)
+        if pool is not None and objects.kind is Kind.TERM and objects.null is None:
+            texts = self._texts.get(field.name)
+            if texts is None or texts.dictionary is not dictionary:
+                text = partial(term_text, namespace=self._namespace)
+                texts = self._texts[field.name] = TextTable(text, dictionary)
+            return Column(field.type, texts.of_ids(objects.values, pool), None, pool)
         return field_column(field, objects, dictionary, pool, self._namespace, self.lost)
 
     def _stamped(

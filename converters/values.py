@@ -241,12 +241,13 @@ def _text(
     codes = np.zeros(len(objects), np.int32)
     distinct, inverse = np.unique(objects.values[present], return_inverse=True)
     terms = (make_term(objects.kind, value, dictionary) for value in distinct)
-    texts = [_term_text(term, namespace) for term in terms]
+    texts = [term_text(term, namespace) for term in terms]
     codes[present] = pool.encode(texts)[inverse]
     return Column(FieldType.STRING, codes, objects.null, pool)
 
 
-def _term_text(term: Term, namespace: str) -> str:
+def term_text(term: Term, namespace: str) -> str:
+    """The text of any term in a text field: the name of an IRI, the text of a literal."""
     if isinstance(term, NamedNode):
         return object_name(term.value, namespace)
     return term.value if isinstance(term, Literal) else str(term)

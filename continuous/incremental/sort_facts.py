@@ -35,7 +35,7 @@ class SortFacts:
         self._static: NDArray[np.bool_] = np.zeros(0, np.bool_)
 
     def fold(self, end: int, tables: Sequence[TripleRows], static: StaticSide) -> Ids:
-        """Add the facts of the pane that ends at ``end``; return their subjects."""
+        """Add the facts of the pane that ends at ``end``; return the subjects that had none."""
         dictionary = static.terms.dictionary
         parts = [subjects for _, subjects in self.stated(tables, static)]
         if not parts:
@@ -46,9 +46,10 @@ class SortFacts:
             ids = distinct_ids(parts, len(dictionary))
         if len(self._counts) < len(dictionary):
             self._counts = grow(self._counts, 2 * len(dictionary), 0)
-        self._counts[ids] += 1
+        counts = self._counts.take(ids)
+        self._counts[ids] = counts + 1
         self.panes.append((end, ids))
-        return ids
+        return ids[counts == 0] if not counts.all() else ids[:0]
 
     def stated(
         self, tables: Sequence[TripleRows], static: StaticSide
@@ -69,12 +70,15 @@ class SortFacts:
         return (ids for _, ids in self.panes)
 
     def evict(self, until: int) -> list[Ids]:
-        """Evict the panes that end at or before ``until``; return the subjects of each."""
+        """Evict the panes that end at or before ``until``; return the subjects that have no fact
+        any more, pane by pane."""
         evicted = []
         while self.panes and self.panes[0][0] <= until:
             ids = self.panes.popleft()[1]
-            self._counts[ids] -= 1
-            evicted.append(ids)
+            counts = self._counts.take(ids) - 1
+            self._counts[ids] = counts
+            if not counts.all():
+                evicted.append(ids[counts == 0])
         return evicted
 
     def holds(self, subjects: NDArray[np.int32], static: StaticSide) -> NDArray[np.bool_]:
@@ -99,8 +103,8 @@ class GroupSorts:
     """The groups that are of all of some sorts, by the window or by the static side.
 
     Law: `holds` of a group is true if `SortFacts.holds` is true of its member for every sort. Cost:
-    a look-up per sort for a new group and for one with changed facts; for every group if the static
-    side has changed. Memory: a byte per group, and that of `SortFacts`.
+    a look-up per sort for a new group and for one that gets its first or loses its last fact; for
+    every group if the static side has changed. Memory: a byte per group, and that of `SortFacts`.
     """
 
     def __init__(self, sorts: Sequence[NamedNode], groups: Groups, static: StaticSide) -> None:
@@ -115,7 +119,9 @@ class GroupSorts:
     def fold(self, end: int, tables: Sequence[TripleRows]) -> Iterator[NDArray[np.int32]]:
         """Add the facts of the pane that ends at ``end``; yield the groups that they may change."""
         for facts in self.facts:
-            yield self._changed(facts.fold(end, tables, self._static))
+            ids = facts.fold(end, tables, self._static)
+            if len(ids):
+                yield self._changed(ids)
 
     def evict(self, until: int) -> Iterator[NDArray[np.int32]]:
         """Evict the panes that end at or before ``until``; yield the groups that may change."""
