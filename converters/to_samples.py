@@ -291,7 +291,7 @@ class ResultConverter:
             )
         answer = np.array([bool(result.answer)], np.bool_)
         column = Column(FieldType.BOOLEAN, answer)
-        return self._stamped({ANSWER: column}, _repeated(result.end, 1), _repeated(available, 1))
+        return self._stamped({ANSWER: column}, result.end, available, 1)
 
     def convert_batch(self, results: BatchOfResults) -> SampleBatch:
         """The samples of successive windows, one window after the other; each is available at its
@@ -301,7 +301,7 @@ class ResultConverter:
         """
         if results.triples is not None:
             batch = self._of_tables(results.triples)
-            return self._stamped(batch.columns, batch.valid, batch.valid)
+            return self._stamped(batch.columns, batch.valid, batch.valid, len(batch))
         solved = results.solutions
         assert solved is not None
         ends = np.repeat(np.array(results.ends, np.int64), np.diff(results.offsets))
@@ -331,14 +331,12 @@ class ResultConverter:
             else _nothing(field, length, self._pools)
             for field in self.schema.fields
         }
-        valid_times, available_times = (_repeated(each, length) for each in (valid, available))
-        return self._stamped(found, valid_times, available_times)
+        return self._stamped(found, valid, available, length)
 
     def triples(self, triples: TimedTriples, valid: int, available: int) -> SampleBatch:
         """Samples from the triples of a CONSTRUCT head."""
         batch = self._of_tables(triples)
-        valid_times, available_times = (_repeated(each, len(batch)) for each in (valid, available))
-        return self._stamped(batch.columns, valid_times, available_times)
+        return self._stamped(batch.columns, valid, available, len(batch))
 
     def _of_tables(self, triples: TimedTriples) -> SampleBatch:
         """A sample a wide row, or a subject and time, in any order."""
@@ -380,15 +378,23 @@ class ResultConverter:
         return field_column(field, objects, dictionary, pool, self._namespace, self.lost)
 
     def _stamped(
-        self, columns: Mapping[str, Column], valid: Times, available: Times
+        self,
+        columns: Mapping[str, Column],
+        valid: int | Times,
+        available: int | Times,
+        length: int,
     ) -> SampleBatch:
-        batch = SampleBatch(available, valid, columns)
-        if len(batch) < 2:
-            return batch
-        keys = [] if np.all(valid == valid[0]) else [valid]
-        if not self._keep_order:
+        """Samples in their order, with these times: of all, or of each row."""
+        keys = [] if isinstance(valid, int) else [valid]
+        if not self._keep_order and length > 1:
             keys += [key for field in self.schema.fields for key in self._keys(field, columns)]
-        return batch.take(np.lexsort(keys[::-1])) if keys else batch
+        if keys:
+            order = np.lexsort(keys[::-1])
+            columns = {name: column.take(order) for name, column in columns.items()}
+            valid, available = (
+                each if isinstance(each, int) else each[order] for each in (valid, available)
+            )
+        return SampleBatch(_repeated(available, length), _repeated(valid, length), columns)
 
     def _keys(self, field: Field, columns: Mapping[str, Column]) -> list[np.ndarray]:
         """The sort keys of a field: presence, then value."""

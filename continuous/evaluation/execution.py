@@ -117,7 +117,7 @@ class Execution:
         buffers = self.windows.contents.buffers.values()
         done = low if self._folded is None else max(low, self._folded)
         pane = self.windows.schedule.pane
-        while True:
+        while done < end:
             times = [buffer.earliest(done) for buffer in buffers]
             time = min((time for time in times if time is not None), default=None)
             if time is None or time > end:

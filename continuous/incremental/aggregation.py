@@ -264,9 +264,8 @@ class IncrementalAggregate:
         for position, column in zip((scan.subject, scan.object), pairs, strict=True):
             if isinstance(position, Var):
                 columns[position.name] = column
-        nothing = ObjectColumn(Kind.INTEGER, np.broadcast_to(np.int64(0), (rows,)))
         return [
-            nothing
+            ObjectColumn(Kind.INTEGER, np.broadcast_to(np.int64(0), (rows,)))
             if argument is None
             else columns[argument.name]
             if isinstance(argument, Var) and argument.name in columns

@@ -171,7 +171,7 @@ def _wide(
             objects[terms.dictionary.transient_id(predicate.term)] = values
     if all(values.null is not None for values in objects.values()):
         keep &= np.any([values.present for values in objects.values()], axis=0)
-    if keep.all():
+    if np.count_nonzero(keep) == len(keep):
         return TripleRows(times, times, column.values, objects)
     objects = {id: each.take(keep) for id, each in objects.items()}
     return TripleRows(times[keep], times[keep], column.values[keep], objects)
@@ -211,7 +211,8 @@ def _nodes(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
     """Whether a term may be a subject: an IRI or a blank node."""
     if column.kind is not Kind.TERM:
         return np.zeros(len(column), np.bool_)
-    return np.asarray(column.present & (terms.sorts(column.values) == Sort.NODE))
+    nodes = terms.sorts(column.values) == Sort.NODE
+    return nodes if column.null is None else np.asarray(nodes & ~column.null)
 
 
 def _iris(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
