@@ -20,6 +20,7 @@ from ..columns.exact_sums import At, FloatTotals, IntegerTotals
 from ..columns.fold_kernels import Groups, grow, mirror
 from ..columns.relation import TermValues
 from ..operators.partial_aggregates import (
+    GREAT,
     Key,
     NumberFold,
     Numbers,
@@ -97,6 +98,37 @@ class SlidingNumbers:
     def fold(self, part: Part, groups: Groups) -> None:
         """Fold rows of the present pane."""
         self._fold.add(part.subjects, part.values, part.skip, groups)
+
+    def fold_pane(
+        self,
+        end: int,
+        subjects: NDArray[np.int32],
+        values: NDArray[np.float64],
+        groups: Groups,
+        touched: ChangedGroups,
+    ) -> bool:
+        """Fold the rows of a whole pane and end it, which is `fold` and `push` in one compiled
+        call; return False, and change nothing, if that cannot fold them."""
+        totals = self._totals
+        if self._sliding is not None or not isinstance(totals, FloatTotals):
+            return False
+        found = totals.fold_pane(subjects, values, GREAT, groups)
+        if found is None:
+            return False
+        touched.reserve(groups.used)
+        touched.mark(found[0])
+        self.panes.append((end, *found, None))
+        return True
+
+    def present(
+        self, used: int, of: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int64], Numbers] | None:
+        """Return those of the first ``used`` groups that have rows, and are in ``of`` if that is
+        given, with their values. None: these need several calls."""
+        if self._sliding is not None or not isinstance(self._totals, FloatTotals):
+            return None
+        rows, sums, counts = self._totals.present(used, of)
+        return rows, Numbers(sums, counts, None)
 
     def abandon(self, used: int) -> None:
         """Drop the rows of the present pane."""
@@ -217,6 +249,32 @@ class SlidingPartial:
                 self._of(part.key).fold(part, groups)
             elif not self._distinct:
                 self._odd.append((groups.groups(part.subjects), part))
+
+    def fold_pane(
+        self,
+        end: int,
+        subjects: NDArray[np.int32],
+        column: ObjectColumn,
+        groups: Groups,
+        touched: ChangedGroups,
+    ) -> bool:
+        """`fold` and `push` of a pane with these rows alone; return False, and change nothing, if
+        that takes several calls."""
+        if column.kind not in (Kind.FLOAT, Kind.DOUBLE) or column.null is not None:
+            return False
+        numbers = self._of((column.kind, 0))
+        return numbers.fold_pane(end, subjects, column.values, groups, touched)
+
+    def present(
+        self, used: int, of: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int64], Partial] | None:
+        """Return the groups that `SlidingNumbers.present` returns, and their aggregates. None: the
+        window has several kinds of numbers, or other terms."""
+        if len(self._kinds) != 1 or self._odd_rows:
+            return None
+        [(key, numbers)] = self._kinds.items()
+        found = numbers.present(used, of)
+        return None if found is None else (found[0], Partial({key: found[1]}))
 
     def abandon(self, used: int) -> None:
         """Drop the rows of the present pane."""
