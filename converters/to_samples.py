@@ -543,7 +543,11 @@ class _Building:
 
 
 def _repeated(time: int | Times, length: int) -> Times:
-    return np.full(length, time, np.int64) if isinstance(time, int) else time
+    if not isinstance(time, int):
+        return time
+    times = np.empty(length, np.int64)
+    times.fill(time)
+    return times
 
 
 def _join_subjects(batch: SampleBatch) -> SampleBatch:

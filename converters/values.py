@@ -146,8 +146,9 @@ def field_column(
             return _text(objects, dictionary, pool, namespace)
         case FieldType.FLOAT if kind.is_number:
             values = objects.values.astype(np.float64)
-            infinite = ~np.isfinite(values)
-            if infinite.any():
+            finite = np.isfinite(values)
+            if np.count_nonzero(finite) < len(finite):
+                infinite = ~finite
                 null = infinite if null is None else infinite | null
             return Column(field.type, values, null)
         case FieldType.INTEGER if kind is Kind.INTEGER:

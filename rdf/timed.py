@@ -40,7 +40,7 @@ class Kind(IntEnum):
 
     @property
     def is_number(self) -> bool:
-        return self in (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
+        return 1 <= self <= 4  # INTEGER … DOUBLE
 
     @property
     def dtype(self) -> np.dtype[Any]:

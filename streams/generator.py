@@ -293,11 +293,16 @@ class StreamGenerator:
             if not self.rules.gap:
                 self._announce(min(int(stamps[-1]), TIME_MAX - 1) + 1)
             return len(batch)
-        kept = self._admit(batch, distinct=distinct)
+        kept, due = self._admit(batch, distinct=distinct), self._due()
         if len(kept):
-            self._pending = kept if self._pending is None else concatenate([self._pending, kept])
-            self._pending = _in_order(self._pending)
-        self._flush_until(self._due())
+            kept = _in_order(kept)
+            if self._pending is None and kept.available[-1] <= due:
+                self._release(kept)
+            elif self._pending is None:
+                self._pending = kept
+            else:
+                self._pending = _in_order(concatenate([self._pending, kept]))
+        self._flush_until(due)
         return len(batch)
 
     def promise_after(self, batch: SampleBatch) -> int:

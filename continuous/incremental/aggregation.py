@@ -75,6 +75,7 @@ class IncrementalAggregate:
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
         self._distinct = DistinctPairs(terms) if distinct else None
+        self._is_direct = shape.direct
         self._is_simple = (
             shape.plain and not distinct and [a for a, _ in shape.arguments] == [shape.scan.object]
         )
@@ -162,13 +163,13 @@ class IncrementalAggregate:
         ``source`` provides the relations to join.
         """
         shape = self.shape
-        having = bool(shape.having) and plan is shape.having[0] and shape.direct
+        having = self._is_direct and bool(shape.having) and plan is shape.having[0]
         if self.irregular or not (having or plan is shape.aggregate):
             return None
         self._with_static()
         if having:
             return self._having()
-        if shape.direct:
+        if self._is_direct:
             return self._present(self.groups.used)[1]
         return self._joined(self._alive(slice(self.groups.used)), source)
 
