@@ -118,13 +118,17 @@ class Execution:
         done = low if self._folded is None else max(low, self._folded)
         pane = self.windows.schedule.pane
         while done < end:
-            times = [buffer.earliest(done) for buffer in buffers]
-            time = min((time for time in times if time is not None), default=None)
-            if time is None or time > end:
-                break
-            done = time + (window.grid.origin - time) % pane
+            # The usual case first: one pane has been completed.
+            if end - done > pane:
+                times = [buffer.earliest(done) for buffer in buffers]
+                time = min((time for time in times if time is not None), default=None)
+                if time is None or time > end:
+                    break
+                done = time + (window.grid.origin - time) % pane - pane
+            done += pane
             tables = [t for buffer in buffers for t in buffer.between(done - pane, done)]
-            self.incremental.fold(done, tables)
+            if tables:
+                self.incremental.fold(done, tables)
             if profile is not None:
                 predicate = self.static.terms.dictionary.find(scan.predicate)
                 columns = (table.objects.get(predicate) for table in tables)

@@ -39,6 +39,8 @@ COMPACT = 1024
 """Below this number of groups, dropping some is not worth its cost."""
 FEW = 4096
 """Up to this number of rows of a pane, the calls of numpy cost more than the loops."""
+SELECTIVE = 128
+"""Up to this number of groups, a HAVING tests them all: to know which have changed costs more."""
 DENSE = 4
 """If one group in this number has changed, evaluate all: that is simpler and as fast."""
 
@@ -164,6 +166,9 @@ class IncrementalAggregate:
         """
         shape = self.shape
         having = self._is_direct and bool(shape.having) and plan is shape.having[0]
+        if having and self.groups.used <= SELECTIVE:
+            self._touched.all = True
+            return None
         if self.irregular or not (having or plan is shape.aggregate):
             return None
         self._with_static()

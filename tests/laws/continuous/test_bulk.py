@@ -227,6 +227,7 @@ def test_a_pane_folded_in_one_call_changes_nothing(text, found, cuts, static, op
     with at_most(1), pytest.MonkeyPatch.context() as patch:
         quick = run(text, found, cuts, static, opts)
         patch.setattr(aggregation, "FEW", -1)
+        patch.setattr(aggregation, "SELECTIVE", 0)
         patch.setattr(SlidingPartial, "present", lambda *_: None)
         assert run(text, found, cuts, static, opts) == quick
 
