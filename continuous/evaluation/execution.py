@@ -23,10 +23,11 @@ from ..algebra.plan import (
 )
 from ..algebra.triple_times import names_now
 from ..algebra.volatile_functions import has_volatile
-from ..columns.relation import Relation
+from ..columns.relation import NeedsOxigraph, Relation
 from ..incremental.aggregate_shape import Shape, shape_of
 from ..incremental.aggregation import IncrementalAggregate
 from ..incremental.bulk_aggregation import BulkAggregate, fitting
+from ..operators.executor import Step, run, steps_above
 from ..operators.profile import Profile
 from ..operators.sources import StaticSide, WindowSource
 from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
@@ -57,6 +58,8 @@ class Execution:
         self.patterns: PatternSolver | None = None
         self.served: tuple[Plan, ...] = ()
         """The parts that the compiled loop evaluates."""
+        self.steps: tuple[Step, ...] | None = None
+        """The operators above the aggregate that `incremental` computes, if these are all."""
         self.not_folded = self._not_folded() if folds else "it is not to be folded"
         """Why `incremental` is None, or empty."""
         self._folded: int | None = None
@@ -166,6 +169,19 @@ class Execution:
         relation = bulk.relation()
         return None if relation is None else (count, relation)
 
+    def solutions(self) -> Relation | None:
+        """Return the solutions of the plan for the window that `fold` has folded, if the steps
+        above the aggregate need no other source; else None. Law: `execute` returns the same."""
+        if self.incremental is None or self.steps is None:
+            return None
+        aggregated = self.incremental.solutions()
+        if aggregated is None:
+            return None
+        try:
+            return run(self.steps, aggregated, self.static.terms)
+        except NeedsOxigraph:
+            return None
+
     def follow(self, end: int) -> None:
         """Bring the aggregate to the window that ends at ``end``, over windows that `in_bulk` has
         evaluated."""
@@ -190,6 +206,7 @@ class Execution:
         if isinstance(shape, str):
             self.not_folded = shape
             return
+        self.steps = steps_above(self.plan, shape.aggregate)
         schedule = self.windows.schedule
         window = schedule.windows[0].range
         assert window is not None

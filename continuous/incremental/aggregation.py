@@ -166,9 +166,6 @@ class IncrementalAggregate:
         """
         shape = self.shape
         having = self._is_direct and bool(shape.having) and plan is shape.having[0]
-        if having and self.groups.used <= SELECTIVE:
-            self._touched.all = True
-            return None
         if self.irregular or not (having or plan is shape.aggregate):
             return None
         self._with_static()
@@ -177,6 +174,16 @@ class IncrementalAggregate:
         if self._is_direct:
             return self._present(self.groups.used)[1]
         return self._joined(self._alive(slice(self.groups.used)), source)
+
+    def solutions(self) -> Relation | None:
+        """Return the solutions of the aggregate for all groups; None if a HAVING should test some
+        groups only, or if they need another source."""
+        is_selective = bool(self.shape.having) and self.groups.used > SELECTIVE
+        if self.irregular or is_selective or not self._is_direct:
+            return None
+        self._touched.all = True
+        self._with_static()
+        return self._present(self.groups.used)[1]
 
     def _alive(self, rows: Rows) -> NDArray[np.int64]:
         """Return those of ``rows`` that have rows in the window and are of the sorts."""
