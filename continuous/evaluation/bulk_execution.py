@@ -66,7 +66,7 @@ class BulkPlan:
             found = execution.in_bulk(ends, ROWS)
             if found is None:
                 return None
-            count, aggregated = found
+            bulk, aggregated = found
             relation = run(self.steps, aggregated, terms)
             windows = relation.columns[END].values
             rows = int(np.bincount(windows, minlength=1).max())
@@ -74,8 +74,8 @@ class BulkPlan:
         except (NeedsOxigraph, BudgetExceeded):
             # The window that is concerned raises it again, by itself.
             return None
-        execution.follow(ends[count - 1])
-        spans = [execution.windows.span(end) for end in ends[:count]]
+        execution.follow(bulk)
+        spans = [execution.windows.span(end) for end in bulk.ends]
         return finish_batch(self.head, relation, windows, spans, static.terms)
 
 

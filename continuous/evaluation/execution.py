@@ -142,17 +142,17 @@ class Execution:
             profile.add(scan, rows, 0)
             profile.beside(scan, profile.clock() - begin)
 
-    def in_bulk(self, ends: Sequence[int], most: int) -> tuple[int, Relation] | None:
-        """Return the number of windows that one pass covers, from the first of ``ends`` on, and the
-        solutions of the aggregate for these (`BulkAggregate`). None if it covers fewer than two, or
-        if they have more than ``most`` rows each. Changes nothing but the numbers of groups."""
+    def in_bulk(self, ends: Sequence[int], most: int) -> tuple[BulkAggregate, Relation] | None:
+        """Return the aggregate over windows that one pass covers, from the first of ``ends`` on,
+        and its solutions for these. None if the pass covers fewer than two, or if they have more
+        than ``most`` rows each. Changes nothing but the numbers of groups."""
         assert self.incremental is not None
         window = self.windows.schedule.windows[0]
         assert window.grid is not None
         assert window.range is not None
         low, _ = window.bounds(ends[0])
-        extremes = any(wanted for _, wanted in self.incremental.shape.arguments)
-        since = low if extremes or self._folded is None else max(low, self._folded)
+        folded = low if self._folded is None else max(low, self._folded)
+        since = low if self.incremental.has_extremes else folded
         tables = self._rows(since, ends[-1])
         if sum(map(len, tables)) > most * len(ends):
             return None
@@ -165,9 +165,20 @@ class Execution:
         if count < len(ends):
             tables = self._rows(since, ends[count - 1])
         panes = Grid(pane, window.grid.origin)
-        bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, tables)
+        bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, folded, tables)
         relation = bulk.relation()
-        return None if relation is None else (count, relation)
+        return None if relation is None else (bulk, relation)
+
+    def follow(self, bulk: BulkAggregate) -> None:
+        """Bring the aggregate to the last window of ``bulk``, which `in_bulk` has evaluated."""
+        assert self.incremental is not None
+        end = bulk.ends[-1]
+        if bulk.hand_over():
+            self.incremental.evict(self.windows.schedule.windows[0].bounds(end)[0])
+            self._folded = end
+        else:
+            self.fold(end)
+        self.incremental.jump()
 
     def solutions(self) -> Relation | None:
         """Return the solutions of the plan for the window that `fold` has folded, if the steps
@@ -181,13 +192,6 @@ class Execution:
             return run(self.steps, aggregated, self.static.terms)
         except NeedsOxigraph:
             return None
-
-    def follow(self, end: int) -> None:
-        """Bring the aggregate to the window that ends at ``end``, over windows that `in_bulk` has
-        evaluated."""
-        assert self.incremental is not None
-        self.fold(end)
-        self.incremental.jump()
 
     def _rows(self, low: int, high: int) -> list[TripleRows]:
         buffers = self.windows.contents.buffers.values()

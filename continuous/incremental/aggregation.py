@@ -151,6 +151,10 @@ class IncrementalAggregate:
         is_static = self._static_pairs is not None and len(self._static_pairs[0]) > 0
         return not (is_static or self.irregular or len(self.static.pairs(self.shape.scan)[0]))
 
+    @property
+    def has_extremes(self) -> bool:
+        return any(extremes for _, extremes in self.shape.arguments)
+
     def has_room(self, new: int) -> bool:
         """Whether ``new`` groups more would let `evict` drop none."""
         return self.groups.used + new < self._compact_at

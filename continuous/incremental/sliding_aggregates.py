@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...rdf.timed import Kind, ObjectColumn
 from ..columns.exact_sums import At, FloatTotals, IntegerTotals
 from ..columns.fold_kernels import Groups, grow, mirror
+from ..columns.pane_runs import equal_runs
 from ..columns.relation import TermValues
 from ..operators.partial_aggregates import (
     GREAT,
@@ -148,6 +149,14 @@ class SlidingNumbers:
             self.panes.append((end, at, columns, high))
             self._add(at, columns, high, 1)
 
+    def append(self, ends: NDArray[np.int64], at: NDArray[np.int32], columns: NDArray[Any]) -> None:
+        """Add folded panes: the end of the pane of each group ``at[i]``, ascending, and its sum and
+        count. Contract: there are no extremes."""
+        self._totals.reserve(int(at.max(initial=-1)) + 1)
+        self._totals.add(at, columns[0], columns[1], 1)
+        for rows in equal_runs(ends):
+            self.panes.append((int(ends[rows.start]), at[rows], columns[:, rows], None))
+
     def evict(self, until: int, touched: ChangedGroups) -> None:
         """Evict the panes that end at or before ``until``."""
         while self.panes and self.panes[0][0] <= until:
@@ -264,6 +273,12 @@ class SlidingPartial:
             return False
         numbers = self._of((column.kind, 0))
         return numbers.fold_pane(end, subjects, column.values, groups, touched)
+
+    def append(
+        self, key: Key, ends: NDArray[np.int64], at: NDArray[np.int32], columns: NDArray[Any]
+    ) -> None:
+        """Add folded panes, all of one `Key`; see `SlidingNumbers.append`."""
+        self._of(key).append(ends, at, columns)
 
     def present(
         self, used: int, of: NDArray[np.bool_] | None

@@ -19,6 +19,7 @@ from ..algebra.expressions import Const, Var
 from ..algebra.plan import TypeScan
 from ..columns.fold_kernels import Groups, grow
 from ..columns.pane_kernels import enter
+from ..columns.pane_runs import equal_runs
 from ..operators.sources import StaticSide, distinct_ids
 
 _NO_IDS: Ids = np.zeros(0, np.int32)
@@ -73,6 +74,19 @@ class SortFacts:
         counts = self._counts.take(ids)
         self._counts[ids] = counts + 1
         return ids, ids[counts == 0]
+
+    def append(self, ends: Times, subjects: Ids) -> None:
+        """Add facts of panes with these ends, which are later than those of the panes there are.
+        Contract: `GroupSorts.forget` follows."""
+        if not len(ends):
+            return
+        order = np.lexsort((subjects, ends))
+        ends, subjects = ends[order], subjects[order]
+        new = np.append(True, (ends[1:] != ends[:-1]) | (subjects[1:] != subjects[:-1]))
+        ends, subjects = ends[new], subjects[new]
+        self._counts = grow(self._counts, int(subjects.max()) + 1, 0)
+        np.add.at(self._counts, subjects, 1)
+        self.panes.extend((int(ends[rows.start]), subjects[rows]) for rows in equal_runs(ends))
 
     def stated(
         self, tables: Sequence[TripleRows], static: StaticSide
