@@ -295,7 +295,6 @@ class StreamGenerator:
             return len(batch)
         kept, due = self._admit(batch, distinct=distinct), self._due()
         if len(kept):
-            kept = _in_order(kept)
             if self._pending is None and kept.available[-1] <= due:
                 self._release(kept)
             elif self._pending is None:
@@ -418,7 +417,8 @@ class StreamGenerator:
         return max(TIME_MIN, greatest - self.lateness)
 
     def _admit(self, batch: SampleBatch, *, distinct: bool) -> SampleBatch:
-        """Drop and count what is late or a duplicate, each judged by all samples before it."""
+        """Drop and count what is late or a duplicate, each judged by all samples before it; return
+        the rest by available time."""
         available = batch.available
         before = TIME_MIN if self._greatest is None else self._greatest
         first = int(available[0])
@@ -445,11 +445,11 @@ class StreamGenerator:
                 self._pass_late(self.late_stream, batch.take(late), greatest[:-1][late])
             batch = batch.take(~late)
         if not distinct or not len(batch):
-            return batch
+            return _in_order(batch)
         again = self._duplicates.among(batch, self.stream, self.pending)
         count = int(np.count_nonzero(again))
         self.counters.duplicate += count
-        return batch.take(~again) if count else batch
+        return _in_order(batch.take(~again) if count else batch)
 
     def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
         """Late samples go on with their valid times and values. Each is available when it came, in

@@ -80,6 +80,8 @@ def evaluate(
     Law: the value for a row depends on that row alone. Cost: numpy per node, times the number of
     kinds in a column; for Oxigraph, Python per distinct combination of values.
     """
+    if isinstance(expression, Var) and expression.name in columns:
+        return columns[expression.name]
     native, foreign = _split_foreign(expression)
     if foreign:
         values = {name: _evaluate_foreign(call, columns, rows, terms) for name, call in foreign}
@@ -218,7 +220,11 @@ def holds(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> Mask:
     """Return which rows pass a FILTER with ``expression``: those where it is true."""
-    yes, error = truth(evaluate(expression, columns, rows, terms), terms)
+    compared = _compared(expression, columns) if isinstance(expression, Call) else None
+    if compared is not None:
+        yes, error = compared.values, compared.null
+    else:
+        yes, error = truth(evaluate(expression, columns, rows, terms), terms)
     return yes if error is None else yes & ~error
 
 

@@ -91,6 +91,8 @@ def construct(
     Ill-formed triples (an unbound variable, a literal as subject, no IRI as predicate) are omitted.
     A template about one subject gives wide rows if each solution has its own subject.
     """
+    if not relation.rows:
+        return TimedTriples(terms.dictionary, ())
     times = np.full(relation.rows, time, np.int64) if isinstance(time, int) else time
     wide = _wide(head, relation, times, terms)
     if wide is not None:
