@@ -22,14 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...streams.jit import JIT, Kernel
-from .fold_kernels import read_only
+from .fold_kernels import NO_SKIP, Groups, grow, read_only
+from .pane_kernels import BITS, HALF, fold_pane, read
 from .pane_runs import PaneRuns
 
 At = NDArray[np.int32] | NDArray[np.int64] | None
 """The group of each row; None: the groups 0, 1, 2 … in order."""
 
-BITS = 40
-_HALF = 2 ** (BITS - 1)
 _LOWEST, _HIGHEST = -26, 24
 """Digits for float64: from 2^988 down to 2^-1012. Bits of values below that are cut off."""
 _TERMS = 2**21
@@ -114,7 +113,7 @@ def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
         for j in range(depth):
             k = depth - 1 - j
             digit = digits[k, group] + carry
-            carry = (digit + _HALF) >> BITS
+            carry = (digit + HALF) >> BITS
             total += (digit - (carry << BITS)) * grains[k]
         if carry != 0:
             total += carry * (grains[0] * 2.0**BITS)
@@ -213,7 +212,64 @@ class FloatTotals(Totals):
         self._top = -1
         self._nonfinite: NDArray[np.int64] | None = None
         self._terms = 0
+        self._state: NDArray[np.float64] = np.zeros((0, 2), np.float64)
+        """Sums and counts while a pane is folded; else zeros."""
         self._update_grains()
+
+    def fold_pane(
+        self, subjects: NDArray[np.int32], values: NDArray[np.float64], great: float, groups: Groups
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]] | None:
+        """Fold a pane of few rows and add it; return its groups, ascending, and their sums and
+        counts, shape ``(2, n)``. None, and no change: a value is not below ``great``, or loops are
+        not compiled.
+
+        Law: this is `RowFold.add`, `RowFold.take` and `add`, in one call.
+        """
+        if not JIT:
+            return None
+        rows, capacity = len(subjects), groups.used + len(subjects)
+        groups.reserve(capacity)
+        self.reserve(capacity)
+        self._state = grow(self._state, len(self.counts), 0)
+        self._carry(1)
+        at, columns = np.empty(rows, np.int32), np.empty((2, rows), np.float64)
+        groups.used, touched, fits = fold_pane(
+            np.ascontiguousarray(subjects),
+            np.ascontiguousarray(values),
+            great,
+            groups.group_of,
+            groups.members,
+            groups.used,
+            self._state,
+            self.digits,
+            self.counts,
+            self._grains,
+            self._inverse,
+            at,
+            columns,
+        )
+        if touched < 0:
+            return None
+        at, columns = at[:touched], columns[:, :touched]
+        if not fits:
+            self.add(at, columns[0], columns[1], 1)
+        return at, columns
+
+    def present(
+        self, used: int, of: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+        """Return those of the first ``used`` groups that have rows, and are in ``of`` if that is
+        given, with their sums and counts."""
+        self.reserve(used)
+        if not JIT or self._nonfinite is not None:
+            some = self.counts[:used] > 0
+            rows = np.flatnonzero(some if of is None else some & of)
+            return rows, self.values(rows), self.counts[rows]
+        rows, sums = np.empty(used, np.int64), np.empty(used, np.float64)
+        numbers = np.empty(used, np.int64)
+        mask = NO_SKIP if of is None else of
+        n = read(self.digits, self.counts, mask, used, self._grains, rows, sums, numbers)
+        return rows[:n], sums[:n], numbers[:n]
 
     def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
         if at is not None and len(values) > _TERMS:
@@ -247,7 +303,7 @@ class FloatTotals(Totals):
             out = np.zeros(len(rows), np.float64)
             for k in reversed(range(len(digits))):
                 digit = digits[k] + carry
-                carry = (digit + _HALF) >> BITS
+                carry = (digit + HALF) >> BITS
                 out += (digit - (carry << BITS)) * self._grains[k]
             out[carry != 0] += carry[carry != 0] * self._limit
         if self._nonfinite is not None:
@@ -352,7 +408,7 @@ class FloatTotals(Totals):
             self._top += 1
             self._update_grains()
         for k in range(len(self.digits) - 1, 0, -1):
-            carry = (self.digits[k] + _HALF) >> BITS
+            carry = (self.digits[k] + HALF) >> BITS
             self.digits[k] -= carry << BITS
             self.digits[k - 1] += carry
         if not self.digits[0].any() and len(self.digits) > 2:
