@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from ...languages.ssl.annotation import Content
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import Counters
 from ...streams.history import Retention
@@ -55,7 +56,8 @@ class StreamDeclaration:
 class StreamView:
     """The present state of a stream. Times in ns; ``rate`` in samples per second of available time
     (over at least a second). ``first_available`` is the oldest retained available time.
-    ``is_idle``: it had no samples for ``idle``, so readers do not wait for it."""
+    ``is_idle``: it had no samples for ``idle``, so readers do not wait for it. ``contents`` are the
+    features that the annotation gives to fields; ``annotation`` is its text."""
 
     name: str
     fields: tuple[Field, ...]
@@ -78,6 +80,7 @@ class StreamView:
     rate: float
     lag: int | None
     annotation: str | None
+    contents: tuple[Content, ...]
     producer: str | None
     subscribers: int
 

@@ -2,7 +2,7 @@
 texts such as ``5s``."""
 
 from .annotations import AnnotationModel
-from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
+from .events import EventIn, EventModel, PlanModel, RunningUnitModel, TemplateModel, UnitModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
@@ -11,11 +11,16 @@ from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
     ExplainModel,
+    FeatureModel,
+    FindingModel,
     HealthModel,
+    LoadModel,
     OntologyModel,
     OntologyReportModel,
+    SortModel,
     StatusModel,
     ViolationModel,
+    VocabularyModel,
     WaitingModel,
 )
 from .streams import (
@@ -59,9 +64,12 @@ __all__ = [
     "EventIn",
     "EventModel",
     "ExplainModel",
+    "FeatureModel",
     "FieldModel",
+    "FindingModel",
     "HealthModel",
     "InsertionModel",
+    "LoadModel",
     "MatchIn",
     "MatchModel",
     "OneDeclarationModel",
@@ -74,9 +82,11 @@ __all__ = [
     "RematchModel",
     "RemovedModel",
     "RetentionModel",
+    "RunningUnitModel",
     "SessionIn",
     "SessionModel",
     "Since",
+    "SortModel",
     "SpecificationModel",
     "StatusModel",
     "Strategy",
@@ -89,6 +99,7 @@ __all__ = [
     "TransformationModel",
     "UnitModel",
     "ViolationModel",
+    "VocabularyModel",
     "WaitingModel",
     "WhyModel",
     "WorthIn",

@@ -9,6 +9,9 @@ from pydantic import BaseModel, Field, StringConstraints
 from ...engine.durability.accepted_commands import WaitingCommand
 from ...engine.durability.commands import RequestEvent
 from ...engine.model import views
+from ...engine.planning.explanations import unit_view
+from ...engine.units.base import ComputationalUnit
+from ...streams.time import SECOND
 from .parts import Body, Name, Since, Strategy
 
 
@@ -62,6 +65,32 @@ class UnitModel(BaseModel):
             output=view.output,
             parameters=dict(view.parameters),
             users=view.users,
+        )
+
+
+class RunningUnitModel(UnitModel):
+    """A running unit with its counters."""
+
+    busy: float = Field(description="seconds that it has worked")
+    windows: int = Field(description="evaluated windows")
+    overruns: int = Field(description="windows without a result, which exceeded a limit")
+    late: int = Field(description="samples that arrived too late for it")
+    errors: int
+    lag: float | None = Field(description="seconds that its output is behind its inputs")
+    failure: str | None = Field(description="why it was stopped")
+
+    @classmethod
+    def running(cls, unit: ComputationalUnit) -> RunningUnitModel:
+        """Return the model of a unit of the engine."""
+        return cls(
+            **UnitModel.of(unit_view(unit)).model_dump(),
+            busy=unit.busy / SECOND,
+            windows=unit.windows,
+            overruns=unit.overruns,
+            late=unit.late,
+            errors=unit.counters.errors,
+            lag=None if unit.lag is None else unit.lag / SECOND,
+            failure=unit.failure,
         )
 
 
