@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ...languages.ssl.annotation import Content
+from ...matching.render import Step
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import Counters
 from ...streams.history import Retention
 from ...streams.sample import Field
 from ...streams.time import HOUR
+from ...templates.parameters import ParameterUse
 
 
 class Since(StrEnum):
@@ -111,11 +113,15 @@ class EvaluationView:
 
 @dataclass(frozen=True, slots=True)
 class TemplateView:
-    """A registered event template; ``name`` is the IRI of its event concept."""
+    """A registered event template; ``name`` is the IRI of its event concept. ``doc`` is the comment
+    at its beginning, ``window`` that of its query in words (None: a formula)."""
 
     name: str
     local_name: str
     parameters: tuple[str, ...]
+    uses: tuple[ParameterUse, ...]
+    doc: str
+    window: str | None
     source: str
     etag: str
 
@@ -222,8 +228,8 @@ class MatchView:
     """The result of semantic matching for a feature, with the reasons.
 
     ``cost`` and ``quality`` are those of the plan, None without a plan. ``proven``: the plan is
-    proven to be the strategy's optimum. ``specification`` is the plan in XML, None without a plan
-    or if XML cannot express it.
+    proven to be the strategy's optimum. ``tree`` has all that was considered. ``specification`` is
+    the plan in XML, None without a plan or if XML cannot express it.
     """
 
     feature: str
@@ -236,6 +242,7 @@ class MatchView:
     cost: float | None
     quality: float | None
     proven: bool
+    tree: Step
     specification: str | None = None
 
 

@@ -69,6 +69,7 @@ READ = (
     "GET /metrics",
     # They compute an answer and change nothing.
     "POST /match",
+    "POST /explain",
     "POST /sparql",
 )
 

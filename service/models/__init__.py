@@ -2,7 +2,16 @@
 texts such as ``5s``."""
 
 from .annotations import AnnotationModel
-from .events import EventIn, EventModel, PlanModel, RunningUnitModel, TemplateModel, UnitModel
+from .events import (
+    EventIn,
+    EventModel,
+    ParameterModel,
+    PlanModel,
+    RunningUnitModel,
+    StepModel,
+    TemplateModel,
+    UnitModel,
+)
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
@@ -18,6 +27,7 @@ from .state import (
     OntologyModel,
     OntologyReportModel,
     SortModel,
+    StageModel,
     StatusModel,
     ViolationModel,
     VocabularyModel,
@@ -75,6 +85,7 @@ __all__ = [
     "OneDeclarationModel",
     "OntologyModel",
     "OntologyReportModel",
+    "ParameterModel",
     "PlanModel",
     "PortModel",
     "QualityIn",
@@ -88,7 +99,9 @@ __all__ = [
     "Since",
     "SortModel",
     "SpecificationModel",
+    "StageModel",
     "StatusModel",
+    "StepModel",
     "Strategy",
     "StreamIn",
     "StreamModel",

@@ -6,6 +6,10 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
+from ...engine.planning.explanations import Explanation
+from ...matching.render import steps
+from .events import StepModel
+
 
 class OntologyModel(BaseModel):
     """A loaded ontology; its name is its IRI for FROM and GRAPH."""
@@ -115,7 +119,28 @@ class HealthModel(BaseModel):
     reasons: list[str] = Field(default=[], description="the single reasons")
 
 
-class ExplainModel(BaseModel):
-    """The stages of a query, template, request or match, as text."""
+class StageModel(BaseModel):
+    """A stage of an explanation: its title, and its text."""
 
+    title: str
     text: str
+
+
+class ExplainModel(BaseModel):
+    """The stages of a query, template, request or match."""
+
+    text: str = Field(description="the whole explanation, for reading")
+    found: bool = Field(description="whether there is a plan for all that is needed")
+    stages: list[StageModel] = Field(description="the same by stages")
+    plan: list[StepModel] = Field(
+        description="for each needed feature the plan, and what else was considered"
+    )
+
+    @classmethod
+    def of(cls, explanation: Explanation) -> ExplainModel:
+        return cls(
+            text=explanation.text,
+            found=explanation.found,
+            stages=[StageModel(title=title, text=text) for title, text in explanation.stages],
+            plan=[StepModel.of(steps(match)) for match in explanation.matches],
+        )
