@@ -80,7 +80,7 @@ export function Plot({ data, focus = 1, tick, label, zero = false, name = "plot"
   }, [theme.value, focus]);
   useEffect(() => {
     const found = data();
-    if (!plot.current || found.length !== lines.current) build();
+    if (!plot.current || !found[0].length || found.length !== lines.current) build();
     else plot.current.setData(found);
   }, [tick]);
   const save = () => plot.current?.ctx.canvas.toBlob((blob) => download(`${name}.png`, blob));

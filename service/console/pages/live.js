@@ -114,18 +114,18 @@ function LivePlot({ request, object }) {
     return html`<section class="panel plot"><header><h2>Plot</h2></header>
       <${Empty}><span>The first number of the chosen request, a line for each object.</span><//></section>`;
   }
-  const lines = [...series].sort((a, b) => b[1].at(-1).time - a[1].at(-1).time).slice(0, LINES);
+  const from = (moment.value ?? Date.now()) - PLOTTED * 1000;
+  const lines = [...series].filter(([, events]) => events.at(-1).time > from)
+    .sort((a, b) => b[1].at(-1).time - a[1].at(-1).time).slice(0, LINES);
   const focus = Math.max(0, lines.findIndex(([name]) => name === object));
-  const data = () => {
-    const from = (moment.value ?? Date.now()) - PLOTTED * 1000;
-    return aligned(lines.map(([, events]) => events.filter((each) => each.time > from)
-      .map((each) => [each.time / 1000, each.values[field]])));
-  };
+  const data = () => aligned(lines.map(([, events]) => events.filter((each) => each.time > from)
+    .map((each) => [each.time / 1000, each.values[field]])));
   return html`<section class="panel plot" aria-label="plot"><header>
     <h2 class="cut grow">${field} <span class="faint">${unitOf(stream, field)} · ${request.name}</span></h2>
     <span class="small accent mono">${lines[focus]?.[0]}</span></header>
-    <${Plot} data=${data} focus=${focus + 1} tick=${`${tick.value}${request.stream}`} label=${`${field} over time`}
-      name=${`${request.name}-${field}`} /></section>`;
+    ${lines.length ? html`<${Plot} data=${data} focus=${focus + 1} tick=${`${tick.value}${request.stream}`}
+        label=${`${field} over time`} name=${`${request.name}-${field}`} />`
+      : html`<${Empty}><span>No values in the last ${PLOTTED} s.</span><//>`}</section>`;
 }
 
 /** The slider over kept history: how it was, or the present. */
@@ -167,7 +167,10 @@ export default function Live({ rest }) {
   const events = list.filter((request) => request.kind === "event");
   const wanted = new Set((chosen ? [chosen] : all || !events.length ? list : events).map((each) => each.stream));
   const isWanted = (stream) => wanted.has(stream);
-  const plotted = chosen ?? [...events, ...list].find((request) => shown.value.series.has(request.stream));
+  const latest = (request) => shown.value.last.get(request.stream)?.time ?? 0;
+  const now = moment.value ?? Date.now(), candidates = [...events, ...list];
+  const plotted = chosen ?? candidates.find((each) => now - latest(each) < PLOTTED * 1000)
+    ?? candidates.find(latest);
   return html`<main class="page fill"><div class="live">
     <${Running} chosen=${chosen} />
     <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
