@@ -33,7 +33,9 @@ FIRST = {
 
 def questions() -> dict[str, str]:
     """The questions and their SPARQL, in the order of the page."""
-    found = re.findall(r"^## \d+\. ([^\n]*)\n\n```sparql\n(.*?)\n```", PAGE.read_text(), re.M | re.S)
+    found = re.findall(
+        r"^## \d+\. ([^\n]*)\n\n```sparql\n(.*?)\n```", PAGE.read_text(), re.M | re.S
+    )
     return FIRST | {title.replace("`", ""): query for title, query in found}
 
 

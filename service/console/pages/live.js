@@ -9,6 +9,7 @@ import { TrackMap } from "../map.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
 const SHOWN_FIELDS = 4, LINES = 24, PLOTTED = 90, RECENT = 10;
+const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
 
 /** The values of an event beside its object, with their units. */
 function Values({ of }) {
@@ -147,8 +148,9 @@ function Playback() {
     play(null);
   };
   const open = () => {
-    setFrom(Math.max(oldest(), now - 3_600_000));
-    play(now - 30_000);
+    const first = Math.max(oldest(), now - LONGEST_PLAYED);
+    setFrom(first);
+    play(Math.max(first, now - PLAYED_FIRST));
   };
   if (time === null) return html`<div class="over beside"><button onClick=${open} title="show how it was">Playback</button></div>`;
   return html`<div class="over playback">

@@ -19,13 +19,17 @@ const CONTINUOUS = [
   ["Back below 3,000 ft within 20 s, as a formula", "monitor brief =\n  altitude(?x) > 3000 [ft] -> eventually [0s, 20s] altitude(?x) <= 3000 [ft]\n  for every Aircraft ?x"],
 ];
 const FIRST = QUESTIONS[0][1];
-const short = (iri) => shorten(iri, { "": "http://www.dyknow.eu/ontology#", ...vocabulary.value.prefixes });
+/** An IRI in short; names of the stream space as the questions write them, `:hasName`. */
+function short(iri) {
+  const { "dyknow-o": space, ...others } = vocabulary.value.prefixes;
+  return shorten(iri, space ? { "": space, ...others } : others);
+}
 
 /** JSON-LD without context as triples [subject, predicate, object]; objects are terms. */
 function triplesOf(nodes) {
   return nodes.flatMap((node) => Object.entries(node).flatMap(([key, values]) => {
     if (key === "@id") return [];
-    const predicate = key === "@type" ? "http://www.w3.org/1999/02/22-rdf-syntax-ns#type" : key;
+    const predicate = key === "@type" ? `${vocabulary.value.prefixes.rdf}type` : key;
     return values.map((each) => [node["@id"], predicate,
       typeof each === "string" ? { type: "uri", value: each }
         : "@id" in each ? { type: "uri", value: each["@id"] } : { type: "literal", value: String(each["@value"]) }]);
@@ -128,7 +132,8 @@ const names = () => [
 
 export default function Query({ rest }) {
   const isContinuous = rest.startsWith("continuous"), given = rest.slice(rest.indexOf("/") + 1 || rest.length);
-  const [text, write] = useState(""), [result, show] = useState(null), [trouble, fail] = useState(null);
+  const first = given || (isContinuous ? CONTINUOUS[0][1] : FIRST);
+  const [text, write] = useState(first), [result, show] = useState(null), [trouble, fail] = useState(null);
   const [isBusy, setBusy] = useState(false), [view, setView] = useState("graph"), [watched, watch] = useState(null);
   const reset = (code, query) => {
     write(code);
@@ -136,7 +141,9 @@ export default function Query({ rest }) {
     fail(null);
     watch(query ?? null);
   };
-  useEffect(() => reset(given || (isContinuous ? CONTINUOUS[0][1] : FIRST)), [isContinuous, given]);
+  useEffect(() => {
+    if (text !== first) reset(first);
+  }, [first]);
   const keep = () => history.replaceState(null, "", `#query/${isContinuous ? "continuous" : "once"}/${encodeURIComponent(text)}`);
   const attempt = async (work) => {
     setBusy(true);

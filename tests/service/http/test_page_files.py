@@ -17,7 +17,8 @@ PAGES = sorted(
     for path in CONSOLE.rglob("*")
     if path.suffix in (".html", ".js", ".css", ".woff2")
 )
-OWN = [name for name in PAGES if not name.startswith("vendor/")]
+OWN = [name for name in PAGES if not name.startswith("vendor/") and name != "questions.js"]
+"""All that is written by hand; questions.js has SPARQL, with its prefixes."""
 
 
 def test_the_console_is_at_the_root(http: httpx.Client) -> None:
@@ -85,6 +86,4 @@ def test_own_files_name_no_outside_address_and_no_inline_style(name: str) -> Non
     text = (CONSOLE / name).read_text()
     assert "https://" not in text
     assert 'style="' not in text
-    assert text.count("http://") == text.count("http://www.w3.org/") + text.count(
-        "http://www.ida.liu.se/"
-    )
+    assert "http://" not in text
