@@ -48,6 +48,7 @@ from .routes import (
     subscriptions,
     templates,
     transformations,
+    units,
 )
 from .runtime.context import Service
 from .runtime.live_ingest import LiveBodies
@@ -68,6 +69,7 @@ RESOURCES = (
     events,
     queries,
     streams,
+    units,
     subscriptions,
     annotations,
     transformations,
@@ -230,4 +232,5 @@ async def _tick(service: Service) -> None:
         service.ticked = ended = time.monotonic()
         metrics.tick_seconds.observe(ended - begun)
         await anyio.sleep(pause)
-        metrics.loop_lag.observe(max(0.0, time.monotonic() - ended - pause))
+        service.loop_lag = max(0.0, time.monotonic() - ended - pause)
+        metrics.loop_lag.observe(service.loop_lag)

@@ -316,6 +316,14 @@ class RegisteredQueries:
         return reasoning_answers.partial(name, self._get(name).unit, objects, limit)
 
     def explain_running(self, name: str) -> str:
+        """Return the text of `running_explanation`."""
+        return self.running_explanation(name).text
+
+    def explain(self, text: str) -> str:
+        """Return the text of `explanation`."""
+        return self.explanation(text).text
+
+    def running_explanation(self, name: str) -> explanations.Explanation:
         """Explain the stages of a running query. Raises `UnknownQuery`."""
         running = self._get(name)
         return explanations.explain_running_query(
@@ -327,7 +335,7 @@ class RegisteredQueries:
             running.started.unshared,
         )
 
-    def explain(self, text: str) -> str:
+    def explanation(self, text: str) -> explanations.Explanation:
         """Explain the stages of a query without starting it. Its streams need not exist. Raises
         `LanguageError`, `NoPlan` and `BadArguments`."""
         query = parse_registered(text)

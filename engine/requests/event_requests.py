@@ -19,7 +19,6 @@ from ...languages.ssl.annotation import StreamAnnotation
 from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.space import StreamSpace
-from ...matching.strategy import Kind
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import XSD, shorten
@@ -223,17 +222,20 @@ class EventRequests:
         running = self._answers.get(stream)
         return None if running is None else running.rdf
 
-    def explain_running(self, id: str) -> str:
+    def running_explanation(self, id: str) -> explanations.Explanation:
         """Explain the plan of a running request and the evaluation of its query. Raises
         `UnknownRequest`."""
         unit = self._request(id).running.unit
         view = explanations.plan_view(self._configuration, unit)
-        return f"{view.text.rstrip()}\n\n{unit.explain()}"
+        stages = ("units", view.text.rstrip()), ("evaluation", unit.explain())
+        return explanations.Explanation("\n\n".join(text for _, text in stages), stages)
 
-    def explain(self, template: AnyTemplate, request: EventRequest) -> str:
+    def explanation(
+        self, template: AnyTemplate, request: EventRequest, strategy: str
+    ) -> explanations.Explanation:
         """Explain the stages of answering ``request`` without starting it."""
         query, wanted = self._query(template, request)
-        matches = self._plans.match(wanted.wants, str(Kind.FAST), explained=True)
+        matches = self._plans.match(wanted.wants, strategy, explained=True)
         return explanations.explain_request(
             template, request, query, wanted, matches, self._ontology, self._dictionary
         )

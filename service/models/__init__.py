@@ -2,7 +2,16 @@
 texts such as ``5s``."""
 
 from .annotations import AnnotationModel
-from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
+from .events import (
+    EventIn,
+    EventModel,
+    ParameterModel,
+    PlanModel,
+    RunningUnitModel,
+    StepModel,
+    TemplateModel,
+    UnitModel,
+)
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
@@ -12,11 +21,17 @@ from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
     ExplainModel,
+    FeatureModel,
+    FindingModel,
     HealthModel,
+    LoadModel,
     OntologyModel,
     OntologyReportModel,
+    SortModel,
+    StageModel,
     StatusModel,
     ViolationModel,
+    VocabularyModel,
     WaitingModel,
 )
 from .streams import (
@@ -60,15 +75,19 @@ __all__ = [
     "EventIn",
     "EventModel",
     "ExplainModel",
+    "FeatureModel",
     "FieldModel",
+    "FindingModel",
     "HealthModel",
     "InsertionModel",
+    "LoadModel",
     "MatchIn",
     "MatchModel",
     "MatchesWhyModel",
     "OneDeclarationModel",
     "OntologyModel",
     "OntologyReportModel",
+    "ParameterModel",
     "PartialMatchesModel",
     "PlanModel",
     "PortModel",
@@ -77,11 +96,15 @@ __all__ = [
     "RematchModel",
     "RemovedModel",
     "RetentionModel",
+    "RunningUnitModel",
     "SessionIn",
     "SessionModel",
     "Since",
+    "SortModel",
     "SpecificationModel",
+    "StageModel",
     "StatusModel",
+    "StepModel",
     "Strategy",
     "StreamIn",
     "StreamModel",
@@ -92,6 +115,7 @@ __all__ = [
     "TransformationModel",
     "UnitModel",
     "ViolationModel",
+    "VocabularyModel",
     "WaitingModel",
     "WhyModel",
     "WorthIn",

@@ -62,6 +62,8 @@ class Service:
     (`reasons`)."""
     ticked: float | None = None
     """The end of the last tick, by the monotonic clock (s); None before the first."""
+    loop_lag: float = 0.0
+    """Seconds by which the event loop was late, when the tick last waited for it."""
     token_file: TokenFile | None = None
     """Reads the tokens again when they change."""
     warming: WarmUp | None = None
