@@ -159,11 +159,13 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_tick, service)
+            service.recent_log.open()
             service.isolation.open()
             tasks.start_soon(service.isolation.restart_workers)
             if service.token_file is not None:
                 tasks.start_soon(service.token_file.watch)
             yield
+            service.recent_log.close()
             service.leave()
             service.isolation.close()
             service.decoder.close()

@@ -82,6 +82,9 @@ PUBLISH = (
 )
 
 ADMIN = (
+    # A log may quote what others sent.
+    "GET /log",
+    "GET /settings",
     "PUT /streams/{name}",
     "DELETE /streams/{name}",
     "POST /templates",

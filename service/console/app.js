@@ -3,7 +3,7 @@ import { effect, html, render, signal, useEffect, useRef } from "./vendor/preact
 import { connection, held, history, requests, session, start, streams, wrong } from "./state.js";
 import { plural, rate } from "./format.js";
 import { ask } from "./http.js";
-import { theme, toast } from "./widgets.js";
+import { say, theme, toast } from "./widgets.js";
 import { Login } from "./login.js";
 
 const PAGES = { live: "Live", graph: "Graph", ask: "Ask", query: "Query", system: "System" };
@@ -20,10 +20,14 @@ function read() {
   const [page, ...rest] = location.hash.slice(1).split("/");
   const name = page in PAGES ? page : "live";
   route.value = { page: name, rest: rest.map(decodeURIComponent).join("/") };
+  load(name);
+}
+
+function load(name) {
   if (loaded.value[name]) return;
   import(`./pages/${name}.js`).then((module) => {
     loaded.value = { ...loaded.value, [name]: module.default };
-  });
+  }).catch(() => say(`${PAGES[name]} has not been loaded: the service does not answer`));
 }
 
 function press(event) {
@@ -109,3 +113,5 @@ addEventListener("keydown", press);
 read();
 start();
 render(html`<${App} />`, document.getElementById("app"));
+// The small pages at once, so that they are there when the service is not. Query has the editor.
+setTimeout(() => Object.keys(PAGES).filter((name) => name !== "query").forEach(load), 1_000);

@@ -82,24 +82,47 @@ setInterval(() => {
   }
 }, TICK);
 
+/** Messages of streams whose past is being read: they are noted after it. */
+const early = new Map();
+
 function take(messages) {
   for (const each of messages) {
-    if (each.event === "sample") live.note(each.stream, each.valid, each.values);
-    else if (each.event === "gap") live.gap(each);
+    if (each.event === "gap") live.gap(each);
+    else if (each.event !== "sample") continue;
+    else if (early.has(each.stream)) early.get(each.stream).push(each);
+    else live.note(each.stream, each.valid, each.values);
   }
   dirty = true;
 }
 
-/** Add kept samples of streams to `rings`, in the order of their valid times. */
+/** Add kept samples of streams to `rings`, in the order of their valid times. Return the available
+    time of the last one of each. */
 async function fill(rings, names, parameters) {
+  const ends = new Map();
   const lists = await Promise.all(names.map(async (name) => {
     const limit = place(byName.value.get(name)) ? PAST_POSITIONS : PAST_EVENTS;
     const path = address(`/streams/${encodeURIComponent(name)}/samples`, { limit, ...parameters });
     const samples = await ask(path).catch(() => []);
+    if (samples.length) ends.set(name, samples.at(-1).available);
     return samples.map(({ available, valid, ...values }) => [name, valid, values]);
   }));
   const samples = lists.flat().sort((a, b) => (a[1] < b[1] ? -1 : 1));
   for (const sample of samples) rings.note(...sample);
+  return ends;
+}
+
+/** Show the past of streams that are followed from now on, each sample once. */
+async function begin(names) {
+  for (const name of names) early.set(name, []);
+  const ends = await fill(live, names, {});
+  // ISO times of different lengths compare as texts without their Z.
+  const isLater = (time, end) => !end || time.slice(0, -1) > end.slice(0, -1);
+  for (const name of names) {
+    const messages = early.get(name);
+    early.delete(name);
+    take(messages.filter((each) => isLater(each.available, ends.get(name))));
+  }
+  dirty = true;
 }
 
 // -- which streams are followed ----------------------------------------------------------------------
@@ -119,7 +142,7 @@ effect(() => {
   stop = null;
   const fresh = wanted.filter((name) => !filled.has(name));
   fresh.forEach((name) => filled.add(name));
-  if (fresh.length) fill(live, fresh, {}).then(() => { dirty = true; });
+  if (fresh.length) begin(fresh);
   if (wanted.length) {
     stop = follow(address("/follow", { stream: wanted }), take, (state) => { feedState.value = state; });
   }

@@ -85,6 +85,23 @@ class FindingModel(BaseModel):
     stream: str | None = Field(description="the stream that shows it")
 
 
+class LogLineModel(BaseModel):
+    """A line of the service's log."""
+
+    time: str
+    level: str
+    event: str
+    values: dict[str, str] = Field(description="its further members, without tokens")
+
+
+class SettingModel(BaseModel):
+    """A setting of the service."""
+
+    name: str
+    value: str = Field(description="as text; a secret is hidden")
+    is_default: bool
+
+
 class SortModel(BaseModel):
     """A sort of objects; ``parents`` are the sorts right above it."""
 

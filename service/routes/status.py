@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from typing import Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
 from ...engine.durability.accepted_commands import QUERY, REQUEST, SUBSCRIPTION
 from ...streams.time import format_time
 from ..admission.memory_limit import CAN, resident
+from ..config.recent_log import KEPT
 from ..config.version import __version__
 from ..http.problems import responses
-from ..models import FindingModel, LoadModel, StatusModel, WaitingModel
+from ..models import (
+    FindingModel,
+    LoadModel,
+    LogLineModel,
+    SettingModel,
+    StatusModel,
+    WaitingModel,
+)
 from ..runtime.context import Context, Service
 from ..runtime.findings import findings
 from .follow import EVENTS, SINCE, follow
@@ -67,6 +77,36 @@ async def list_problems(service: Context) -> list[FindingModel]:
     without results, requests that wait, short memory. Each has the place and the remedy.
     """
     return findings(service)
+
+
+@router.get("/log")
+async def read_log(
+    service: Context,
+    level: Literal["debug", "info", "warning", "error"] = "warning",
+    limit: int = Query(200, ge=1, le=KEPT, description="lines at most"),
+) -> list[LogLineModel]:
+    """Return the newest lines of the service's log of at least `level`, newest first.
+
+    The service keeps a thousand lines, of the levels that it logs (the setting `log_level`).
+    """
+    number = logging.getLevelNamesMapping()[level.upper()]
+    return [
+        LogLineModel(
+            time=line.time.isoformat(), level=line.level, event=line.event, values=line.values
+        )
+        for line in service.recent_log.lines(number, limit)
+    ]
+
+
+@router.get("/settings")
+async def list_settings(service: Context) -> list[SettingModel]:
+    """List the settings of the service, those that differ from their defaults first."""
+    found = []
+    for name, about in type(service.settings).model_fields.items():
+        value = getattr(service.settings, name)
+        default = about.get_default(call_default_factory=True)
+        found.append(SettingModel(name=name, value=str(value), is_default=value == default))
+    return sorted(found, key=lambda each: each.is_default)
 
 
 @router.get("/status/events", responses={**EVENTS, **responses(406, 410, 429, 503)})

@@ -18,7 +18,7 @@ from typing import Any
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = "there is no chromium: install Debian's package"
-PATIENCE = 30.0
+PATIENCE = 60.0
 """Seconds that a call or a condition may take on a busy machine."""
 
 
@@ -183,7 +183,7 @@ class Page:
     def wait_text(self, text: str, seconds: float = PATIENCE) -> None:
         """Wait until the page shows a text."""
         wanted = json.dumps(text)
-        self.wait(f"document.body.innerText.includes({wanted})", seconds)
+        self.wait(f"document.body?.innerText.includes({wanted})", seconds)
 
     def click(self, selector: str, text: str = "") -> None:
         """Click the first element of a selector that has a text, as soon as there is one."""

@@ -52,8 +52,8 @@ class View {
     const { clientWidth: width, clientHeight: height } = this.svg;
     if (!width || !number) return;
     const whole = Math.min(1.1, (width - 40) / drawn.width, (height - 40) / drawn.height);
-    // A middle-sized graph stays legible, and begins at its left.
-    this.scale = number < 120 ? Math.max(0.72, whole) : whole;
+    // A graph stays legible: a larger one begins at its top and left.
+    this.scale = Math.max(number < 120 ? 0.72 : 0.5, whole);
     this.x = Math.max(16, (width - drawn.width * this.scale) / 2);
     this.y = Math.max(16, (height - drawn.height * this.scale) / 2);
     const at = drawn.places.get(chosen);
@@ -96,7 +96,7 @@ function Node({ node, at, isChosen, isDim, level, apart, pick, keys }) {
   const [one, two] = lines(node, apart);
   const classes = ["node", node.kind, node.requests.length && "request", level, isChosen && "chosen", isDim && "dim"];
   return html`<g class=${classes.filter(Boolean).join(" ")} data-id=${node.id} transform=${`translate(${at.x} ${at.y - node.h / 2})`}
-    tabindex="0" role="button" aria-pressed=${isChosen} aria-label=${`${node.stream ?? node.unit.name}: ${one}, ${two}`}
+    tabindex="0" role="button" aria-pressed=${isChosen}
     onClick=${() => pick(node)} onKeyDown=${(event) => keys(event, node)}>
     <title>${`${node.stream ?? node.unit.name}: ${one}`}</title>
     <rect width=${node.w} height=${node.h} rx=${node.kind === "unit" ? node.h / 2 : 6} />

@@ -110,7 +110,7 @@ function Questions({ isContinuous, text, pick, watched, watch }) {
   const running = requests.value.filter((each) => each.kind === "query");
   const list = isContinuous ? CONTINUOUS : QUESTIONS.filter(([title]) => title.toLowerCase().includes(find.toLowerCase()));
   const go = (where) => () => { location.hash = where; };
-  return html`<section class="panel list" aria-label="questions"><header><div class="tabs" role="group" aria-label="kind">
+  return html`<section class="panel list" aria-label="questions"><header><h2 class="hidden">Questions</h2><div class="tabs" role="group" aria-label="kind">
       <button aria-pressed=${!isContinuous} onClick=${go("query")}>Once</button>
       <button aria-pressed=${isContinuous} onClick=${go("query/continuous")}>Continuous</button></div></header>
     <div class="scroll" tabindex="0">

@@ -1,11 +1,11 @@
 // Is it well? The problems first, then load, streams by rate, and the changes.
 import { html, useEffect, useState } from "../vendor/preact.js";
-import { changes, connection, history, silence, status, streams, title, transformations, units, wrong } from "../state.js";
+import { changes, connection, history, may, silence, status, streams, title, transformations, units, wrong } from "../state.js";
 import { bytes, clock, count, duration, plural, rate } from "../format.js";
 import { ask } from "../http.js";
 import { Empty, Plot, Spark, theme } from "../widgets.js";
 
-const SPARKS = 60, LISTED = 200, SMOOTHED = 6;
+const SPARKS = 60, LISTED = 200, SMOOTHED = 6, LOG_EVERY = 10_000;
 const COLUMNS = {
   name: ["stream", (each) => each.name], rate: ["rate", (each) => -each.rate],
   last: ["last", (each) => -(silence(each) ?? Infinity)], late: ["late", (each) => -each.counters.late],
@@ -82,6 +82,28 @@ function Changes() {
     ${!list.length && html`<${Empty} title="No changes."><span>New and removed streams, units and annotations appear here.</span><//>`}</div></section>`;
 }
 
+/** Warnings and errors of the service's log, and the settings that are not the defaults. */
+function Log() {
+  const [lines, setLines] = useState([]), [settings, setSettings] = useState([]);
+  useEffect(() => {
+    const read = () => ask("/log").then(setLines).catch(() => {});
+    read();
+    ask("/settings").then((list) => setSettings(list.filter((each) => !each.is_default))).catch(() => {});
+    const timer = setInterval(read, LOG_EVERY);
+    return () => clearInterval(timer);
+  }, []);
+  const tone = (level) => (level === "warning" ? "warn" : "bad");
+  const said = (values) => Object.entries(values).map(([name, text]) => `${name}=${text}`).join(" ");
+  return html`<section class="panel w7" aria-label="log"><header><h2 class="grow">Log</h2>
+      <span class="faint small">warnings and errors</span></header>
+    <div class="scroll cap" tabindex="0">${lines.length ? html`<table><tbody>${lines.map((each) => html`<tr key=${each.time + each.event}>
+        <td class="faint num">${clock(each.time)}</td><td class=${tone(each.level)}>${each.event}</td><td class="long muted">${said(each.values)}</td></tr>`)}</tbody></table>`
+      : html`<${Empty} title="No warnings."><span>Lines of the service's log from level warning on appear here.</span><//>`}</div></section>
+    <section class="panel w5" aria-label="settings"><header><h2>Settings</h2></header>
+    <div class="scroll cap" tabindex="0"><div class="body">${settings.length ? html`<dl class="facts">${settings.map((each) =>
+        html`<dt class="mono">${each.name}</dt><dd class="mono">${each.value}</dd>`)}</dl>` : html`<span class="muted">All are the defaults.</span>`}</div></div></section>`;
+}
+
 function Rate() {
   const past = history.value;
   const data = () => [past.map((each) => each.time), past.map((each) => each.in), past.map((each) => each.out)];
@@ -103,5 +125,5 @@ function Foot() {
 
 export default function System() {
   theme.value;
-  return html`<main class="page"><div class="system"><${Tiles} /><${Problems} /><${Rate} /><${Streams} /><${Changes} /><${Foot} /></div></main>`;
+  return html`<main class="page"><div class="system"><${Tiles} /><${Problems} /><${Rate} /><${Streams} /><${Changes} />${may("admin") && html`<${Log} />`}<${Foot} /></div></main>`;
 }

@@ -102,7 +102,7 @@ def test_what_changes_something_is_not_for_readers() -> None:
     reading = {route for route, scope in NEEDED.items() if scope in (None, Scope.READ)}
     changing = {route for route in reading if not route.startswith("GET ")}
     logging_in = {"POST /session", "DELETE /session"}
-    assert changing == {"POST /match", "POST /sparql"} | logging_in
+    assert changing == {"POST /match", "POST /explain", "POST /sparql"} | logging_in
 
 
 def test_openapi_tells_the_scope_of_each_operation(http: httpx.Client) -> None:

@@ -3,11 +3,18 @@ streams."""
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import httpx
+from pydantic import SecretStr
 
 from dyknow.engine.engine import Engine
+from dyknow.service.app import create_app
+from dyknow.service.config.logs import log
+from dyknow.service.config.recent_log import KEPT, RecentLog
+from dyknow.service.config.settings import Settings
+from dyknow.service.server import running
 from dyknow.streams.time import SECOND
 
 GPS = "stream gps contains latitude(Car) = lat [deg], longitude(Car) = lon for every Car = car"
@@ -146,3 +153,54 @@ def test_the_status_tells_the_load(http: httpx.Client) -> None:
     assert load["memory"] > 10_000_000
     assert load["processor"] > 0
     assert load["units_behind"] == 0
+
+
+def test_the_log_is_read_newest_first_without_tokens(http: httpx.Client) -> None:
+    log().info("only info")
+    log().warning("first", reason="Authorization: Bearer 0123456789abcdefghij", count=3)
+    try:
+        raise ValueError("broken")
+    except ValueError:
+        log().exception("second")
+    found = http.get("/log").json()
+    assert [line["event"] for line in found[:2]] == ["second", "first"]
+    second, first = found[:2]
+    assert (second["level"], second["values"]["error"]) == ("error", "ValueError: broken")
+    assert first["values"] == {"reason": "Authorization: Bearer ***", "count": "3"}
+    assert [line["event"] for line in http.get("/log", params={"level": "error"}).json()] == [
+        "second"
+    ]
+    assert len(http.get("/log", params={"limit": 1}).json()) == 1
+    assert http.get("/log", params={"level": "loud"}).status_code == 422
+
+
+def test_the_log_keeps_a_bounded_number_of_lines() -> None:
+    recent = RecentLog()
+    recent.open()
+    for i in range(KEPT + 10):
+        log().warning("line", i=i)
+    recent.close()
+    log().warning("after")
+    lines = recent.lines(logging.WARNING, 2 * KEPT)
+    assert len(lines) == KEPT
+    assert lines[0].values == {"i": str(KEPT + 9)}
+
+
+def test_settings_that_differ_come_first_and_secrets_are_hidden(http: httpx.Client) -> None:
+    found = http.get("/settings").json()
+    names = [each["name"] for each in found if not each["is_default"]]
+    assert {"port", "tick", "sse_ping"} <= set(names)
+    assert [each["is_default"] for each in found] == sorted(each["is_default"] for each in found)
+    (tick,) = [each for each in found if each["name"] == "tick"]
+    assert tick["value"] == "0.02"
+
+
+def test_the_tokens_of_the_settings_are_not_told() -> None:
+    tokens = SecretStr("admin a admin-0123456789-0123456789")
+    settings = Settings(port=0, tokens=tokens)
+    app = create_app(Engine(epoch="e1"), settings, lambda: 0)
+    with running(app, settings) as url:
+        headers = {"Authorization": "Bearer admin-0123456789-0123456789"}
+        text = httpx.get(f"{url}/settings", headers=headers, trust_env=False).text
+    assert "tokens" in text
+    assert "0123456789" not in text
