@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...streams.jit import JIT, Kernel
-from .fold_kernels import NO_SKIP, Groups, grow, read_only
+from .fold_kernels import NO_SKIP, Groups, read_only
 from .pane_kernels import BITS, HALF, fold_pane, read
 from .pane_runs import PaneRuns
 
@@ -213,15 +213,21 @@ class FloatTotals(Totals):
         self._nonfinite: NDArray[np.int64] | None = None
         self._terms = 0
         self._state: NDArray[np.float64] = np.zeros((0, 2), np.float64)
-        """Sums and counts while a pane is folded; else zeros."""
+        """`RowFold.state` while a pane is folded; else that of no rows."""
         self._update_grains()
 
     def fold_pane(
-        self, subjects: NDArray[np.int32], values: NDArray[np.float64], great: float, groups: Groups
+        self,
+        subjects: NDArray[np.int32],
+        values: NDArray[np.float64],
+        great: float,
+        groups: Groups,
+        *,
+        extremes: bool = False,
     ) -> tuple[NDArray[np.int32], NDArray[np.float64]] | None:
-        """Fold a pane of few rows and add it; return its groups, ascending, and their sums and
-        counts, shape ``(2, n)``. None, and no change: a value is not below ``great``, or loops are
-        not compiled.
+        """Fold a pane of few rows and add it; return its groups, ascending, and the columns of
+        `RowFold.take`, shape ``(2 or 4, n)``. None, and no change: a value is not below ``great``,
+        or loops are not compiled. Contract: ``extremes`` is the same in all calls.
 
         Law: this is `RowFold.add`, `RowFold.take` and `add`, in one call.
         """
@@ -230,9 +236,12 @@ class FloatTotals(Totals):
         rows, capacity = len(subjects), groups.used + len(subjects)
         groups.reserve(capacity)
         self.reserve(capacity)
-        self._state = grow(self._state, len(self.counts), 0)
+        width = 4 if extremes else 2
+        if len(self._state) < len(self.counts):
+            self._state = np.zeros((len(self.counts), width), np.float64)
+            self._state[:, 2:] = np.inf
         self._carry(1)
-        at, columns = np.empty(rows, np.int32), np.empty((2, rows), np.float64)
+        at, columns = np.empty(rows, np.int32), np.empty((width, rows), np.float64)
         groups.used, touched, fits = fold_pane(
             np.ascontiguousarray(subjects),
             np.ascontiguousarray(values),

@@ -149,7 +149,7 @@ def ascending(times: NDArray[np.int64]) -> bool:
     """Whether no time is less than its predecessor."""
     if JIT and len(times) > 4096:
         return bool(_ascending_kernel(np.ascontiguousarray(times)))
-    return not np.count_nonzero(times[1:] < times[:-1])
+    return len(times) < 2 or not np.count_nonzero(times[1:] < times[:-1])
 
 
 class Groups:

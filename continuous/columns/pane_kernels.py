@@ -36,14 +36,14 @@ def _fold_pane(
     at: Any,
     columns: Any,
 ) -> tuple[int, int, bool]:
-    """Fold the rows by group into ``columns`` (sums and counts), with the groups in ``at``,
-    ascending; then add them to ``digits`` and ``counts``.
+    """Fold the rows by group into ``columns`` (the rows of `RowFold.state`), with the groups in
+    ``at``, ascending; then add sums and counts to ``digits`` and ``counts``.
 
     Return the number of all groups, the number of groups in ``at``, and whether they have been
     added: a sum may need other digits. If a value is not below ``great``, do nothing and return -1
     as the second number. ``state`` is empty before and after.
     """
-    rows = subjects.shape[0]
+    rows, extremes = subjects.shape[0], state.shape[1] == 4
     for i in range(rows):
         if not abs(values[i]) < great:
             return used, -1, False
@@ -62,6 +62,10 @@ def _fold_pane(
             touched += 1
         state[g, 0] += values[i]
         state[g, 1] += 1.0
+        if extremes:
+            value = values[i] + 0.0
+            state[g, 2] = min(state[g, 2], value)
+            state[g, 3] = min(state[g, 3], -value)
     if 4 * touched >= used:
         place = 0
         for group in range(used):
@@ -77,6 +81,9 @@ def _fold_pane(
         rest = state[g, 0]
         columns[0, i], columns[1, i] = rest, state[g, 1]
         state[g, 0], state[g, 1] = 0.0, 0.0
+        if extremes:
+            columns[2, i], columns[3, i] = state[g, 2], state[g, 3]
+            state[g, 2], state[g, 3] = np.inf, np.inf
         if not abs(rest) < limit:
             fits = False
             continue
