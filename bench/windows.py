@@ -157,7 +157,7 @@ def in_bulk() -> None:
     """Print what a window costs where a batch makes several due, through the engine: 30 objects at
     1 Hz over an hour, with the output's samples. Not counted: start, and the same without query."""
     print("30 objects at 1 Hz, an hour, STEP 1s, through the engine; µs of CPU a window")
-    sizes = (6, 30, 120, 600)
+    sizes = (8, 30, 120, 600)
     heads = "".join(f"{f'{size} a batch':>16}" for size in sizes)
     print(f"{'windows due at once':<22}{heads}   (one by one → in one pass)")
     most = window_schedule.MOST

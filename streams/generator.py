@@ -518,11 +518,11 @@ def _fields(schema: Schema) -> str:
 
 
 def _increases(available: Times) -> bool:
-    return not np.count_nonzero(available[1:] <= available[:-1])
+    return len(available) < 2 or not np.count_nonzero(available[1:] <= available[:-1])
 
 
 def _never_falls(available: Times) -> bool:
-    return not np.count_nonzero(available[1:] < available[:-1])
+    return len(available) < 2 or not np.count_nonzero(available[1:] < available[:-1])
 
 
 def _in_order(batch: SampleBatch) -> SampleBatch:

@@ -185,12 +185,13 @@ class Execution:
         above the aggregate need no other source; else None. Law: `execute` returns the same."""
         if self.incremental is None or self.steps is None:
             return None
-        aggregated = self.incremental.solutions()
-        if aggregated is None:
-            return None
         try:
+            aggregated = self.incremental.solutions()
+            if aggregated is None:
+                return None
             return run(self.steps, aggregated, self.static.terms)
         except NeedsOxigraph:
+            # `sources` has another way, which may suffice.
             return None
 
     def _rows(self, low: int, high: int) -> list[TripleRows]:

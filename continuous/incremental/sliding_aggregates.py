@@ -110,15 +110,21 @@ class SlidingNumbers:
     ) -> bool:
         """Fold the rows of a whole pane and end it, which is `fold` and `push` in one compiled
         call; return False, and change nothing, if that cannot fold them."""
-        totals = self._totals
-        if self._sliding is not None or not isinstance(totals, FloatTotals):
+        totals, sliding = self._totals, self._sliding
+        if not isinstance(totals, FloatTotals):
             return False
-        found = totals.fold_pane(subjects, values, GREAT, groups)
+        extremes = sliding is not None
+        found = totals.fold_pane(subjects, values, GREAT, groups, extremes=extremes)
         if found is None:
             return False
+        at, columns = found
         touched.reserve(groups.used)
-        touched.mark(found[0])
-        self.panes.append((end, *found, None))
+        touched.mark(at)
+        if sliding is not None:
+            sliding.reserve(groups.used)
+            sliding.push(end, at, columns[2:].T.copy())
+            columns = columns[:2].copy()
+        self.panes.append((end, at, columns, None))
         return True
 
     def present(
@@ -126,10 +132,10 @@ class SlidingNumbers:
     ) -> tuple[NDArray[np.int64], Numbers] | None:
         """Return those of the first ``used`` groups that have rows, and are in ``of`` if that is
         given, with their values. None: these need several calls."""
-        if self._sliding is not None or not isinstance(self._totals, FloatTotals):
+        if not isinstance(self._totals, FloatTotals):
             return None
         rows, sums, counts = self._totals.present(used, of)
-        return rows, Numbers(sums, counts, None)
+        return rows, Numbers(sums, counts, self._ends(rows, used))
 
     def abandon(self, used: int) -> None:
         """Drop the rows of the present pane."""
@@ -191,14 +197,18 @@ class SlidingNumbers:
         """Return the values of the groups ``rows``."""
         used = int(rows.max(initial=-1)) + 1
         self._totals.reserve(used)
-        ends = None
-        if self._sliding is not None:
-            self._sliding.reserve(used)
-            ends = self._sliding.ends(rows)
-            if self._held is not None:
-                covered = rows < len(self._held)
-                ends[covered] = np.minimum(ends[covered], self._held[rows[covered]])
-        return Numbers(self._totals.values(rows), self._totals.counts[rows], ends)
+        return Numbers(self._totals.values(rows), self._totals.counts[rows], self._ends(rows, used))
+
+    def _ends(self, rows: NDArray[np.int64], used: int) -> NDArray[Any] | None:
+        """Return the extremes of the groups ``rows``, which are below ``used``."""
+        if self._sliding is None:
+            return None
+        self._sliding.reserve(used)
+        ends = self._sliding.ends(rows)
+        if self._held is not None:
+            covered = rows < len(self._held)
+            ends[covered] = np.minimum(ends[covered], self._held[rows[covered]])
+        return ends
 
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
         """Drop all groups except ``kept`` (ascending); group g becomes ``new[g]``."""

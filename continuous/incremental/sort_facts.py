@@ -13,15 +13,45 @@ from pyoxigraph import NamedNode
 from ...rdf.dictionary import Ids
 from ...rdf.namespaces import RDF_TYPE
 from ...rdf.timed import Kind, TripleRows
-from ...streams.jit import JIT
+from ...streams.jit import JIT, Kernel
 from ...streams.sample import Times
 from ..algebra.expressions import Const, Var
 from ..algebra.plan import TypeScan
-from ..columns.fold_kernels import Groups, grow
-from ..columns.pane_kernels import enter
+from ..columns.fold_kernels import Groups, grow, read_only
 from ..columns.pane_runs import equal_runs
 from ..operators.sources import StaticSide, distinct_ids
 
+
+def _enter(
+    subjects: Any, counts: Any, seen: Any, stamp: int, ids: Any, count: int, first: Any, some: int
+) -> tuple[int, int]:
+    """Append the distinct subjects that have no ``stamp`` in ``seen`` to the ``count`` entries of
+    ``ids``, and those of them that had no count to the ``some`` entries of ``first``; count each.
+    Return the numbers of entries."""
+    entries, fresh = np.uint64(count), np.uint64(some)
+    for i in range(subjects.shape[0]):
+        subject = np.uint64(subjects[i])
+        if seen[subject] != stamp:
+            seen[subject] = stamp
+            ids[entries] = subjects[i]
+            entries += np.uint64(1)
+            if counts[subject] == 0:
+                first[fresh] = subjects[i]
+                fresh += np.uint64(1)
+            counts[subject] += 1
+    return int(entries), int(fresh)
+
+
+def _enter_signature() -> Any:
+    from numba import types
+
+    ids, int64 = types.int32[::1], types.int64
+    tuple_of: Any = types.UniTuple
+    subjects = read_only(types.int32)
+    return tuple_of(int64, 2)(subjects, ids, ids, int64, ids, int64, ids, int64)
+
+
+_enter_kernel = Kernel(_enter, _enter_signature)
 _NO_IDS: Ids = np.zeros(0, np.int32)
 
 
@@ -62,7 +92,7 @@ class SortFacts:
         rows = sum(map(len, parts))
         ids, first, count, some = np.empty(rows, np.int32), np.empty(rows, np.int32), 0, 0
         for part in parts:
-            count, some = enter(
+            count, some = _enter_kernel(
                 part, self._counts, self._seen, self._stamp, ids, count, first, some
             )
         # The rows of a pane may be many more than its subjects.

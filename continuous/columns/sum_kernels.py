@@ -1,5 +1,5 @@
-"""Compiled loops for a small pane that comes alone: fold its rows into exact sums, read the sums
-of the groups that are in the window, count the facts of a sort (docs/explanation/design/0012).
+"""The compiled loops of exact sums (`exact_sums`), and two for a small pane that comes alone: fold
+its rows, and read the groups that are in the window (docs/explanation/design/0012).
 
 Law: `fold_pane` gives what `RowFold.add`, `RowFold.take` and `FloatTotals.add` give, to the last
 bit; `read` gives what `FloatTotals.values` gives. A call of numpy takes as long as these loops take
@@ -21,6 +21,86 @@ BITS = 40
 HALF = 2 ** (BITS - 1)
 
 
+def _add(
+    digits: Any,
+    counts: Any,
+    at: Any,
+    values: Any,
+    numbers: Any,
+    start: int,
+    sign: float,
+    grains: Any,
+    inverse: Any,
+) -> int:
+    """Add ``sign`` times each value and its number to its group; return the row where it stopped.
+
+    Without ``at`` the groups are 0, 1, 2 …; without ``numbers`` each is 1. The loop adds a block of
+    512 rows at a time, or nothing of it: it stops at a block with a value that the digits cannot
+    represent. It first computes the digits of a whole block without branches, so that the compiler
+    uses vector instructions.
+    """
+    depth, rows = digits.shape[0], values.shape[0]
+    limit = grains[0] * 2.0**BITS
+    rest, counted = np.empty(512, np.float64), np.empty(512, np.int64)
+    parts = np.empty((depth, 512), np.int64)
+    counted[:] = np.int64(sign)
+    for begin in range(start, rows, 512):
+        size = min(512, rows - begin)
+        beyond = 0
+        for i in range(size):
+            rest[i] = sign * values[begin + i]
+            beyond += not abs(rest[i]) < limit
+        if beyond > 0:
+            return begin
+        for k in range(depth):
+            row = parts[k]
+            for i in range(size):
+                part = np.int64(rest[i] * inverse[k])
+                row[i] = part
+                rest[i] -= part * grains[k]
+        for i in range(size):
+            beyond += rest[i] != 0.0
+        if beyond > 0:
+            return begin
+        if numbers.shape[0] > 0:
+            for i in range(size):
+                counted[i] = np.int64(sign * numbers[begin + i])
+        if at.shape[0] > 0:
+            for k in range(depth):
+                row, total = parts[k], digits[k]
+                for i in range(size):
+                    total[np.uint64(at[begin + i])] += row[i]
+            for i in range(size):
+                counts[np.uint64(at[begin + i])] += counted[i]
+        else:
+            for k in range(depth):
+                row, total = parts[k], digits[k, begin : begin + size]
+                for i in range(size):
+                    total[i] += row[i]
+            total = counts[begin : begin + size]
+            for i in range(size):
+                total[i] += counted[i]
+    return int(rows)
+
+
+def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
+    """Write the sum of group ``rows[i]`` to ``out[i]``. Carries are propagated first, so that equal
+    sums have equal digits and round equally."""
+    depth = digits.shape[0]
+    for i in range(rows.shape[0]):
+        group = np.uint64(rows[i])
+        carry = np.int64(0)
+        total = 0.0
+        for j in range(depth):
+            k = depth - 1 - j
+            digit = digits[k, group] + carry
+            carry = (digit + HALF) >> BITS
+            total += (digit - (carry << BITS)) * grains[k]
+        if carry != 0:
+            total += carry * (grains[0] * 2.0**BITS)
+        out[i] = total
+
+
 def _fold_pane(
     subjects: Any,
     values: Any,
@@ -36,14 +116,14 @@ def _fold_pane(
     at: Any,
     columns: Any,
 ) -> tuple[int, int, bool]:
-    """Fold the rows by group into ``columns`` (sums and counts), with the groups in ``at``,
-    ascending; then add them to ``digits`` and ``counts``.
+    """Fold the rows by group into ``columns`` (the rows of `RowFold.state`), with the groups in
+    ``at``, ascending; then add sums and counts to ``digits`` and ``counts``.
 
     Return the number of all groups, the number of groups in ``at``, and whether they have been
     added: a sum may need other digits. If a value is not below ``great``, do nothing and return -1
     as the second number. ``state`` is empty before and after.
     """
-    rows = subjects.shape[0]
+    rows, extremes = subjects.shape[0], state.shape[1] == 4
     for i in range(rows):
         if not abs(values[i]) < great:
             return used, -1, False
@@ -62,6 +142,10 @@ def _fold_pane(
             touched += 1
         state[g, 0] += values[i]
         state[g, 1] += 1.0
+        if extremes:
+            value = values[i] + 0.0
+            state[g, 2] = min(state[g, 2], value)
+            state[g, 3] = min(state[g, 3], -value)
     if 4 * touched >= used:
         place = 0
         for group in range(used):
@@ -77,6 +161,9 @@ def _fold_pane(
         rest = state[g, 0]
         columns[0, i], columns[1, i] = rest, state[g, 1]
         state[g, 0], state[g, 1] = 0.0, 0.0
+        if extremes:
+            columns[2, i], columns[3, i] = state[g, 2], state[g, 3]
+            state[g, 2], state[g, 3] = np.inf, np.inf
         if not abs(rest) < limit:
             fits = False
             continue
@@ -119,26 +206,6 @@ def _read(
     return found
 
 
-def _enter(
-    subjects: Any, counts: Any, seen: Any, stamp: int, ids: Any, count: int, first: Any, some: int
-) -> tuple[int, int]:
-    """Append the distinct subjects that have no ``stamp`` in ``seen`` to the ``count`` entries of
-    ``ids``, and those of them that had no count to the ``some`` entries of ``first``; count each.
-    Return the numbers of entries."""
-    entries, fresh = _unsigned(count), _unsigned(some)
-    for i in range(subjects.shape[0]):
-        subject = _unsigned(subjects[i])
-        if seen[subject] != stamp:
-            seen[subject] = stamp
-            ids[entries] = subjects[i]
-            entries += _unsigned(1)
-            if counts[subject] == 0:
-                first[fresh] = subjects[i]
-                fresh += _unsigned(1)
-            counts[subject] += 1
-    return int(entries), int(fresh)
-
-
 def _fold_signature() -> Any:
     from numba import types
 
@@ -178,15 +245,35 @@ def _read_signature() -> Any:
     )
 
 
-def _enter_signature() -> Any:
+def _add_signature() -> Any:
     from numba import types
 
-    ids, int64 = types.int32[::1], types.int64
-    tuple_of: Any = types.UniTuple
-    subjects = read_only(types.int32)
-    return tuple_of(int64, 2)(subjects, ids, ids, int64, ids, int64, ids, int64)
+    value, ints = read_only(types.float64, "C"), types.int64[::1]
+    return types.int64(
+        types.Array(types.int64, 2, "C"),
+        ints,
+        read_only(types.int32, "C"),
+        value,
+        value,
+        types.int64,
+        types.float64,
+        types.float64[::1],
+        types.float64[::1],
+    )
 
 
-enter = Kernel(_enter, _enter_signature)
+def _round_signature() -> Any:
+    from numba import types
+
+    return types.void(
+        types.Array(types.int64, 2, "C"),
+        read_only(types.int64),
+        types.float64[::1],
+        types.float64[::1],
+    )
+
+
+add = Kernel(_add, _add_signature)
+round_sums = Kernel(_round, _round_signature)
 fold_pane = Kernel(_fold_pane, _fold_signature)
 read = Kernel(_read, _read_signature)

@@ -27,23 +27,23 @@ def groups() -> Groups:
     return found
 
 
-@given(panes, st.integers(1, 4), masks)
+@given(panes, st.integers(1, 4), masks, st.booleans())
 @np.errstate(all="ignore")
-def test_a_pane_at_once_is_a_pane_in_several_calls(found, length, mask) -> None:
+def test_a_pane_at_once_is_a_pane_in_several_calls(found, length, mask, extremes) -> None:
     quick, slow, mine, wanted = FloatTotals(), FloatTotals(), groups(), groups()
     kept: list[list] = [[], []]
     of = None if mask is None else np.array(mask, np.bool_)
     for pane in found:
         subjects = np.array([subject for subject, _ in pane], np.int32)
         numbers = np.array([value for _, value in pane])
-        fold = RowFold(np.dtype(np.float64), False)
+        fold = RowFold(np.dtype(np.float64), extremes)
         fold.add(subjects, numbers, None, wanted)
         at, columns = fold.take(wanted.used)
         at = np.arange(wanted.used, dtype=np.int32) if at is None else at
         at, columns = at[columns[1] > 0], columns[:, columns[1] > 0]
         slow.reserve(wanted.used)
         slow.add(at, columns[0], columns[1], 1)
-        one = quick.fold_pane(subjects, numbers, GREAT, mine)
+        one = quick.fold_pane(subjects, numbers, GREAT, mine, extremes=extremes)
         assert (one is None) == (not JIT or not bool((np.abs(numbers) < GREAT).all()))
         if one is None:
             mine.groups(subjects)
