@@ -8,8 +8,11 @@ from .limits import DEFAULT_LIMITS, Limits
 from .next_rows import NextRows
 from .plan import PatternPlan, PlanError, Selection
 from .repeated_rows import RepeatedRows
+from .run_packing import sequence_network
 from .store import SMALLEST
-from .trends import Trends
+from .trend_packing import pack_trends
+from .trend_products import TrendProducts
+from .trend_sums import TrendSums
 
 
 def evaluator_of(
@@ -25,9 +28,10 @@ def evaluator_of(
     Raises `PlanError`: the plan cannot be evaluated, or not in any order.
     """
     if plan.selection is not Selection.ANY_MATCH:
-        kind: type[NextRows | RepeatedRows | Trends] = NextRows
+        kind: type[NextRows | RepeatedRows | TrendProducts | TrendSums] = NextRows
     elif plan.trends:
-        kind = Trends
+        is_free = pack_trends(plan, sequence_network(plan)).is_free(plan)
+        kind = TrendProducts if is_free else TrendSums
     elif any(each.is_kleene for each in plan.elements):
         kind = RepeatedRows
     else:
