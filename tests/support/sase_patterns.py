@@ -85,7 +85,7 @@ class PatternDrawing:
 
     def condition(self) -> str:
         draw = self.random
-        field = draw.choice(["tag", "id", "n", "n", "m", "at", "ok", "valid"])
+        field = draw.choice(["tag", "tag", "tag", "id", "id", "n", "m", "at", "ok", "valid"])
         left, right = self.attribute(field), self.attribute(field)
         if field in ("tag", "id", "ok"):
             operator = draw.choice(["=", "=", "!="])
