@@ -25,8 +25,7 @@ sys.path[:0] = [str(ROOT / "tests" / "support")]
 from pattern_data import KINDS, WITHIN, S, batches, chronicle, data, rising, sequence  # noqa: E402
 
 from dyknow.reasoning.patterns.all_rows import AllRows  # noqa: E402
-from dyknow.reasoning.patterns.evaluator import Evaluator  # noqa: E402
-from dyknow.reasoning.patterns.next_rows import NextRows  # noqa: E402
+from dyknow.reasoning.patterns.evaluation import evaluator_of  # noqa: E402
 from dyknow.reasoning.patterns.plan import (  # noqa: E402
     Aggregate,
     Condition,
@@ -39,7 +38,6 @@ from dyknow.reasoning.patterns.plan import (  # noqa: E402
     Value,
 )
 from dyknow.reasoning.patterns.rows import Rows  # noqa: E402
-from dyknow.reasoning.patterns.trends import Trends  # noqa: E402
 
 RUNS = 3
 
@@ -158,6 +156,7 @@ CASES = (
         Case(f"{selection} A;B;C, 100 keys", sequence("ABC", selection=selection), 100)
         for selection in (Selection.PARTITION_CONTIGUITY, Selection.STRICT_CONTIGUITY)
     ),
+    Case("any A;B+;C, at most 10 a row, 100 keys", sequence("AB+C", max_matches=10), 100),
     *(
         Case(f"trends of A;B+;C, COUNT(*), {keys:,} keys", TRENDS, keys)
         for keys in (10, 100, 10_000)
@@ -193,16 +192,8 @@ def run(case: Case) -> None:
     print(line, flush=True)
 
 
-def _evaluator(case: Case) -> Evaluator:
-    if case.plan.trends:
-        return Trends(case.plan)
-    if case.plan.selection is Selection.ANY_MATCH:
-        return AllRows(case.plan, is_ordered=case.is_ordered)
-    return NextRows(case.plan)
-
-
 def _taken(case: Case, parts: list[Rows]) -> int:
-    running = _evaluator(case)
+    running = evaluator_of(case.plan, is_ordered=case.is_ordered)
     found = 0
     for part in parts:
         found += len(running.push(part))

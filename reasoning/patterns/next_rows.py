@@ -6,90 +6,43 @@ A run begins with each row that suits the first element. It takes rows as they c
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from .conditions import END
-from .evaluator import Evaluator
-from .limits import DEFAULT_LIMITS, Counters, Limits
-from .outputs import Repetition, output_columns
-from .plan import PatternPlan, Selection
-from .run_loop import ask, run, scratch
-from .run_packing import pack_runs, sequence_network
-from .runs import LIVE, UNSTARTED, Runs, width_of
-from .store import ROWS, SMALLEST, WATERMARK
+from .limits import DEFAULT_LIMITS, Limits
+from .plan import PatternPlan, PlanError, Selection
+from .run_loop import run
+from .sequences import Sequences
+from .store import SMALLEST
 
 Integers = NDArray[np.int64]
 
 
-class NextRows(Evaluator):
+class NextRows(Sequences):
     """The matches of runs, in order of decision.
 
-    The elements follow each other in time: a row begins after the one before it ends. A run takes
-    the first row that it can, and skips others under next match; under contiguity the next row
-    ends a run that cannot take it: of the run's partition, or of all rows. Rows of sources that the
-    plan does not read count, too, if they are pushed. A row that both continues a Kleene element
-    and begins the next splits the run. If the last element is a Kleene element, each prefix of its
-    rows makes a match. Probes are asked of matches, and do not change what a run takes. When a
-    condition is tested, `run_packing` says.
+    A run takes the first row that it can, and skips others under next match; under contiguity the
+    next row ends a run that cannot take it: of the run's partition, or of all rows. Rows of sources
+    that the plan does not read count, too, if they are pushed. A row that both continues a Kleene
+    element and begins the next splits the run. If the last element is a Kleene element, each prefix
+    of its rows makes a match. Probes are asked of matches, and do not change what a run takes. When
+    a condition is tested, `run_packing` says.
 
     Law (tests/laws/reasoning/test_pattern_runs.py): the matches are those of the definition, each
-    once, in the order of `Evaluator`, by their first rows, then by their last rows.
+    once, in the order of `Sequences`, however the rows are cut into batches.
 
     Cost: O(1) for each run of the row's keys in a state that the row may move; a run moves once a
-    row. Memory: `Store`, `Runs`, `Waiting`.
+    row.
 
     Raises `PlanError`.
     """
 
     def __init__(
-        self,
-        plan: PatternPlan,
-        *,
-        limits: Limits = DEFAULT_LIMITS,
-        capacity: int = SMALLEST,
+        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
     ) -> None:
-        network = sequence_network(plan)
-        self._packed = packed = pack_runs(plan, network)
-        super().__init__(plan, network, packed, width_of(packed), limits, capacity)
-        count = len(plan.elements)
-        lasts = network.reach(count)
-        self._runs = Runs(packed, lasts, capacity)
-        # Row 0 has the aggregates.
-        self._store.marks[ROWS] = 1
-        contiguous = int(plan.selection is not Selection.NEXT_MATCH)
-        bits = packed.kleene, packed.listed
-        most = self._most_matches, limits.candidates, limits.runs
-        self._settings = np.array([count, lasts, contiguous, *bits, *most], np.int64)
-        self._scratch = scratch(packed.buffers, packed.keys)
-
-    @property
-    def runs(self) -> int:
-        """The number of runs, of which some may have ended for want of rows."""
-        return int(self._runs.counts[LIVE])
-
-    @property
-    def size(self) -> int:
-        """The bytes of rows, candidates and runs."""
-        return self._store.size + self._runs.size
-
-    @property
-    def counters(self) -> Counters:
-        """What the evaluation has done, and what it has left out."""
-        return replace(super().counters, unstarted=int(self._runs.counts[UNSTARTED]))
-
-    def state(self) -> tuple[Any, ...]:
-        """Everything that `restore` needs; it can be pickled and does not change later."""
-        return (*super().state(), self._runs.state())
-
-    def restore(self, state: tuple[Any, ...]) -> None:
-        """Continue where the evaluator of the same plan was that gave this state."""
-        *others, runs = state
-        super().restore(tuple(others))
-        self._runs.restore(runs)
+        if plan.selection is Selection.ANY_MATCH:
+            raise PlanError("any match is not evaluated by runs")
+        super().__init__(plan, limits=limits, capacity=capacity)
 
     def _way(self) -> str:
         return "evaluated by runs, which take rows as they come"
@@ -133,55 +86,3 @@ class NextRows(Evaluator):
             self._due,
             *self._scratch,
         )
-
-    def _compact_store(self, made: Integers) -> None:
-        watermark = int(self._store.marks[WATERMARK])
-        self._runs.capacity = self._store.capacity
-        self._store.compact(*self._runs.compact(watermark, self._waiting.rows, made))
-
-    def _ends(self, records: Integers) -> Integers:
-        last: Integers = records[:, 2 * len(self.plan.elements) - 1]
-        return self._store.table[:, END][last]
-
-    def _ask(self, records: Integers, hold: NDArray[np.bool_]) -> None:
-        packed, store = self._packed, self._store
-        conditions = packed.conditions
-        ask(
-            records,
-            records.view(np.float64),
-            self._settings,
-            packed.keys,
-            packed.steps,
-            packed.each,
-            packed.accumulators,
-            packed.aggregates,
-            packed.buffers,
-            packed.probes,
-            conditions.conditions,
-            conditions.factors,
-            conditions.code,
-            conditions.constants,
-            store.table,
-            store.table.view(np.float64),
-            store.ends,
-            store.rows,
-            store.vectors,
-            store.heads,
-            hold,
-            *self._scratch,
-        )
-
-    def _outputs(self, records: Integers) -> dict[str, NDArray[Any]]:
-        count = len(self.plan.elements)
-        repetition = Repetition(self._packed, records, self._runs.nodes)
-        first = records[:, :count]
-        return output_columns(self.plan, self._packed.columns, self._store.table, first, repetition)
-
-    def _order(self, records: Integers) -> Integers | None:
-        if self._packed.is_sorted:
-            return None
-        count = len(self.plan.elements)
-        # Rows arrive in the order of their places in the table.
-        keys = records[:, : 2 * count].T[::-1]
-        order: Integers = np.lexsort([*keys, records[:, 2 * count - 1]])
-        return order

@@ -51,6 +51,7 @@ from .runs import (
     NEEDED,
     NEXT,
     NODES,
+    NODES_NEEDED,
     PARENT,
     ROW,
     UNSTARTED,
@@ -462,7 +463,7 @@ def _runs_loop(
                 needed += lists[taking[s], LENGTH]
             if going[s] >= 0 and going[s] != taking[s]:
                 needed += lists[going[s], LENGTH]
-        counts[NEEDED] = needed
+        counts[NEEDED], counts[NODES_NEEDED] = needed, 2 * needed
         if marks[OUT] + needed > out.shape[0]:
             marks[IS_OUT_FULL] = 1
             return i
@@ -552,7 +553,7 @@ def _asks_loop(
                 break
 
 
-_IN_LOOP: Final = (
+IN_LOOP: Final = (
     *CALLED, *IN_RUNS, bind, add_row, all_hold, bind_next, give_out, visit_list, start_run, mask_of,
     list_with,
 )  # fmt: skip
@@ -562,7 +563,7 @@ def _types() -> tuple[Any, ...]:
     from numba import types
     from numba.extending import register_jitable
 
-    for function in _IN_LOOP:
+    for function in IN_LOOP:
         register_jitable(function)
     row, table = types.int64[::1], types.int64[:, ::1]
     return types, row, table, types.float64[:, ::1], types.float64[::1]

@@ -110,13 +110,12 @@ def sequence_network(plan: PatternPlan) -> Network:
 
 
 def pack_runs(plan: PatternPlan, network: Network) -> PackedRuns:
-    """Pack a plan.
+    """Pack a plan. Under any match buffer e has the rows of element e, by their keys.
 
-    Raises `PlanError`: any match is no strategy for runs; a condition that reads ``a[i]`` where no
-    row is meant; `UnboundedRetention`.
+    Raises `PlanError`: a condition reads ``a[i]`` where no row is meant; `UnboundedRetention`.
     """
-    if plan.trends or plan.selection is Selection.ANY_MATCH:
-        raise PlanError("any match is not evaluated by runs")
+    if plan.trends:
+        raise PlanError("aggregates over all matches are evaluated as trends")
     if plan.hulls:
         raise PlanError("events that follow each other do not last for the same time")
     _check_rows(plan)
@@ -134,6 +133,10 @@ class RunPacker(Packer):
         plan = self.plan
         keys = self.keys = self.run_keys()
         own = self._own_conditions()
+        is_any = plan.selection is Selection.ANY_MATCH
+        if is_any:
+            for e in range(len(plan.elements)):
+                self._buffer(e, keys[e])
         self.each = [0] * len(self.conditions)
         conditions = [*self.times(), *self._equalities()]
         conditions += [
@@ -170,7 +173,8 @@ class RunPacker(Packer):
             accumulators,
             aggregates,
             kleene,
-            bits,
+            # Equal first and last rows leave the order of matches to the nodes.
+            kleene if is_any else bits,
             is_sorted=not (kleene or conditions),
         )
 

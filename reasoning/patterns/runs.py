@@ -33,9 +33,9 @@ HEAD, TAIL, LENGTH = range(3)
 # A node.
 ROW, PARENT = range(2)
 # Counts: records used, the first one that is free, the runs; lists and nodes used; how many runs
-# the next row may add; runs not started for a limit.
-USED, FREE, LIVE, LISTS, NODES, NEEDED, UNSTARTED = range(7)
-COUNTS: Final = 7
+# the next row may add; runs not started for a limit; nodes that the next row may add.
+USED, FREE, LIVE, LISTS, NODES, NEEDED, UNSTARTED, NODES_NEEDED = range(8)
+COUNTS: Final = 8
 
 
 def width_of(packed: PackedRuns) -> int:
@@ -104,12 +104,13 @@ class Runs:
         self.runs, self.lists, self.heads = runs, lists, heads
         kept = (runs[: int(counts[USED])], *records)
         if self.packed.listed:
-            self._compact_nodes(2 * needed, [each[:, 2 * elements : 3 * elements] for each in kept])
+            self._compact_nodes([each[:, 2 * elements : 3 * elements] for each in kept])
         places = [each[:, : 2 * elements] for each in kept]
         return (*places, self.nodes[: int(counts[NODES]), ROW])
 
-    def _compact_nodes(self, needed: int, roots: list[Integers]) -> None:
+    def _compact_nodes(self, roots: list[Integers]) -> None:
         counts = self.counts
+        needed = int(counts[NODES_NEEDED])
         moved = np.zeros(int(counts[NODES]), np.int64)
         moved[0] = 1
         for root in roots:

@@ -377,7 +377,7 @@ def _trends_loop(
     return batch.shape[0]
 
 
-_IN_LOOP: Final = (
+IN_LOOP: Final = (
     *IN_LOOPS, compares, number_at, holds, plus, bind_next, mask_of, clear, add_cell, begin_with,
     may_follow, is_free, add_tested, window_of, sum_trends,
 )  # fmt: skip
@@ -387,7 +387,7 @@ def _trends_signature() -> Any:
     from numba import types
     from numba.extending import register_jitable
 
-    for function in _IN_LOOP:
+    for function in IN_LOOP:
         register_jitable(function)
     row, table, floats = types.int64[::1], types.int64[:, ::1], types.float64[:, ::1]
     plan = (row, row, row, table, table, table, table)

@@ -53,6 +53,12 @@ class PackedTrends(PackedRows):
     kleene: int
     """The Kleene elements, as bits."""
 
+    def is_free(self, plan: PatternPlan) -> bool:
+        """Whether a row may follow each earlier one of its keys, of the elements that may stand
+        there."""
+        has_conditions = (self.steps[:, AFTER] < self.steps[:, ENTRY_BELOW]).any()
+        return not (plan.has_intervals or has_conditions or (self.keys != self.keys[0]).any())
+
 
 def pack_trends(plan: PatternPlan, network: Network) -> PackedTrends:
     """Pack a plan.

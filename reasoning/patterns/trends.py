@@ -1,7 +1,8 @@
 """Aggregates over all matches without listing them: ``COUNT(*)``, ``SUM(b[].v)`` and so on, under
 skip_till_any_match (SPEC §8; GRETA, Poppe et al. 2017).
 
-There is a result for each row that ends matches.
+There is a result for each row that ends matches. `TrendProducts` compute them in constant time a
+row; where neighbours in a match are compared, `TrendSums` do, from the rows of the window.
 """
 
 from __future__ import annotations
@@ -18,16 +19,10 @@ from .limits import DEFAULT_LIMITS, Counters, Limits
 from .outputs import output_columns
 from .plan import NO_VALUE, Function, PatternPlan, Trend
 from .rows import Values
+from .run_loop import COUNT, KLEENE, LASTS, MOST_CANDIDATES, MOST_RUNS
 from .run_packing import OF_NUMBERS, sequence_network
 from .store import SMALLEST
-from .trend_loop import (
-    FLOAT_WORDS,
-    HAS_INTERVALS,
-    INTEGER_WORDS,
-    ROOM_NEEDED,
-    run,
-    scratch,
-)
+from .trend_loop import FLOAT_WORDS, HAS_INTERVALS, INTEGER_WORDS, scratch
 from .trend_packing import accumulators, is_start, pack_trends
 
 Integers = NDArray[np.int64]
@@ -41,14 +36,12 @@ class Trends(Evaluator):
     The elements follow each other in time: a row begins after the one before it ends. ``count`` of
     an element is the number of its rows in all matches, ``sum`` and ``avg`` are over all of these;
     values that are missing do not count. A number of matches or rows from 2^62 on is a float,
-    as are all of the same batch; such results are counted (`Counters.rounded`). A result's only
-    row in `Matches` is the one that ends its matches.
+    as are all of the same batch; such results are counted (`Counters.rounded`). From 10^308 on it
+    is infinite, and sums and averages of its matches are missing. A result's only row in `Matches`
+    is the one that ends its matches.
 
     Law (tests/laws/reasoning/test_pattern_trends.py): the aggregates are those of all matches of
     the definition, however the rows are cut into batches.
-
-    Cost: O(1) a row; of one that ends matches O(n) for n rows of its keys that may stand in them,
-    where a condition on neighbours is tested O(n²). Memory: `Store`, and a cell for each of the n.
 
     Raises `PlanError`.
     """
@@ -64,28 +57,11 @@ class Trends(Evaluator):
         super().__init__(plan, network, packed, width, limits, capacity, rows_given=1)
         count = len(plan.elements)
         self._settings = np.zeros(HAS_INTERVALS + 1, np.int64)
-        self._settings[:] = (
-            count,
-            network.reach(count),
-            0,
-            packed.kleene,
-            0,
-            0,
-            limits.candidates,
-            0,
-            int(plan.has_intervals),
-        )
-        self._needs = np.zeros(1, np.int64)
+        self._settings[[COUNT, LASTS, KLEENE]] = count, network.reach(count), packed.kleene
+        self._settings[[MOST_CANDIDATES, MOST_RUNS]] = limits.candidates, limits.rows
+        self._settings[HAS_INTERVALS] = plan.has_intervals
         self._rounded = 0
         self._scratch = scratch(packed.buffers, packed.keys)
-        self._make_cells(capacity)
-
-    def _make_cells(self, rows: int) -> None:
-        """Make cells for two elements with this many rows, and three more."""
-        size = 2 * rows + 3
-        self._cells = np.zeros((size, self._integers), np.int64)
-        self._cell_floats = np.zeros((size, self._floats), np.float64)
-        self._places = np.zeros(size, np.int64)
 
     @property
     def counters(self) -> Counters:
@@ -100,49 +76,6 @@ class Trends(Evaluator):
         """Continue where the evaluator of the same plan was that gave this state."""
         *others, self._rounded = state
         super().restore(tuple(others))
-
-    def _way(self) -> str:
-        return "evaluated by sums along the rows before each row that ends matches"
-
-    def _take(self, batch: Integers, kind: Integers, begin: int) -> int:
-        packed, store = self._packed, self._store
-        conditions = packed.conditions
-        return run(
-            batch,
-            kind,
-            begin,
-            self._settings,
-            packed.kinds,
-            packed.own,
-            packed.keys,
-            packed.steps,
-            packed.accumulators,
-            packed.buffers,
-            conditions.conditions,
-            conditions.factors,
-            conditions.code,
-            conditions.constants,
-            store.table,
-            store.table.view(np.float64),
-            store.ends,
-            store.rows,
-            store.vectors,
-            store.heads,
-            store.marks,
-            self._cells,
-            self._cell_floats,
-            self._places,
-            self._needs,
-            self._out,
-            self._out.view(np.float64),
-            *self._scratch,
-        )
-
-    def _compact_store(self, made: Integers) -> None:
-        needed = int(self._needs[ROOM_NEEDED])
-        if 2 * needed + 3 > len(self._cells):
-            self._make_cells(2 * needed)
-        self._store.compact(made[:, :1])
 
     def _ends(self, records: Integers) -> Integers:
         return self._store.table[:, END][records[:, 0]]

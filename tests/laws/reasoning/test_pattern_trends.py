@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from random import Random
 
 import numpy as np
@@ -15,9 +16,13 @@ from pattern_definition import Step
 from pattern_run_drawing import TrendDrawing
 from trend_definition import trends
 
+from dyknow.reasoning.patterns.evaluation import evaluator_of
+from dyknow.reasoning.patterns.evaluator import Evaluator
 from dyknow.reasoning.patterns.network import ContradictoryTimes
 from dyknow.reasoning.patterns.plan import Function, PatternPlan, Trend
 from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.trend_products import TrendProducts
+from dyknow.reasoning.patterns.trend_sums import TrendSums
 from dyknow.reasoning.patterns.trends import Trends
 
 SEEDS = st.integers(0, 2**32)
@@ -26,11 +31,13 @@ SEEDS = st.integers(0, 2**32)
 def check(plan: PatternPlan, steps: list[Step], draw: Random) -> int:
     wanted = trends(plan, steps)
     try:
-        running = Trends(plan, capacity=8)
+        ways: list[Evaluator] = [TrendSums(plan, capacity=8), evaluator_of(plan, capacity=8)]
     except ContradictoryTimes:
         assert not wanted
         return 0
-    check_parts(lambda: Trends(plan, capacity=8), running, wanted, steps, draw)
+    for running in ways:
+        way = type(running)
+        check_parts(partial(way, plan, capacity=8), running, wanted, steps, draw)
     return len(wanted)
 
 
@@ -51,8 +58,9 @@ def test_rows_that_are_forgotten(seed: int) -> None:
     check(plan, case.steps(80, 160, objects=2), case.random)
 
 
+@pytest.mark.parametrize("way", [TrendProducts, TrendSums])
 @pytest.mark.parametrize("repeats", [40, 60, 61, 64, 200])
-def test_large_numbers(repeats: int) -> None:
+def test_large_numbers(repeats: int, way: type[Trends]) -> None:
     """Numbers of trends are exact below 2^62, and rounded from there on."""
     trends = (Trend("n", Function.COUNT), Trend("s", Function.SUM, 1, "v"))
     trends += (Trend("b", Function.COUNT, 1),)
@@ -60,7 +68,7 @@ def test_large_numbers(repeats: int) -> None:
     kind = np.array([0, *[1] * repeats, 2])
     ends = np.arange(len(kind)) * S
     ones = np.ones(len(kind), np.int64)
-    running = Trends(plan)
+    running = way(plan)
     found = running.push(Rows(KINDS, kind, ends, ends, {"x": ones, "y": ones, "v": ones * 1.0}))
     numbers = 2**repeats - 1, repeats * 2 ** (repeats - 1)
     for name, number in zip("nb", numbers, strict=True):
