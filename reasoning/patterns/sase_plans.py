@@ -285,6 +285,14 @@ class _Compiler:
                 self._same[None].append(same)
             else:
                 self._conditions.append(self._terms.condition(node))
+                self._add_presence(node.left)
+                self._add_presence(node.right)
+
+    def _add_presence(self, node: ast.Term) -> None:
+        """Demand a key of each event of a part, as an equality that is a key does."""
+        assert isinstance(node, ast.Attribute)
+        own = self._terms.term(node, node.part).value
+        self._own[node.part].append(Condition("=", own, own))
 
     def _is_each(self, leaf: ast.Attribute | ast.Aggregate) -> bool:
         """Whether an event has the value by itself."""
