@@ -125,7 +125,7 @@ class Conditions:
     ) -> None:
         absent = {leaf.part for leaf in read if self._parts.of_name[leaf.part].is_negated}
         if len(absent) > 1:
-            first, second = sorted(absent)
+            first, second, *_ = sorted(absent)
             raise self._parts.error(
                 f"`{first}` and `{second}` are both absent, each by itself",
                 condition.span,

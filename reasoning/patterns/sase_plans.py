@@ -75,6 +75,8 @@ class _Compiler:
         """The conditions on an absent part and others."""
         self._same: dict[str | None, list[Same]] = {None: [], **{p: [] for p in self._parts}}
         """Equal keys of each absent part; None: of elements."""
+        self._equalities: list[tuple[Same, ast.Comparison]] = []
+        """Equal keys of elements, as written."""
         self._conditions: list[Condition] = []
 
     def query(self) -> PatternQuery:
@@ -84,6 +86,7 @@ class _Compiler:
             is_shared = is_shared or isinstance(condition, ast.Equivalence)
             for comparison in self._comparisons(condition):
                 self._add(comparison, is_shared=is_shared)
+        self._add_equalities()
         partition = self._partition()
         probes = [self._absence(i) for i, part in enumerate(text.parts) if part.is_negated]
         selection = Selection(text.strategy.value) if text.strategy else Selection.ANY_MATCH
@@ -237,7 +240,9 @@ class _Compiler:
         absent = next((part for part in parts if self._parts[part].is_negated), None)
         is_self = isinstance(node.left, ast.Attribute) and node.left == node.right
         same = None if is_self and not is_shared else self._same_keys(node, absent)
-        if same is not None:
+        if same is not None and absent is None and not is_shared:
+            self._equalities.append((same, node))
+        elif same is not None:
             self._same[absent].append(same)
         elif absent is not None:
             # Only a parameter for objects reads `a[i]` here, and then all its events have one.
@@ -248,6 +253,46 @@ class _Compiler:
             self._own[parts[0]].append(self._terms.condition(node, parts[0]))
         else:
             self._conditions.append(self._terms.condition(node))
+
+    def _add_equalities(self) -> None:
+        """Make keys of the equalities as written, as far as that does not select otherwise.
+
+        Equal keys are transitive: with ``a.x = c.x and b.x = c.x`` they would test b against a.
+        Where the strategy selects events, a part is therefore joined to earlier ones by one
+        equality, and only to one event or to several that are equal. Any match is the same in both
+        ways.
+        """
+        joined: dict[tuple[int, str], set[tuple[int, str]]] = {}
+
+        def key_of(element: int, column: str) -> set[tuple[int, str]]:
+            return joined.setdefault((element, column), {(element, column)})
+
+        def join(same: Same) -> None:
+            one = key_of(same.first, same.first_column) | key_of(same.second, same.second_column)
+            joined.update(dict.fromkeys(one, one))
+
+        for same in self._same[None]:
+            join(same)
+        is_any = self._text.strategy in (None, ast.Strategy.ANY_MATCH)
+        for same, node in sorted(
+            self._equalities, key=lambda each: max(each[0].first, each[0].second)
+        ):
+            ends = (same.first, same.first_column), (same.second, same.second_column)
+            earlier, later = sorted(ends)
+            is_one = not self._there[earlier[0]].is_kleene or len(key_of(*earlier)) > 1
+            if is_any or (is_one and len(key_of(*later)) == 1):
+                join(same)
+                self._same[None].append(same)
+            else:
+                self._conditions.append(self._terms.condition(node))
+                self._add_presence(node.left)
+                self._add_presence(node.right)
+
+    def _add_presence(self, node: ast.Term) -> None:
+        """Demand a key of each event of a part, as an equality that is a key does."""
+        assert isinstance(node, ast.Attribute)
+        own = self._terms.term(node, node.part).value
+        self._own[node.part].append(Condition("=", own, own))
 
     def _is_each(self, leaf: ast.Attribute | ast.Aggregate) -> bool:
         """Whether an event has the value by itself."""

@@ -23,13 +23,10 @@ from dyknow.languages.sase import (
 from dyknow.languages.sase.ast import Index, Strategy
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import PREFIXES
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.next_rows import NextRows
-from dyknow.reasoning.patterns.plan import Selection
+from dyknow.reasoning.patterns.evaluation import evaluator_of
 from dyknow.reasoning.patterns.query import Keys, text_key, with_numbers
 from dyknow.reasoning.patterns.rows import Rows
 from dyknow.reasoning.patterns.sase_plans import sase_query
-from dyknow.reasoning.patterns.trends import Trends
 
 PAGE = (ROOT / "docs" / "reference" / "sase.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```sase\n(.*?)```", PAGE, re.S)
@@ -64,8 +61,7 @@ def found(body: str, table: dict[str, list[str]]) -> list[str]:
         text += f" RETURN {', '.join(items)}"
     query, keys = sase_query(check_sase(parse_sase(text), text, vocabulary()), KINDS), Keys()
     plan = with_numbers(query.plans[0], keys)
-    make = AllRows if plan.selection is Selection.ANY_MATCH else NextRows
-    running = Trends(plan) if is_over_matches else make(plan)
+    running = evaluator_of(plan)
     kinds = tuple(source.kind for source in query.sources)
     mine = [i for i, type_ in enumerate(table["event"]) if type_ in kinds]
     times = np.array([int(table["time"][i]) for i in mine], np.int64) * S

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,14 +58,18 @@ class Match:
     results: tuple[Any, ...]
 
 
-def matches(pattern: ast.Pattern, events: Sequence[Event]) -> list[Match]:
-    """All matches, in any order. Names of types are those of events."""
-    return list(_Definition(pattern, events).found())
+def matches(pattern: ast.Pattern, events: Sequence[Event], keys: Collection[str]) -> list[Match]:
+    """All matches, in any order. Names of types are those of events; ``keys`` are the attributes
+    that are texts or objects."""
+    return list(_Definition(pattern, events, keys).found())
 
 
 class _Definition:
-    def __init__(self, pattern: ast.Pattern, events: Sequence[Event]) -> None:
+    def __init__(
+        self, pattern: ast.Pattern, events: Sequence[Event], keys: Collection[str]
+    ) -> None:
         self.pattern = pattern
+        self.keys = keys
         types = {symbol.text for part in pattern.parts for symbol in part.types}
         self.events = [event for event in events if event.type in types]
         self.parts = {part.name: part for part in pattern.parts}
@@ -167,7 +171,7 @@ class _Definition:
 
     def taken(self, bound: Bound, part: str, event: Event) -> Bound | None:
         """The run with one more event, if it may take it."""
-        if not self.suits(part, event):
+        if not self.suits(part, event) or not self.has_keys(part, event):
             return None
         before = [each for events in bound.values() for each in events]
         if before and (event.time <= before[-1].time or event.time - before[0].time > self.within):
@@ -180,6 +184,26 @@ class _Definition:
             if self.last_of(each) in (part, None) and not self.is_of_whole(each, part)
         ]
         return more if all(self.holds(each, more, at) for each in settled) else None
+
+    def has_keys(self, part: str, event: Event) -> bool:
+        """Whether the event has each text and object that must equal one of another part."""
+        for each in self.pattern.where:
+            match each:
+                case ast.Comparison("=", ast.Attribute() as left, ast.Attribute() as right):
+                    is_of_two = left.part != right.part
+                    happen = left.part in self.there and right.part in self.there
+                    are_each = self.is_each(left) and self.is_each(right)
+                    if is_of_two and happen and are_each:
+                        for side in (left, right):
+                            is_key = side.part == part and side.name in self.keys
+                            if is_key and event.values[side.name] is None:
+                                return False
+                case _:
+                    pass
+        return True
+
+    def is_each(self, node: ast.Attribute) -> bool:
+        return not self.parts[node.part].is_kleene or node.index is Index.EACH
 
     def is_complete(self, bound: Bound, part: str) -> bool:
         """Whether the conditions hold that are known when a part is complete."""

@@ -17,6 +17,7 @@ from dyknow.reasoning.patterns.rows import Rows
 TYPES = ("A", "B", "C")
 FIELDS = {"tag": Kind.TEXT, "n": Kind.NUMBER, "m": Kind.NUMBER, "at": Kind.TIME, "ok": Kind.TRUTH}
 KINDS = {(type_, field): kind for type_ in TYPES for field, kind in FIELDS.items()}
+KEYS = ("tag", "id")
 STRATEGIES = (
     "skip_till_any_match",
     "skip_till_next_match",
@@ -36,15 +37,20 @@ class PatternDrawing:
         """Name, whether absent, whether repeated."""
         for name in "abcd"[: draw.choice([1, 2, 2, 3, 3, 4])]:
             is_absent = draw.random() < 0.25
-            is_kleene = not is_absent and self.repeats and draw.random() < 0.4
+            is_kleene = not is_absent and draw.random() < (0.4 if self.selects else 0.1)
             self.parts.append((name, is_absent, is_kleene))
         if all(is_absent for _, is_absent, _ in self.parts):
             self.parts[0] = ("a", False, False)
         self.within = draw.choice([2, 6, 12, 30])
 
     @property
-    def repeats(self) -> bool:
+    def selects(self) -> bool:
         return self.strategy != "skip_till_any_match"
+
+    @property
+    def is_listed(self) -> bool:
+        """Whether each set of events may be a match, so that few events have many."""
+        return not self.selects and any(is_kleene for _, _, is_kleene in self.parts)
 
     def template(self) -> str:
         """A template of objects ``?x`` and a value ``?limit``."""
@@ -72,7 +78,7 @@ class PatternDrawing:
         having = f" HAVING {self.having()}" if draw.random() < 0.2 else ""
         return (
             f"PATTERN SEQ({', '.join(map(self.part, self.parts))}) WHERE {self.strategy}{where} "
-            f"WITHIN {self.within}ns{having}{self.returned()}"
+            f"WITHIN {self.within}ns{having}{self.returned()}{' LIMIT 100000' * self.is_listed}"
         )
 
     def part(self, part: tuple[str, bool, bool]) -> str:
@@ -85,7 +91,7 @@ class PatternDrawing:
 
     def condition(self) -> str:
         draw = self.random
-        field = draw.choice(["tag", "id", "n", "n", "m", "at", "ok", "valid"])
+        field = draw.choice(["tag", "tag", "tag", "id", "id", "n", "m", "at", "ok", "valid"])
         left, right = self.attribute(field), self.attribute(field)
         if field in ("tag", "id", "ok"):
             operator = draw.choice(["=", "=", "!="])
@@ -151,6 +157,7 @@ class PatternDrawing:
 
     def events(self, count: int, span: int) -> list[Event]:
         draw = self.random
+        count = min(count, 7) if self.is_listed else count
         times = sorted(draw.randrange(span) for _ in range(count))
         return [Event(i, draw.choice(TYPES), time, self.values()) for i, time in enumerate(times)]
 
@@ -212,6 +219,29 @@ class TrendDrawing(PatternDrawing):
                 return f"{first}.valid - {before}.valid {operator} {draw.choice(['2ns', '5ns'])}"
             return f"{before}.{field} {operator} {first}.{field}"
         return f"{each}.{field} {operator} 1"
+
+
+class EqualityDrawing(PatternDrawing):
+    """A pattern that selects the next event by equalities between its parts."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed)
+        draw = self.random
+        self.strategy = STRATEGIES[1]
+        self.parts = [(name, False, draw.random() < 0.3) for name in "abcd"[: draw.choice([3, 4])]]
+        self.within = 30
+
+    def part(self, part: tuple[str, bool, bool]) -> str:
+        name, _, is_kleene = part
+        types = self.random.choice(["A", "ANY(A, B)", "ANY(A, B, C)"])
+        return f"{types}{'+' * is_kleene} {name}{'[]' * is_kleene}"
+
+    def condition(self) -> str:
+        draw = self.random
+        field = draw.choice(["tag", "id"])
+        sides = draw.sample(self.parts, 2)
+        left, right = (f"{name}[i]" if is_kleene else name for name, _, is_kleene in sides)
+        return f"{left}.{field} = {right}.{field}"
 
 
 def rows_of(query: PatternQuery, keys: Keys, events: list[Event], draw: Random) -> Rows:

@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import RdfFormat, parse
 from sase_definition import Event, Match, matches
-from sase_patterns import KINDS, TYPES, PatternDrawing, TrendDrawing, rows_of
+from sase_patterns import KEYS, KINDS, TYPES, EqualityDrawing, PatternDrawing, TrendDrawing, rows_of
 
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.ast import Symbol, Variable
@@ -30,15 +30,11 @@ from dyknow.languages.sase import (
 from dyknow.languages.sase.binding import rewritten
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.evaluator import Evaluator
-from dyknow.reasoning.patterns.network import ContradictoryTimes
-from dyknow.reasoning.patterns.next_rows import NextRows
-from dyknow.reasoning.patterns.plan import NO_VALUE, Selection
+from dyknow.reasoning.patterns.evaluation import evaluator_of
+from dyknow.reasoning.patterns.plan import NO_VALUE
 from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
 from dyknow.reasoning.patterns.rows import Matches
 from dyknow.reasoning.patterns.sase_plans import sase_query
-from dyknow.reasoning.patterns.trends import Trends
 
 SEEDS = st.integers(0, 2**32)
 ONTOLOGY = "".join(f"dyknow:{each} a owl:Class .\n" for each in TYPES)
@@ -51,15 +47,6 @@ def vocabulary() -> Vocabulary:
 
 
 VOCABULARY = vocabulary()
-
-
-def evaluator(query: PatternQuery, keys: Keys) -> Evaluator:
-    plan = with_numbers(query.plans[0], keys)
-    if plan.trends:
-        return Trends(plan, capacity=8)
-    if plan.selection is Selection.ANY_MATCH:
-        return AllRows(plan, capacity=8)
-    return NextRows(plan, capacity=8)
 
 
 def results_of(query: PatternQuery, keys: Keys, found: Matches) -> list[tuple[Any, ...]]:
@@ -100,10 +87,7 @@ def _plain(value: Any) -> Any:
 def run(checked: CheckedPattern, events: list[Event], draw: Random) -> Counter[Any]:
     """The results of a pattern over events, in random batches."""
     query, keys = sase_query(checked, KINDS), Keys()
-    try:
-        running = evaluator(query, keys)
-    except ContradictoryTimes:
-        return Counter()
+    running = evaluator_of(with_numbers(query.plans[0], keys), capacity=8)
     found: list[tuple[Any, ...]] = []
     cut = draw.choice([1, 2, 5, len(events)])
     for start in range(0, len(events), cut):
@@ -125,7 +109,7 @@ def check(case: PatternDrawing, count: int, span: int) -> int:
         assume(False)
         raise
     events = case.events(count, span)
-    wanted = wanted_of(events, matches(checked.text, events))
+    wanted = wanted_of(events, matches(checked.text, events, KEYS))
     assert run(checked, events, case.random) == Counter(wanted), text
     return len(wanted)
 
@@ -146,7 +130,7 @@ def check_template(case: PatternDrawing, count: int, span: int) -> int:
         bound = bound_sase(checked, {"x": ObjectConstant(iri), "limit": limit})
         found = run(bound, events, case.random)
         known = rewritten(bound.text, lambda node, iri=iri: _with_object(node, iri))
-        wanted = wanted_of(events, matches(known, events))
+        wanted = wanted_of(events, matches(known, events, KEYS))
         assert found == Counter((*w[:2], f"<{iri}>", *w[2:]) for w in wanted), (text, iri)
         united += found
     free = run(bound_sase(checked, {"limit": limit}), events, case.random)
@@ -175,6 +159,13 @@ def test_aggregates_over_all_matches(seed: int) -> None:
 
 @settings(deadline=None, max_examples=300)
 @given(SEEDS)
+def test_equalities_that_select(seed: int) -> None:
+    case = EqualityDrawing(seed)
+    check(case, case.random.randint(5, 11), 30)
+
+
+@settings(deadline=None, max_examples=300)
+@given(SEEDS)
 def test_requests_of_templates(seed: int) -> None:
     case = PatternDrawing(seed)
     check_template(case, case.random.randint(1, 11), case.random.choice([8, 20]))
@@ -191,6 +182,6 @@ def test_the_drawing_has_matches(seed: int) -> None:
             checked = check_sase(parse_sase(text), text, VOCABULARY)
         except LanguageError:
             continue
-        rich[case.strategy] += bool(matches(checked.text, case.events(10, 20)))
+        rich[case.strategy] += bool(matches(checked.text, case.events(10, 20), KEYS))
     assert len(rich) == 4
     assert min(rich.values()) >= 5, rich

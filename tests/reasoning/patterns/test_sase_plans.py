@@ -14,9 +14,7 @@ from dyknow.languages.mtl.checked import Kind
 from dyknow.languages.sase import check_sase, parse_sase
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.next_rows import NextRows
-from dyknow.reasoning.patterns.plan import Selection
+from dyknow.reasoning.patterns.evaluation import evaluator_of
 from dyknow.reasoning.patterns.query import Argument, Keys, Part, with_numbers
 from dyknow.reasoning.patterns.sase_plans import sase_query
 from dyknow.reasoning.patterns.sase_sources import sase_sources
@@ -46,10 +44,9 @@ def test_known_counts(sequence: str, strategy: str, keys: int, count: int) -> No
     text = f"PATTERN SEQ({sequence}) WHERE {strategy} [id] WITHIN 1000 seconds"
     query = sase_query(check_sase(parse_sase(text), text, vocabulary()), {})
     plan = with_numbers(query.plans[0], Keys())
-    make = AllRows if plan.selection is Selection.ANY_MATCH else NextRows
     rows = data(100_000, keys)
     rows = replace(rows, columns={"id": rows.columns["x"]})
-    running = make(plan)
+    running = evaluator_of(plan)
     assert len(running.push(rows)) + len(running.end()) == count
 
 
