@@ -12,7 +12,7 @@ from typing import assert_never
 
 from pyoxigraph import Literal, NamedNode, Variable
 
-from ...ontology.vocabulary import Vocabulary
+from ...ontology.vocabulary import THING, Vocabulary
 from ...rdf.namespaces import shorten
 from ...sparql import ast as sparql
 from ...sparql.ast import variables_of
@@ -109,13 +109,14 @@ class _Checker:
     # -- groups ------------------------------------------------------------------------------
 
     def _group(self, group: ast.Group, outer: Classes) -> checked.Group:
-        classes = union(outer, classes_of(group, self._reads))
+        own = classes_of(group, self._reads)
+        classes = union(outer, own)
         parts: list[checked.Part] = []
         conditions: list[ast.Filter] = []
         for part in group.parts:
             match part:
                 case sparql.Triples():
-                    parts += self._triples(part, classes)
+                    parts += self._triples(part, classes, own)
                 case ast.Group() | ast.Operation():
                     parts.append(self._operand(part, classes))
                 case ast.Graph(name, triples):
@@ -159,18 +160,25 @@ class _Checker:
     def _reads(self, triples: sparql.Triples) -> tuple[Read, ...]:
         return self._read[id(triples)]
 
-    def _triples(self, triples: sparql.Triples, classes: Classes) -> Iterator[checked.Part]:
+    def _triples(
+        self, triples: sparql.Triples, classes: Classes, own: Classes
+    ) -> Iterator[checked.Part]:
+        """Check triples; ``own``: the sorts of the group itself. Its samples have the sort that it
+        states of their objects; of any other object the sort is a static triple."""
         for read in self._read[id(triples)]:
             match read:
                 case Reading():
                     yield self._sample(read, classes)
-                case Sorts(subject, sort):
-                    if subject not in self._arguments:
+                case Sorts(subject, sort, triple):
+                    if THING in own[subject]:
+                        continue
+                    if not (is_variable(subject) and name_of(subject) in self._kinds):
                         raise self._error(
-                            f"no sample of {subject} is in the pattern, so its sort is not known",
-                            triples.triples[0].span,
+                            f"{subject} is in no sample of the pattern, so its sort says nothing",
+                            triple.span,
                             f"read a feature of {subject}, or leave `a {shorten(sort)}` out",
                         )
+                    yield checked.Static(triple, None, triple.span)
                 case StaticTriple(triple):
                     yield checked.Static(triple, None, triple.span)
                 case _:

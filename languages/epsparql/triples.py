@@ -47,6 +47,7 @@ class Sorts:
 
     subject: Term
     sort: str
+    triple: Triple
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,7 @@ class TripleReader:
     def _sort(self, triple: Triple, iri: str) -> Sorts | StaticTriple:
         vocabulary = self._vocabulary
         if vocabulary.is_sort(iri):
-            return Sorts(triple.subject, iri)
+            return Sorts(triple.subject, iri, triple)
         name = shorten(iri)
         if vocabulary.is_event(iri) or vocabulary.is_feature(iri):
             raise self._error(

@@ -50,7 +50,7 @@ WHERE = "{ ?a dyknow:price ?v } SEQ { ?a dyknow:owns ?b } WITHIN 5s"
         ("ASK { ?a a dyknow:Crash }", 10, "no sort", "?o dyknow:Crash ?value"),
         ("ASK { ?a dyknow:distance ?d }", 10, "is of 2 objects", "rdf:_2 ?b2"),
         ("ASK { ?a <urn:p> ?v }", 5, "reads no feature", "dyknow:price"),
-        ("ASK { ?a dyknow:price ?v . ?b a dyknow:Bank }", 10, "no sample of ?b", "leave"),
+        ("ASK { ?a dyknow:price ?v . ?b a dyknow:Bank }", 31, "?b is in no sample", "leave"),
         ("ASK { ?a dyknow:price 'x' }", 10, "of kind number", "no sample has such a value"),
         ("ASK { ?a dyknow:owns 3 }", 10, "of kind object", "no sample"),
         (
@@ -143,6 +143,24 @@ def test_a_sort_is_that_of_all_samples_that_must_be_there() -> None:
     assert sorts_of(f"ASK {company} EQUALSOPTIONAL {{ {price} }}") == ["Company", "Company"]
     assert sorts_of(f"ASK {{ {price} }} EQUALSOPTIONAL {company}") == ["Thing", "Company"]
     assert sorts_of(f"ASK {{ {company} SEQ {{ {price} . ?a a dyknow:Bank }} }}") == ["Bank", "Bank"]
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("{ ?a dyknow:owns ?b . ?b a dyknow:Bank }", ["Sample", "Static"]),
+        ("{ ?a dyknow:owns ?b . ?a a dyknow:Bank }", ["Sample"]),
+        ("{ { ?a dyknow:price 1 } SEQ { ?a dyknow:price 2 } ?a a dyknow:Bank }", ["Operation"]),
+        (
+            "{ { ?a dyknow:price 1 } UNION { ?b dyknow:price 2 } ?a a dyknow:Bank }",
+            ["Operation", "Static"],
+        ),
+    ],
+)
+def test_the_sort_of_an_object_without_a_sample_in_the_group_is_a_static_triple(
+    text: str, parts: list[str]
+) -> None:
+    assert [type(each).__name__ for each in checked(f"ASK {text}").where.parts] == parts
 
 
 def test_the_node_of_a_feature_of_several_objects() -> None:
