@@ -26,14 +26,13 @@ from .groups import Classes, classes_of, parts_in, triples_in, union, variables_
 from .head import HeadChecker
 from .kinds import find_kinds
 from .triples import (
+    BLANK,
     Read,
     Reading,
     Sorts,
     StaticTriple,
     Term,
     TripleReader,
-    is_variable,
-    name_of,
 )
 
 
@@ -120,7 +119,8 @@ class _Checker:
                 case ast.Group() | ast.Operation():
                     parts.append(self._operand(part, classes))
                 case ast.Graph(name, triples):
-                    parts += [checked.Static(each, name.value, each.span) for each in triples]
+                    found = [self._reader.named(each) for each in triples]
+                    parts += [checked.Static(each, name.value, each.span) for each in found]
                 case ast.Bind():
                     parts.append(self._bind(part, set(_names_of(parts))))
                 case ast.Filter():
@@ -172,7 +172,7 @@ class _Checker:
                 case Sorts(subject, sort, triple):
                     if THING in own[subject]:
                         continue
-                    if not (is_variable(subject) and name_of(subject) in self._kinds):
+                    if not (isinstance(subject, Variable) and subject.value in self._kinds):
                         raise self._error(
                             f"{subject} is in no sample of the pattern, so its sort says nothing",
                             triple.span,
@@ -191,8 +191,8 @@ class _Checker:
             for sorts in [classes.get(term, frozenset())]
         )
         kind = read.kind
-        if is_variable(read.value):
-            name = name_of(read.value)
+        if isinstance(read.value, Variable):
+            name = read.value.value
             known = self._kinds.setdefault(name, Kind.NUMBER)
             assert known != DURATION
             kind = Kind(known)
@@ -207,8 +207,8 @@ class _Checker:
         )
 
     def _place(self, term: Term, kind: Kind, span: Span) -> checked.Place:
-        if is_variable(term):
-            return checked.Variable(name_of(term), kind)
+        if isinstance(term, Variable):
+            return checked.Variable(term.value, kind)
         if isinstance(term, NamedNode):
             found: checked.Value = ObjectConstant(term.value)
         else:
@@ -244,7 +244,7 @@ class _Checker:
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:
-                shown = [f"?{each}" for each in sorted(names) if not each.startswith("_:")]
+                shown = [f"?{each}" for each in sorted(names) if not each.startswith(BLANK)]
                 hint = did_you_mean(f"?{name}", shown) or f"the group has {', '.join(shown)}"
             raise self._error(message, span, hint)
 

@@ -132,6 +132,8 @@ class QueryDrawing:
                 "?a <urn:in> <urn:x> . ?k <urn:of> ?m .",
                 "GRAPH <urn:g> { ?a <urn:in> ?b }",
                 "?a <urn:level> ?v .",
+                "BIND (1 - 0 AS ?l) ?a <urn:level> ?l .",
+                "?a dyknow:owns [ <urn:in> ?k ] .",
             ]
         )
 
