@@ -8,6 +8,7 @@ triples are of one sample.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -71,9 +72,9 @@ class TripleReader:
         self._vocabulary = vocabulary
         self._is_static = is_static
         self._blanks: dict[BlankNode, Variable] = {}
-        self._prefix = BLANK
-        while self._prefix in source:
-            self._prefix += BLANK[-1]
+        longest = max(map(len, re.findall(f"{BLANK[-1]}+", source)), default=0)
+        self._names = (f"{BLANK}{BLANK[-1] * longest}{i}" for i in itertools.count(1))
+        """Names that the text does not have."""
 
     def read(self, triples: sparql.Triples) -> tuple[Read, ...]:
         """Return the meaning of consecutive triples, in reading order. Raises `LanguageError`."""
@@ -101,8 +102,9 @@ class TripleReader:
     def _variable(self, node: object) -> Variable | None:
         if not isinstance(node, BlankNode):
             return None
-        fresh = Variable(f"{self._prefix}{len(self._blanks) + 1}")
-        return self._blanks.setdefault(node, fresh)
+        if node not in self._blanks:
+            self._blanks[node] = self._fresh()
+        return self._blanks[node]
 
     def narrowest(self, classes: frozenset[str]) -> str:
         """Return the narrowest sort; the first by name if there are several."""
@@ -208,9 +210,7 @@ class TripleReader:
 
     def _fresh(self) -> Variable:
         """Return a variable for what the text leaves open."""
-        found = self._variable(BlankNode(f"unnamed.{len(self._blanks)}"))
-        assert found is not None
-        return found
+        return Variable(next(self._names))
 
     def _error(self, message: str, span: Span, hint: str) -> LanguageError:
         return LanguageError(message, self._source, span, hint)

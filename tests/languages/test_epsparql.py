@@ -190,3 +190,13 @@ def test_within_is_the_least_bound_of_the_whole() -> None:
     assert checked(text % '"PT2S"^^xsd:duration >= getDURATION()').within == 2 * 10**9
     assert checked(text % '!(getDURATION() > "PT2S"^^xsd:duration)').within == 2 * 10**9
     assert checked(text % '?v < ?w || getDURATION() < "PT2S"^^xsd:duration').within == 5 * 10**9
+
+
+def test_no_name_of_the_text_is_that_of_a_blank_node() -> None:
+    text = "SELECT ?_·1 { ?_·1 dyknow:owns [] . ?_··1 dyknow:price [] } WITHIN 5s"
+    names = [
+        place.name
+        for sample in samples_in(checked(text).where)
+        for place in (sample.arguments[0][0], sample.value)
+    ]
+    assert len(set(names)) == 4
