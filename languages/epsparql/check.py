@@ -12,7 +12,7 @@ from typing import assert_never
 
 from pyoxigraph import Literal, NamedNode, Variable
 
-from ...ontology.vocabulary import Vocabulary
+from ...ontology.vocabulary import THING, Vocabulary
 from ...rdf.namespaces import shorten
 from ...sparql import ast as sparql
 from ...sparql.ast import variables_of
@@ -26,14 +26,13 @@ from .groups import Classes, classes_of, parts_in, triples_in, union, variables_
 from .head import HeadChecker
 from .kinds import find_kinds
 from .triples import (
+    BLANK,
     Read,
     Reading,
     Sorts,
     StaticTriple,
     Term,
     TripleReader,
-    is_variable,
-    name_of,
 )
 
 
@@ -109,17 +108,19 @@ class _Checker:
     # -- groups ------------------------------------------------------------------------------
 
     def _group(self, group: ast.Group, outer: Classes) -> checked.Group:
-        classes = union(outer, classes_of(group, self._reads))
+        own = classes_of(group, self._reads)
+        classes = union(outer, own)
         parts: list[checked.Part] = []
         conditions: list[ast.Filter] = []
         for part in group.parts:
             match part:
                 case sparql.Triples():
-                    parts += self._triples(part, classes)
+                    parts += self._triples(part, classes, own)
                 case ast.Group() | ast.Operation():
                     parts.append(self._operand(part, classes))
                 case ast.Graph(name, triples):
-                    parts += [checked.Static(each, name.value, each.span) for each in triples]
+                    found = [self._reader.named(each) for each in triples]
+                    parts += [checked.Static(each, name.value, each.span) for each in found]
                 case ast.Bind():
                     parts.append(self._bind(part, set(_names_of(parts))))
                 case ast.Filter():
@@ -159,18 +160,25 @@ class _Checker:
     def _reads(self, triples: sparql.Triples) -> tuple[Read, ...]:
         return self._read[id(triples)]
 
-    def _triples(self, triples: sparql.Triples, classes: Classes) -> Iterator[checked.Part]:
+    def _triples(
+        self, triples: sparql.Triples, classes: Classes, own: Classes
+    ) -> Iterator[checked.Part]:
+        """Check triples; ``own``: the sorts of the group itself. Its samples have the sort that it
+        states of their objects; of any other object the sort is a static triple."""
         for read in self._read[id(triples)]:
             match read:
                 case Reading():
                     yield self._sample(read, classes)
-                case Sorts(subject, sort):
-                    if subject not in self._arguments:
+                case Sorts(subject, sort, triple):
+                    if THING in own[subject]:
+                        continue
+                    if not (isinstance(subject, Variable) and subject.value in self._kinds):
                         raise self._error(
-                            f"no sample of {subject} is in the pattern, so its sort is not known",
-                            triples.triples[0].span,
+                            f"{subject} is in no sample of the pattern, so its sort says nothing",
+                            triple.span,
                             f"read a feature of {subject}, or leave `a {shorten(sort)}` out",
                         )
+                    yield checked.Static(triple, None, triple.span)
                 case StaticTriple(triple):
                     yield checked.Static(triple, None, triple.span)
                 case _:
@@ -183,8 +191,8 @@ class _Checker:
             for sorts in [classes.get(term, frozenset())]
         )
         kind = read.kind
-        if is_variable(read.value):
-            name = name_of(read.value)
+        if isinstance(read.value, Variable):
+            name = read.value.value
             known = self._kinds.setdefault(name, Kind.NUMBER)
             assert known != DURATION
             kind = Kind(known)
@@ -199,8 +207,8 @@ class _Checker:
         )
 
     def _place(self, term: Term, kind: Kind, span: Span) -> checked.Place:
-        if is_variable(term):
-            return checked.Variable(name_of(term), kind)
+        if isinstance(term, Variable):
+            return checked.Variable(term.value, kind)
         if isinstance(term, NamedNode):
             found: checked.Value = ObjectConstant(term.value)
         else:
@@ -236,7 +244,7 @@ class _Checker:
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:
-                shown = [f"?{each}" for each in sorted(names) if not each.startswith("_:")]
+                shown = [f"?{each}" for each in sorted(names) if not each.startswith(BLANK)]
                 hint = did_you_mean(f"?{name}", shown) or f"the group has {', '.join(shown)}"
             raise self._error(message, span, hint)
 

@@ -22,7 +22,7 @@ ValueKind: TypeAlias = Kind | Literal["duration"]
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable, or a blank node, whose name begins with ``_:``."""
+    """A variable, or a blank node (`triples.BLANK`)."""
 
     name: str
     kind: ValueKind

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final, TypeAlias
 
+from ...ontology.vocabulary import THING
 from ...sparql import ast as sparql
 from ...sparql.ast import variables_of
 from . import ast
-from .triples import Read, Sorts, Term
+from .triples import Read, Reading, Sorts, Term
 
 Classes: TypeAlias = Mapping[Term, frozenset[str]]
 """The sorts (IRIs) that an object has in each solution."""
@@ -43,13 +44,17 @@ def variables_in(part: ast.Part) -> dict[str, None]:
 
 
 def classes_of(part: ast.Part, reads: Callable[[sparql.Triples], tuple[Read, ...]]) -> Classes:
-    """Return the sorts of the objects in each solution of a part of a group."""
+    """Return the sorts of the objects in each solution of a part of a group. An object of a sample
+    is at least a `THING`."""
     found: dict[Term, frozenset[str]] = {}
     match part:
         case sparql.Triples():
             for read in reads(part):
-                if isinstance(read, Sorts):
-                    found[read.subject] = found.get(read.subject, _NOTHING) | {read.sort}
+                match read:
+                    case Reading():
+                        found = union(found, dict.fromkeys(read.arguments, frozenset({THING})))
+                    case Sorts(subject, sort):
+                        found = union(found, {subject: frozenset({sort})})
         case ast.Group(parts):
             for each in parts:
                 found = union(found, classes_of(each, reads))

@@ -19,7 +19,7 @@ from .ast import END_TIME, START_TIME
 from .checked import DURATION, ValueKind, kind_of
 from .expressions import ExpressionChecker
 from .groups import parts_in
-from .triples import Read, Reading, Term, is_variable, name_of
+from .triples import BLANK, Read, Reading, Term
 
 
 def find_kinds(query: ast.EpSparqlQuery, reads: Iterable[Read]) -> dict[str, ValueKind]:
@@ -42,8 +42,8 @@ class _Finder:
                     self._set_kind(term, Kind.OBJECT, read.span)
                 if read.kind is not None:
                     self._set_kind(read.value, read.kind, read.span)
-                elif is_variable(read.value):
-                    unknown[name_of(read.value)] = None
+                elif isinstance(read.value, Variable):
+                    unknown[read.value.value] = None
         unknown.update((each.value, None) for each in self._query.parameters)
         parts = list(parts_in(self._query.where))
         binds = [part for part in parts if isinstance(part, ast.Bind)]
@@ -61,13 +61,13 @@ class _Finder:
         return self._kinds
 
     def _set_kind(self, term: Term, kind: Kind, span: Span) -> None:
-        if not is_variable(term):
+        if not isinstance(term, Variable):
             return
-        name = name_of(term)
+        name = term.value
         before = self._kinds.setdefault(name, kind)
         if before != kind:
             raise LanguageError(
-                f"`{_shown(name)}` is of kind {kind} here and of kind {before} before",
+                f"{_shown(name)} is of kind {kind} here and of kind {before} before",
                 self._query.source,
                 span,
                 "values of two kinds are never equal: use two variables",
@@ -119,4 +119,4 @@ def _kind_of_literal(expressions: ExpressionChecker, literal: Literal) -> ValueK
 
 
 def _shown(name: str) -> str:
-    return name if name.startswith("_:") else f"?{name}"
+    return "a blank node" if name.startswith(BLANK) else f"`?{name}`"

@@ -8,6 +8,7 @@ triples are of one sample.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -22,7 +23,9 @@ from ...sparql.ast import Triple, walk
 from ..errors import LanguageError, Span
 from ..mtl.checked import Kind, kind_of
 
-Term: TypeAlias = NamedNode | Literal | BlankNode | Variable
+Term: TypeAlias = NamedNode | Literal | Variable
+"""A place of a triple. A blank node is a variable whose name begins with `BLANK`."""
+BLANK: Final = "_\u00b7"
 _MEMBER: Final = re.compile(re.escape(RDF) + r"_([1-9][0-9]?)")
 _VALUE: Final = NamedNode(RDF + "value")
 
@@ -46,6 +49,7 @@ class Sorts:
 
     subject: Term
     sort: str
+    triple: Triple
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,24 +70,40 @@ class TripleReader:
         self._source = source
         self._vocabulary = vocabulary
         self._is_static = is_static
-        self._unnamed = 0
+        self._blanks: dict[BlankNode, Variable] = {}
+        longest = max(map(len, re.findall(f"{BLANK[-1]}+", source)), default=0)
+        self._names = (f"{BLANK}{BLANK[-1] * longest}{i}" for i in itertools.count(1))
+        """Names that the text does not have."""
 
     def read(self, triples: sparql.Triples) -> tuple[Read, ...]:
         """Return the meaning of consecutive triples, in reading order. Raises `LanguageError`."""
+        named = [self.named(triple) for triple in triples.triples]
         nodes: dict[Term, list[Triple]] = {}
-        for triple in triples.triples:
+        for triple in named:
             if _is_of_node(triple):
-                nodes.setdefault(triple.subject, []).append(triple)
+                nodes.setdefault(_term(triple.subject), []).append(triple)
         own = {
             triple.object
-            for triple in triples.triples
+            for triple in named
             if triple.object in nodes and self._is_streamed(triple)
         }
         return tuple(
             self._read(triple, nodes if triple.object in own else {})
-            for triple in triples.triples
+            for triple in named
             if not (_is_of_node(triple) and triple.subject in own)
         )
+
+    def named(self, triple: Triple) -> Triple:
+        """Return a triple with variables in place of blank nodes: each stands for any object or
+        value, too."""
+        return sparql.rewrite(triple, self._variable)
+
+    def _variable(self, node: object) -> Variable | None:
+        if not isinstance(node, BlankNode):
+            return None
+        if node not in self._blanks:
+            self._blanks[node] = self._fresh()
+        return self._blanks[node]
 
     def narrowest(self, classes: frozenset[str]) -> str:
         """Return the narrowest sort; the first by name if there are several."""
@@ -112,7 +132,7 @@ class TripleReader:
         if predicate == RDF_TYPE and isinstance(triple.object, NamedNode):
             return self._sort(triple, triple.object.value)
         if self._is_streamed(triple):
-            return self._reading(triple, predicate.value, nodes.get(triple.object))
+            return self._reading(triple, predicate.value, nodes.get(_term(triple.object)))
         if predicate.value.startswith(DYKNOW) and not (
             self._is_static is not None and self._is_static(predicate.value)
         ):
@@ -134,7 +154,7 @@ class TripleReader:
     def _sort(self, triple: Triple, iri: str) -> Sorts | StaticTriple:
         vocabulary = self._vocabulary
         if vocabulary.is_sort(iri):
-            return Sorts(triple.subject, iri)
+            return Sorts(_term(triple.subject), iri, triple)
         name = shorten(iri)
         if vocabulary.is_event(iri) or vocabulary.is_feature(iri):
             raise self._error(
@@ -152,8 +172,8 @@ class TripleReader:
     def _reading(self, triple: Triple, feature: str, node: list[Triple] | None) -> Reading:
         if isinstance(triple.subject, Literal):
             raise self._error("a literal has no features", triple.span, "write an object before it")
-        arguments: dict[int, Term] = {1: triple.subject}
-        value = triple.object if node is None else None
+        arguments: dict[int, Term] = {1: _term(triple.subject)}
+        value = _term(triple.object) if node is None else None
         for part in node or ():
             assert isinstance(part.predicate, NamedNode)
             member = _MEMBER.fullmatch(part.predicate.value)
@@ -162,9 +182,9 @@ class TripleReader:
                 which = "value" if not place else f"argument {place}"
                 raise self._error(f"the {which} is named twice", part.span, "name it once")
             if place:
-                arguments[place] = part.object
+                arguments[place] = _term(part.object)
             else:
-                value = part.object
+                value = _term(part.object)
         info = self._vocabulary.feature(feature)
         arity = None if info is None else info.arity
         count = max(arguments) if arity is None else arity
@@ -187,30 +207,23 @@ class TripleReader:
             triple.span,
         )
 
-    def _fresh(self) -> BlankNode:
-        """Return a blank node for what the text leaves open."""
-        self._unnamed += 1
-        return BlankNode(f"unnamed.{self._unnamed}")
+    def _fresh(self) -> Variable:
+        """Return a variable for what the text leaves open."""
+        return Variable(next(self._names))
 
     def _error(self, message: str, span: Span, hint: str) -> LanguageError:
         return LanguageError(message, self._source, span, hint)
 
 
-def is_variable(term: Term) -> bool:
-    """Return whether a term is a variable: blank nodes are, too."""
-    return isinstance(term, Variable | BlankNode)
-
-
-def name_of(term: Term) -> str:
-    """Return the name of a variable; that of a blank node begins with ``_:``."""
-    assert isinstance(term, Variable | BlankNode)
-    return term.value if isinstance(term, Variable) else f"_:{term.value}"
+def _term(place: sparql.Place) -> Term:
+    assert not isinstance(place, BlankNode), "`TripleReader.named` replaces them"
+    return place
 
 
 def _is_of_node(triple: Triple) -> bool:
     predicate = triple.predicate
     return (
-        isinstance(triple.subject, BlankNode | Variable)
+        isinstance(triple.subject, Variable)
         and isinstance(predicate, NamedNode)
         and (predicate == _VALUE or _MEMBER.fullmatch(predicate.value) is not None)
     )

@@ -97,8 +97,12 @@ class CombinedRows:
             )
             for number, (plan, branch) in enumerate(zip(plans, branches, strict=True))
         ]
+        self._is_plain = list(branches) == [Branch()]
         self._watermark = TIME_MIN
         self._unawaited = 0
+        self._nothing = self._in_order(
+            [(part, part.waiting) for part in self._parts if part.branch.is_given]
+        )
 
     # -- rows and time -----------------------------------------------------------------------
 
@@ -186,6 +190,10 @@ class CombinedRows:
     # -- the way of a batch ------------------------------------------------------------------
 
     def _decided(self, made: list[Matches]) -> CombinedMatches:
+        if self._is_plain:
+            (only,) = made
+            plan = np.zeros(len(only), np.int64)
+            return CombinedMatches(only.rows, only.decided, only.outputs, plan)
         final: list[_Candidates] = []
         for part, matches in zip(self._parts, made, strict=True):
             found = part.decide(matches, self._watermark, final, self._limits)
@@ -204,7 +212,7 @@ class CombinedRows:
             for part, found in zip(self._parts, final, strict=True)
             if part.branch.is_given
         ]
-        return self._in_order(given)
+        return self._in_order(given) if any(len(each) for _, each in given) else self._nothing
 
     def _in_order(self, given: list[tuple[_Part, _Candidates]]) -> CombinedMatches:
         rows = np.concatenate([_padded(each.rows, self._width) for _, each in given])
@@ -284,6 +292,11 @@ class _Part:
     ) -> _Candidates:
         """Return the matches that are decided by the watermark; ``final`` are those of the earlier
         plans."""
+        self.lost = 0
+        for each in self.found:
+            each.learn(final[each.absence.other])
+        if not len(matches) and not len(self.waiting):
+            return self.waiting
         due = matches.decided
         outputs = {**matches.outputs}
         for absence in self.branch.absences:
@@ -292,8 +305,6 @@ class _Part:
         new = _Candidates(matches.rows, matches.decided, due, outputs)
         if self.branch.tests:
             new = new[hold(AllOf(self.branch.tests), new.outputs, len(new))]
-        for each in self.found:
-            each.learn(final[each.absence.other])
         if not self.found:
             return new
         is_open = new.due > watermark
@@ -322,6 +333,8 @@ class _Found:
 
     def learn(self, others: _Candidates) -> None:
         """Take new matches of the other plan."""
+        if not len(others):
+            return
         theirs = [other for _, other in self.absence.rows]
         for rows, due in zip(others.rows[:, theirs].tolist(), others.due.tolist(), strict=True):
             key = tuple(rows)

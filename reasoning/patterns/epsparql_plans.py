@@ -235,6 +235,9 @@ class _Plan:
             for each in places_of(self.compiler.samples[number])
             if isinstance(each, Variable)
         }
+        for name, bind in self.branch.binds:
+            assert not isinstance(bind.node, Comparison | Or)
+            known.setdefault(name, Variable(name, kind_of(bind.node)))
         variables = []
         for name in dict.fromkeys(name for each, _ in triples for name in variables_of(each)):
             place = self.compiler.sources.constant(known.get(name) or Variable(name, Kind.OBJECT))

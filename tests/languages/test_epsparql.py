@@ -50,7 +50,7 @@ WHERE = "{ ?a dyknow:price ?v } SEQ { ?a dyknow:owns ?b } WITHIN 5s"
         ("ASK { ?a a dyknow:Crash }", 10, "no sort", "?o dyknow:Crash ?value"),
         ("ASK { ?a dyknow:distance ?d }", 10, "is of 2 objects", "rdf:_2 ?b2"),
         ("ASK { ?a <urn:p> ?v }", 5, "reads no feature", "dyknow:price"),
-        ("ASK { ?a dyknow:price ?v . ?b a dyknow:Bank }", 10, "no sample of ?b", "leave"),
+        ("ASK { ?a dyknow:price ?v . ?b a dyknow:Bank }", 31, "?b is in no sample", "leave"),
         ("ASK { ?a dyknow:price 'x' }", 10, "of kind number", "no sample has such a value"),
         ("ASK { ?a dyknow:owns 3 }", 10, "of kind object", "no sample"),
         (
@@ -145,6 +145,24 @@ def test_a_sort_is_that_of_all_samples_that_must_be_there() -> None:
     assert sorts_of(f"ASK {{ {company} SEQ {{ {price} . ?a a dyknow:Bank }} }}") == ["Bank", "Bank"]
 
 
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("{ ?a dyknow:owns ?b . ?b a dyknow:Bank }", ["Sample", "Static"]),
+        ("{ ?a dyknow:owns ?b . ?a a dyknow:Bank }", ["Sample"]),
+        ("{ { ?a dyknow:price 1 } SEQ { ?a dyknow:price 2 } ?a a dyknow:Bank }", ["Operation"]),
+        (
+            "{ { ?a dyknow:price 1 } UNION { ?b dyknow:price 2 } ?a a dyknow:Bank }",
+            ["Operation", "Static"],
+        ),
+    ],
+)
+def test_the_sort_of_an_object_without_a_sample_in_the_group_is_a_static_triple(
+    text: str, parts: list[str]
+) -> None:
+    assert [type(each).__name__ for each in checked(f"ASK {text}").where.parts] == parts
+
+
 def test_the_node_of_a_feature_of_several_objects() -> None:
     (found,) = samples_in(checked("ASK { ?a dyknow:distance [ rdf:value ?d ; rdf:_2 ?b ] }").where)
     assert [place.name for place, _ in found.arguments] == ["a", "b"]
@@ -172,3 +190,13 @@ def test_within_is_the_least_bound_of_the_whole() -> None:
     assert checked(text % '"PT2S"^^xsd:duration >= getDURATION()').within == 2 * 10**9
     assert checked(text % '!(getDURATION() > "PT2S"^^xsd:duration)').within == 2 * 10**9
     assert checked(text % '?v < ?w || getDURATION() < "PT2S"^^xsd:duration').within == 5 * 10**9
+
+
+def test_no_name_of_the_text_is_that_of_a_blank_node() -> None:
+    text = "SELECT ?_·1 { ?_·1 dyknow:owns [] . ?_··1 dyknow:price [] } WITHIN 5s"
+    names = [
+        place.name
+        for sample in samples_in(checked(text).where)
+        for place in (sample.arguments[0][0], sample.value)
+    ]
+    assert len(set(names)) == 4

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
 from random import Random
-from typing import Any
 
 import numpy as np
-from epsparql_definition import Fact, Sample, Value, constant
-from pyoxigraph import RdfFormat, Variable, parse
+from epsparql_definition import Fact, Sample, Value
+from pyoxigraph import Literal, NamedNode, Quad, RdfFormat, Store, parse
 
+from dyknow.continuous.operators.background import Background
 from dyknow.languages.mtl.checked import Kind
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
@@ -18,7 +19,6 @@ from dyknow.reasoning.patterns.query import (
     Part,
     PatternQuery,
     Source,
-    StaticJoin,
     column_type,
     object_key,
     text_key,
@@ -132,6 +132,8 @@ class QueryDrawing:
                 "?a <urn:in> <urn:x> . ?k <urn:of> ?m .",
                 "GRAPH <urn:g> { ?a <urn:in> ?b }",
                 "?a <urn:level> ?v .",
+                "BIND (1 - 0 AS ?l) ?a <urn:level> ?l .",
+                "?a dyknow:owns [ <urn:in> ?k ] .",
             ]
         )
 
@@ -273,28 +275,18 @@ def cell(sample: Sample, source: Source, column: str, keys: Keys) -> int | float
     return None
 
 
-def static_solutions(join: StaticJoin, values: dict[str, Value]) -> int:
-    """The number of solutions of a static join in `STATIC`."""
-    found = [values]
-    for triple, graph in join.triples:
-        found = [
-            new
-            for known in found
-            for subject, predicate, object, where in STATIC
-            if predicate == triple.predicate.value and where == graph
-            for new in [fitted(fitted(known, triple.subject, subject), triple.object, object)]
-            if new is not None
-        ]
-    return len(found)
+@cache
+def background() -> Background:
+    """`STATIC` as the static side of queries."""
+    store = Store()
+    for subject, predicate, object, graph in STATIC:
+        where = NamedNode(graph or "urn:default")
+        store.add(Quad(NamedNode(subject[1]), NamedNode(predicate), _term(object), where))
+    return Background(store, default=["urn:default"])
 
 
-def fitted(known: dict[str, Value] | None, term: Any, value: Value) -> dict[str, Value] | None:
-    """What is known, with the term being the value; None if it is another."""
-    if known is None:
-        return None
-    if isinstance(term, Variable):
-        return {**known, term.value: value} if known.get(term.value, value) == value else None
-    return known if constant(term) == value else None
+def _term(value: Value) -> NamedNode | Literal:
+    return NamedNode(value[1]) if value[0] == OBJECTS else Literal(value[1])
 
 
 def value_of(kind: Kind, number: int | float, keys: Keys) -> Value | None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
-from typing import Any
 
-import numpy as np
 from epsparql_definition import Sample, Value
-from epsparql_drawing import rows_of, static_solutions, value_of
-from numpy.typing import NDArray
+from epsparql_drawing import background, rows_of, value_of
 
 from dyknow.reasoning.patterns.combined import NO_ROW, CombinedMatches, CombinedRows
-from dyknow.reasoning.patterns.query import Keys, PatternQuery, StaticJoin, with_numbers
+from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
+from dyknow.reasoning.patterns.static_tables import StaticTables
 
 Result = tuple[tuple[int, ...], tuple[tuple[str, Value | None], ...], int]
 """The samples, the values of the head, and the time of decision."""
@@ -36,18 +33,8 @@ class Running:
             self.query.branches,
             is_ordered=self.is_ordered,
             capacity=8,
-            static=self.static_solutions,
+            static=StaticTables(background(), self.keys, ["urn:g"]),
         )
-
-    def static_solutions(
-        self, join: StaticJoin, values: Mapping[str, NDArray[Any]], count: int
-    ) -> NDArray[np.int64]:
-        columns = {
-            name: [value_of(kind, each, self.keys) for each in values[name].tolist()]
-            for name, _, kind in join.variables
-        }
-        rows = ({name: column[i] for name, column in columns.items()} for i in range(count))
-        return np.array([static_solutions(join, row) for row in rows], np.int64)
 
     def push(self, samples: list[Sample]) -> list[Result]:
         rows, numbers = rows_of(samples, self.query, self.keys)

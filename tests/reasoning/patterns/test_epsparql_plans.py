@@ -3,6 +3,8 @@ refused, and what a query asks of streams."""
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Sequence
 
 import pytest
@@ -232,6 +234,31 @@ def test_what_is_refused(text: str, at: int, message: str, hint: str) -> None:
     assert message in refused.value.message
     assert hint in refused.value.hint
     assert refused.value.column == at
+
+
+def nested(operator: str, depth: int) -> str:
+    return PRICE if not depth else f"{{ {PRICE} {operator} {nested(operator, depth - 1)} }}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"ASK {' SEQ '.join([PRICE] * 120)} WITHIN 5s",
+        f"ASK {' EQUALS '.join([PRICE] * 16)} WITHIN 5s",
+        f"ASK {' OPTIONALSEQ '.join([PRICE] * 16)} WITHIN 5s",
+        f"ASK {nested('EQUALSOPTIONAL', 15)} WITHIN 5s",
+        f"ASK {'{ ' * 60}?a dyknow:price ?v{' }' * 60}",
+        f"ASK {{ ?a dyknow:price ?v FILTER ({' || '.join(['?v = 1'] * 900)}) }}",
+        f"ASK {{ ?a dyknow:price ?v FILTER (?v NOT IN ({', '.join(['1'] * 1900)})) }}",
+        f"ASK {{ {'?a dyknow:price ?v . ' * 120} }}",
+        "ASK { ?a dyknow:price ?_" + "\u00b7" * 40_000 + " }",
+    ],
+)
+def test_a_large_text_takes_no_long(text: str) -> None:
+    begin = time.process_time()
+    with contextlib.suppress(LanguageError):
+        compiled(text)
+    assert time.process_time() - begin < 2
 
 
 # -- what a query asks of streams ------------------------------------------------------------
