@@ -193,7 +193,7 @@ class CombinedRows:
         if self._is_plain:
             (only,) = made
             plan = np.zeros(len(only), np.int64)
-            return CombinedMatches(only.rows, only.decided, only.outputs, plan)
+            return CombinedMatches(only.rows, only.decided, only.outputs, only.last, plan)
         final: list[_Candidates] = []
         for part, matches in zip(self._parts, made, strict=True):
             found = part.decide(matches, self._watermark, final, self._limits)
