@@ -50,15 +50,16 @@ def vocabulary() -> Vocabulary:
 def found(body: str, table: dict[str, list[str]]) -> list[str]:
     """The matches of a pattern over the events of a table: the times of their events. Of a pattern
     that returns something: the time of each event at the end, and the first result."""
+    body, clause, limit = body.partition(" LIMIT ")
     text = f"PATTERN {body}"
     if "WITHIN" not in body:
-        head, clause, rest = re.split("( HAVING | RETURN |$)", text, maxsplit=1)
-        text = f"{head} WITHIN 10s{clause}{rest}"
+        head, later, rest = re.split("( HAVING | RETURN |$)", text, maxsplit=1)
+        text = f"{head} WITHIN 10s{later}{rest}"
     parts = [part for part in parse_sase(text).parts if not part.is_negated]
     is_over_matches = "RETURN" in body
     if not is_over_matches:
         items = [f"{p.name}{'[]' * p.is_kleene}.t AS {p.name}" for p in parts]
-        text += f" RETURN {', '.join(items)}"
+        text += f" RETURN {', '.join(items)}{clause}{limit}"
     query, keys = sase_query(check_sase(parse_sase(text), text, vocabulary()), KINDS), Keys()
     plan = with_numbers(query.plans[0], keys)
     running = evaluator_of(plan)
