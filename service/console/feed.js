@@ -29,7 +29,7 @@ export class Rings {
     if (spot && object != null && values[spot.latitude] != null) this.#track(object, spot, time, values);
     const isAsked = requests.value.some((request) => request.stream === name);
     if (!isAsked && extra.value !== name) return;
-    const event = { time, name, object, values, number: this.total++ };
+    const event = { time, valid, name, object, values, number: this.total++ };
     this.events.push(event);
     if (this.events.length > 1.5 * EVENTS) this.events.splice(0, this.events.length - EVENTS);
     this.last.set(name, event);

@@ -6,6 +6,7 @@ import { feedState, oldest, pace, play, shown, tick } from "../feed.js";
 import { clock, count, duration, rate, value } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
+import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
 const SHOWN_FIELDS = 4, LINES = 24, PLOTTED = 90, RECENT = 10;
@@ -71,7 +72,7 @@ function Running({ chosen }) {
 }
 
 function Feed({ chosen, object, select, all, setAll, isWanted }) {
-  const [find, setFind] = useState(""), frozen = useRef(null), byScroll = useRef(false);
+  const [find, setFind] = useState(""), [asked, setAsked] = useState(null), frozen = useRef(null), byScroll = useRef(false);
   if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: pace.value.total };
   else frozen.current = null;
   const text = find.toLowerCase();
@@ -89,7 +90,7 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     : html`<div class=${`line ${object && event.object === object ? "on" : ""}`} key=${event.number} style=${at}>
         <time>${clock(event.time)}</time><span class="cut of muted">${names.get(event.name) ?? event.name}</span>
         <button class="cut who" onClick=${() => select(event.object)}>${event.object ?? "–"}</button>
-        <span class="cut"><${Values} of=${event} /></span></div>`;
+        <span class="cut">${question(event) && html`<button class="chip" onClick=${() => setAsked(question(event))}>why?</button> `}<${Values} of=${event} /></span></div>`;
   return html`<section class="panel feed" aria-label="events"><header>
     ${chosen ? html`<h2>Events</h2><a class="chip on" href="#live" title="show all">${chosen.name} ✕</a>`
       : html`<div class="tabs" role="group" aria-label="which">
@@ -105,7 +106,8 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     ${events.length ? html`<${Rows} items=${events} draw=${row} label="events" scrolled=${scrolled} />`
       : html`<${Empty} title="No events yet."><span>${requests.value.length
           ? "They appear here as they arrive, newest first. A request that never fires may ask for too much: its plan is on the Graph page."
-          : "Events of all requests appear here as they arrive."}</span><//>`}</section>`;
+          : "Events of all requests appear here as they arrive."}</span><//>`}
+    ${asked && html`<${Why} path=${asked} close=${() => setAsked(null)} />`}</section>`;
 }
 
 function LivePlot({ request, object }) {

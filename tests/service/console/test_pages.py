@@ -204,6 +204,32 @@ def test_a_continuous_query_is_explained_registered_read_and_ended(
     assert httpx.get(f"{flying}/queries").json() == []
 
 
+def test_every_continuous_example_has_a_plan(flying: str, open_page: OPEN) -> None:
+    page = open_page(f"{flying}/#query")
+    examples = page.run("import('/console/pages/query.js').then((page) => page.CONTINUOUS)")
+    assert len(examples) == 4
+    for title, text in examples:
+        answer = httpx.post(
+            f"{flying}/explain", json={"query": text}, headers={"Accept": "application/json"}
+        )
+        assert answer.status_code == 200, (title, answer.text)
+        assert answer.json()["found"], title
+
+
+def test_a_verdict_is_explained(flying: str, open_page: OPEN) -> None:
+    text = "monitor high(?x in Aircraft) = altitude(?x) > 100000 [ft]"
+    assert httpx.post(f"{flying}/queries", content=text).status_code == 201
+    page = open_page(f"{flying}/#live/high")
+    page.click(".line button.chip", "why?")
+    page.wait("document.querySelector('dialog.why tbody') !== null")
+    shown = page.run("document.querySelector('dialog.why').innerText")
+    assert ": false" in shown
+    assert "altitude" in shown
+    page.click("dialog.why button", "Close")
+    page.wait("document.querySelector('dialog.why') === null")
+    assert httpx.delete(f"{flying}/queries/high").status_code == 204
+
+
 def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#query")
     page.wait_text("Which streams are there")
