@@ -13,7 +13,7 @@ from ...languages.mtl.checked import Kind
 from ...rdf.namespaces import DYKNOW
 from ...reasoning.patterns.explanation import Told
 from ...reasoning.patterns.plan import NO_VALUE
-from ...reasoning.patterns.query import END, START, Keys, PatternQuery
+from ...reasoning.patterns.query import END, START, Keys, PatternQuery, integers_of, lists_of
 from ...reasoning.patterns.recognition import Recognized
 from ...streams.sample import Column, Field, FieldType, Schema, column_from_values
 from ...streams.string_pool import StringPool
@@ -30,10 +30,13 @@ _TYPES = {
 
 def match_schema(query: PatternQuery) -> Schema:
     """Return the fields of a pattern's matches: the results, then the times of start and end."""
-    results = [
-        Field(each.name, FieldType.STRING if each.is_list else _TYPES[each.kind])
-        for each in query.results
-    ]
+    lists, integers = lists_of(query), integers_of(query)
+    results = []
+    for each in query.results:
+        type = FieldType.STRING if each.name in lists else _TYPES[each.kind]
+        if type is FieldType.FLOAT and each.name in integers:
+            type = FieldType.INTEGER
+        results.append(Field(each.name, type))
     return Schema((*results, Field(START, FieldType.STRING), Field(END, FieldType.STRING)))
 
 
@@ -44,6 +47,7 @@ class MatchWriter:
     def __init__(self, query: PatternQuery, keys: Keys) -> None:
         self._keys = keys
         self._results = {each.name: each for each in query.results}
+        self._lists = lists_of(query)
         self._fields = match_schema(query).fields
 
     def columns(self, found: Recognized, pools: Mapping[str, StringPool]) -> dict[str, Column]:
@@ -75,7 +79,7 @@ class MatchWriter:
 
     def _told(self, name: str, value: Any) -> Told:
         result = self._results[name]
-        if result.is_list:
+        if name in self._lists:
             told = [self.value(result.kind, each) for each in value.tolist()]
             return json.dumps(told, ensure_ascii=False)
         return self.value(result.kind, value)
@@ -84,10 +88,12 @@ class MatchWriter:
         convert: Callable[[Any], Told]
         if field.name in (START, END):
             convert = format_time
+        elif field.type is FieldType.INTEGER:
+            return Column(field.type, values, values == NO_VALUE)
         elif field.type is FieldType.FLOAT:
             is_missing = np.isnan(values) if values.dtype == np.float64 else values == NO_VALUE
             return Column(field.type, values.astype(np.float64), is_missing)
-        elif self._results[field.name].is_list:
+        elif field.name in self._lists:
             lists = [self._told(field.name, each) for each in values]
             return column_from_values(field, lists, pool)
         else:

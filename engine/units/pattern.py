@@ -23,6 +23,7 @@ from ...reasoning.patterns.partial import Partial, partial_matches
 from ...reasoning.patterns.plan import PlanError
 from ...reasoning.patterns.query import END, START, Keys, Part, PatternQuery, object_key
 from ...reasoning.patterns.recognition import SAMPLE, STREAM, Recognition, Recognized
+from ...reasoning.patterns.static_tables import StaticTables
 from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
@@ -31,7 +32,6 @@ from ...streams.time import TIME_MAX
 from .base import ComputationalUnit
 from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
-from .static_solutions import StaticSolutions
 
 
 class PatternUnit(ComputationalUnit):
@@ -67,7 +67,7 @@ class PatternUnit(ComputationalUnit):
             len(self.sources),
             self._keys,
             lateness=self._lateness,
-            static=StaticSolutions(background, self._keys),
+            static=StaticTables(background, self._keys, query.graphs[1]),
         )
         self._background = background
         self.samples = self.matches = 0
@@ -246,7 +246,7 @@ class RecalledEvents:
             keys,
             lateness=self.lateness,
             keeps_places=True,
-            static=StaticSolutions(self.background, keys),
+            static=StaticTables(self.background, keys, self.query.graphs[1]),
         )
         readers = row_readers(self.inputs, TermDictionary(), keys)
         for place, source, batch in self.past:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from ...languages.mtl.checked import Kind
 from ...sparql.ast import Triple
-from .plan import ColumnType, Constant, Key, PatternPlan
+from .plan import ColumnType, Constant, Key, Listed, PatternPlan
 
 START, END = "start", "end"
 """Outputs that every plan has: the times (ns) at which a match starts and ends."""
@@ -85,13 +85,11 @@ matching has found the streams."""
 @dataclass(frozen=True, slots=True)
 class Result:
     """A field of the results: the output of the plans with that ``name``, of ``kind``. Where it is
-    an object of a `Source`, ``argument`` tells of which. ``is_list``: the output is `plan.Listed`.
-    """
+    an object of a `Source`, ``argument`` tells of which."""
 
     name: str
     kind: Kind
     argument: Argument | None = None
-    is_list: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +167,26 @@ class PatternQuery:
     valid: str = END
     branches: tuple[Branch, ...] = ()
     graphs: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+
+
+def lists_of(query: PatternQuery) -> frozenset[str]:
+    """Return the names of the results that are lists (`plan.Listed`)."""
+    outputs = (output for plan in query.plans for output in plan.outputs)
+    return frozenset(output.name for output in outputs if isinstance(output.value, Listed))
+
+
+def integers_of(query: PatternQuery) -> frozenset[str]:
+    """Return the names of the results that are 64-bit integers in all plans, as counts are."""
+    return frozenset.intersection(
+        *(
+            frozenset(
+                output.name
+                for output in plan.outputs
+                if not isinstance(output.value, Listed) and plan.is_integer(output.value)
+            )
+            for plan in query.plans
+        )
+    )
 
 
 def column_type(kind: Kind) -> ColumnType:
