@@ -14,10 +14,10 @@ from .service.config.version import __version__
 if TYPE_CHECKING:
     from .continuous.evaluate import evaluate as evaluate
     from .engine.model.process_reports import Report as Report
-    from .engine.monitor_run import run as run
     from .engine.processes.registry import computational_unit as computational_unit
     from .engine.processes.registry import sink as sink
     from .engine.processes.registry import source as source
+    from .engine.recorded_run import run as run
     from .service.client.client import Client as Client
     from .streams.single_sample import Sample as Sample
 
@@ -39,7 +39,7 @@ _WHERE = {
     "Sample": "streams.single_sample",
     "computational_unit": "engine.processes.registry",
     "evaluate": "continuous.evaluate",
-    "run": "engine.monitor_run",
+    "run": "engine.recorded_run",
     "sink": "engine.processes.registry",
     "source": "engine.processes.registry",
 }

@@ -157,7 +157,7 @@ def in_bulk() -> None:
     """Print what a window costs where a batch makes several due, through the engine: 30 objects at
     1 Hz over an hour, with the output's samples. Not counted: start, and the same without query."""
     print("30 objects at 1 Hz, an hour, STEP 1s, through the engine; µs of CPU a window")
-    sizes = (1, 6, 30, 120, 600)
+    sizes = (8, 30, 120, 600)
     heads = "".join(f"{f'{size} a batch':>16}" for size in sizes)
     print(f"{'windows due at once':<22}{heads}   (one by one → in one pass)")
     most = window_schedule.MOST
@@ -175,39 +175,70 @@ def in_bulk() -> None:
     print()
 
 
+def alone() -> None:
+    """Print what a window costs that is due alone, and what a live sample costs a query."""
+    print("30 objects at 1 Hz, STEP 1s, one window a batch, through the engine; µs of CPU")
+    for name, (function, length, having) in BULK_QUERIES.items():
+        hour(function, length, having, 1, 300)
+        spent = min(hour(function, length, having, 1, 1_500) for _ in range(4))
+        print(f"{name:<22}{spent:>8.0f} a window", flush=True)
+    live(1, 300)
+    empty, open_, closed = (min(live(step) for _ in range(4)) for step in (None, 10**6, 1))
+    closes = (closed - empty) * LIVE - (open_ - empty) * (LIVE - 1)
+    print(f"{f'live, {LIVE} samples/s':<22}{open_ - empty:>8.0f} a sample that closes no window")
+    print(f"{'':<22}{closes:>8.0f} a sample that closes one\n")
+
+
+LIVE = 10
+"""Samples a second of the live stream, of 30 objects in turn."""
+
+
+def live(step: int | None, samples: int = 3_000) -> float:
+    """Return µs of CPU time a sample, each published by itself; ``step``: the query's STEP in
+    seconds, None: no query."""
+    times = np.arange(samples) * (SECOND // LIVE) + 1
+    return publish(1, times, step and query("AVG", max(5, step), step, "(AVG(?v) > 150)"))
+
+
 def hour(function: str, length: int, having: str, size: int, seconds: int = 3_600) -> float:
     """Return µs of CPU time a window, with batches of ``size`` seconds."""
+    times = np.repeat(np.arange(seconds), 30) * SECOND + 1
+    spent = [publish(30 * size, times, text) for text in (None, query(function, length, 1, having))]
+    return (spent[1] - spent[0]) * 30
+
+
+def query(function: str, length: int, step: int, having: str) -> str:
+    """Return the query of an aggregate by object."""
+    return (
+        f"REGISTER QUERY q AS CONSTRUCT {{ ?o dyknow:speed ?a }} "
+        f"FROM STREAM <{DYKNOW}s.trdf> [RANGE {length}s STEP {step}s] WHERE {{ SELECT ?o "
+        f"({function}(?v) AS ?a) WHERE {{ ?o a dyknow:UAV . ?o dyknow:speed ?v }} "
+        f"GROUP BY ?o {having and f'HAVING {having}'} }}"
+    )
+
+
+def publish(size: int, times: np.ndarray, text: str | None) -> float:
+    """Return µs of CPU time a sample, in batches of ``size`` of 30 objects, with a query or
+    without."""
     random, pool = np.random.default_rng(5), StringPool()
     codes = np.array([pool.code(f"uav{i}") for i in range(30)], np.int32)
-    rows = 30 * seconds
-    times = np.repeat(np.arange(seconds), 30) * SECOND + 1
-    speeds = np.round(random.uniform(50, 150, rows), 1)
-    spent = []
-    for is_asked in (False, True):
-        engine = Engine()
-        fields = Field("id", FieldType.STRING), Field("v", FieldType.FLOAT)
-        engine.declare(StreamDeclaration("s", fields))
-        engine.annotate("stream s contains speed(UAV) = v for every UAV = id")
-        if is_asked:
-            engine.queries.register(
-                f"REGISTER QUERY q AS CONSTRUCT {{ ?o dyknow:speed ?a }} "
-                f"FROM STREAM <{DYKNOW}s.trdf> [RANGE {length}s STEP 1s] WHERE {{ SELECT ?o "
-                f"({function}(?v) AS ?a) WHERE {{ ?o a dyknow:UAV . ?o dyknow:speed ?v }} "
-                f"GROUP BY ?o {having and f'HAVING {having}'} }}"
-            )
-        begin = time.process_time()
-        for first in range(0, rows, 30 * size):
-            part = slice(first, first + 30 * size)
-            columns = {
-                "id": Column(
-                    FieldType.STRING, np.tile(codes, size)[: len(times[part])], None, pool
-                ),
-                "v": Column(FieldType.FLOAT, speeds[part]),
-            }
-            batch = SampleBatch(times[part], times[part], columns)
-            engine.publish("s", Incoming(batch, False), 0)
-        spent.append(time.process_time() - begin)
-    return (spent[1] - spent[0]) / seconds * 1e6
+    codes = np.resize(codes, len(times))
+    speeds = np.round(random.uniform(50, 150, len(times)), 1)
+    engine = Engine()
+    fields = Field("id", FieldType.STRING), Field("v", FieldType.FLOAT)
+    engine.declare(StreamDeclaration("s", fields))
+    engine.annotate("stream s contains speed(UAV) = v for every UAV = id")
+    if text is not None:
+        engine.queries.register(text)
+    begin = time.process_time()
+    for first in range(0, len(times), size):
+        part = slice(first, first + size)
+        columns = {
+            "id": Column(FieldType.STRING, codes[part], None, pool),
+            "v": Column(FieldType.FLOAT, speeds[part]),
+        }
+        engine.publish("s", Incoming(SampleBatch(times[part], times[part], columns), False), 0)
+    return (time.process_time() - begin) / len(times) * 1e6
 
 
 def memory() -> None:
@@ -232,9 +263,12 @@ def memory() -> None:
 
 
 def main() -> int:
-    """Print the tables; with the argument ``bulk`` that of windows in bulk alone."""
-    if "bulk" in sys.argv[1:]:
-        in_bulk()
+    """Print the tables; with the argument ``bulk`` or ``alone`` only that of windows in bulk or
+    that of windows that are due alone."""
+    some = [table for name, table in (("bulk", in_bulk), ("alone", alone)) if name in sys.argv[1:]]
+    for table in some:
+        table()
+    if some:
         return 0
     for _ in Query("MIN", 2, 10).steps(5, 5_000):
         pass
@@ -244,6 +278,7 @@ def main() -> int:
     lengths(5_000, 20_000)
     touched(100_000)
     in_bulk()
+    alone()
     memory()
     return 0
 

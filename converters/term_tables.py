@@ -1,14 +1,17 @@
-"""Term ids of texts, by the codes of a string pool."""
+"""Term ids of texts by the codes of a string pool, and the other way round."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.dictionary import NO_TERM, Ids, TermDictionary, TermTable
-from ..streams.string_pool import StringPool
+from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
+from ..streams.string_pool import Codes, StringPool
+
+_NO_CODE: Final = -1
 
 
 class PoolTable(TermTable):
@@ -50,3 +53,40 @@ class PoolTable(TermTable):
         gone = freed[self._ids]
         self._ids[gone] = NO_TERM
         self._known -= int(np.count_nonzero(gone))
+
+
+class TextTable(TermTable):
+    """Codes of the texts of terms, by their ids: the inverse of `PoolTable`.
+
+    It calls ``text`` when the term appears first, and again if the dictionary has forgotten the
+    term. Cost: one gather a batch, and ``text`` once per distinct term. Memory: 4 bytes per id of
+    the dictionary.
+    """
+
+    def __init__(self, text: Callable[[Term], str], dictionary: TermDictionary) -> None:
+        self._text = text
+        self.dictionary = dictionary
+        self._pool: StringPool | None = None
+        self._codes: Codes = np.empty(0, np.int32)
+        dictionary.follow(self)
+
+    def of_ids(self, ids: Ids, pool: StringPool) -> Codes:
+        """The codes in ``pool`` of the texts of these terms, shape ``(n,)``."""
+        if pool is not self._pool:
+            self._pool, self._codes = pool, np.empty(0, np.int32)
+        if len(self._codes) < len(self.dictionary):
+            larger = np.full(2 * len(self.dictionary), _NO_CODE, np.int32)
+            larger[: len(self._codes)] = self._codes
+            self._codes = larger
+        codes: Codes = self._codes.take(ids)
+        if len(codes) and int(codes.min()) < 0:
+            new = np.unique(ids[codes < 0])
+            texts = [self._text(self.dictionary.term(id)) for id in new.tolist()]
+            self._codes[new] = pool.encode(texts)
+            codes = self._codes.take(ids)
+        return codes
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        size = min(len(freed), len(self._codes))
+        self._codes[:size][freed[:size]] = _NO_CODE

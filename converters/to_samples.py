@@ -8,6 +8,7 @@ SELECT table column by column.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -32,8 +33,9 @@ from ..streams.sample import (
 )
 from ..streams.string_pool import StringPool
 from .errors import ConversionError
+from .term_tables import TextTable
 from .to_triples import VALUE, edge_conversion, field_of, stream_iri
-from .values import field_column, field_type
+from .values import field_column, field_type, term_text
 
 ID: Final = "id"
 ANSWER: Final = "answer"
@@ -265,6 +267,7 @@ class ResultConverter:
         self._keep_order = keep_order
         self.lost: list[ConversionError] | None = None
         """Gets the first error of each field and result; such values become no_value."""
+        self._texts: dict[str, TextTable] = {}
         self._ranks: dict[str, tuple[StringPool, Ids]] = {}
         self._sizes: dict[str, int] = {}
         """By field, the size of its pool when its texts were sorted last."""
@@ -288,7 +291,7 @@ class ResultConverter:
             )
         answer = np.array([bool(result.answer)], np.bool_)
         column = Column(FieldType.BOOLEAN, answer)
-        return self._stamped({ANSWER: column}, _repeated(result.end, 1), _repeated(available, 1))
+        return self._stamped({ANSWER: column}, result.end, available, 1)
 
     def convert_batch(self, results: BatchOfResults) -> SampleBatch:
         """The samples of successive windows, one window after the other; each is available at its
@@ -298,7 +301,7 @@ class ResultConverter:
         """
         if results.triples is not None:
             batch = self._of_tables(results.triples)
-            return self._stamped(batch.columns, batch.valid, batch.valid)
+            return self._stamped(batch.columns, batch.valid, batch.valid, len(batch))
         solved = results.solutions
         assert solved is not None
         ends = np.repeat(np.array(results.ends, np.int64), np.diff(results.offsets))
@@ -328,14 +331,12 @@ class ResultConverter:
             else _nothing(field, length, self._pools)
             for field in self.schema.fields
         }
-        valid_times, available_times = (_repeated(each, length) for each in (valid, available))
-        return self._stamped(found, valid_times, available_times)
+        return self._stamped(found, valid, available, length)
 
     def triples(self, triples: TimedTriples, valid: int, available: int) -> SampleBatch:
         """Samples from the triples of a CONSTRUCT head."""
         batch = self._of_tables(triples)
-        valid_times, available_times = (_repeated(each, len(batch)) for each in (valid, available))
-        return self._stamped(batch.columns, valid_times, available_times)
+        return self._stamped(batch.columns, valid, available, len(batch))
 
     def _of_tables(self, triples: TimedTriples) -> SampleBatch:
         """A sample a wide row, or a subject and time, in any order."""
@@ -368,18 +369,32 @@ class ResultConverter:
 
     def _field(self, field: Field, objects: ObjectColumn, dictionary: TermDictionary) -> Column:
         pool = self._pools.get(field.name)
+        if pool is not None and objects.kind is Kind.TERM and objects.null is None:
+            texts = self._texts.get(field.name)
+            if texts is None or texts.dictionary is not dictionary:
+                text = partial(term_text, namespace=self._namespace)
+                texts = self._texts[field.name] = TextTable(text, dictionary)
+            return Column(field.type, texts.of_ids(objects.values, pool), None, pool)
         return field_column(field, objects, dictionary, pool, self._namespace, self.lost)
 
     def _stamped(
-        self, columns: Mapping[str, Column], valid: Times, available: Times
+        self,
+        columns: Mapping[str, Column],
+        valid: int | Times,
+        available: int | Times,
+        length: int,
     ) -> SampleBatch:
-        batch = SampleBatch(available, valid, columns)
-        if len(batch) < 2:
-            return batch
-        keys = [] if np.all(valid == valid[0]) else [valid]
-        if not self._keep_order:
+        """Samples in their order, with these times: of all, or of each row."""
+        keys = [] if isinstance(valid, int) else [valid]
+        if not self._keep_order and length > 1:
             keys += [key for field in self.schema.fields for key in self._keys(field, columns)]
-        return batch.take(np.lexsort(keys[::-1])) if keys else batch
+        if keys:
+            order = np.lexsort(keys[::-1])
+            columns = {name: column.take(order) for name, column in columns.items()}
+            valid, available = (
+                each if isinstance(each, int) else each[order] for each in (valid, available)
+            )
+        return SampleBatch(_repeated(available, length), _repeated(valid, length), columns)
 
     def _keys(self, field: Field, columns: Mapping[str, Column]) -> list[np.ndarray]:
         """The sort keys of a field: presence, then value."""
@@ -528,7 +543,11 @@ class _Building:
 
 
 def _repeated(time: int | Times, length: int) -> Times:
-    return np.full(length, time, np.int64) if isinstance(time, int) else time
+    if not isinstance(time, int):
+        return time
+    times = np.empty(length, np.int64)
+    times.fill(time)
+    return times
 
 
 def _join_subjects(batch: SampleBatch) -> SampleBatch:

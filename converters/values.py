@@ -146,8 +146,9 @@ def field_column(
             return _text(objects, dictionary, pool, namespace)
         case FieldType.FLOAT if kind.is_number:
             values = objects.values.astype(np.float64)
-            infinite = ~np.isfinite(values)
-            if infinite.any():
+            finite = np.isfinite(values)
+            if np.count_nonzero(finite) < len(finite):
+                infinite = ~finite
                 null = infinite if null is None else infinite | null
             return Column(field.type, values, null)
         case FieldType.INTEGER if kind is Kind.INTEGER:
@@ -241,12 +242,13 @@ def _text(
     codes = np.zeros(len(objects), np.int32)
     distinct, inverse = np.unique(objects.values[present], return_inverse=True)
     terms = (make_term(objects.kind, value, dictionary) for value in distinct)
-    texts = [_term_text(term, namespace) for term in terms]
+    texts = [term_text(term, namespace) for term in terms]
     codes[present] = pool.encode(texts)[inverse]
     return Column(FieldType.STRING, codes, objects.null, pool)
 
 
-def _term_text(term: Term, namespace: str) -> str:
+def term_text(term: Term, namespace: str) -> str:
+    """The text of any term in a text field: the name of an IRI, the text of a literal."""
     if isinstance(term, NamedNode):
         return object_name(term.value, namespace)
     return term.value if isinstance(term, Literal) else str(term)

@@ -25,7 +25,8 @@ SHARED = ("400", "401", "403", "421", "429", "503")
 NOT_IN_SCHEMA = {
     ("GET", "/openapi.json"): "the OpenAPI schema, from which this page is made",
     ("GET", "/docs"): "the routes as a page to try them; it loads nothing from elsewhere",
-    ("GET", "/"): "redirects to `/docs`",
+    ("GET", "/"): "the [console](../how-to/use-the-console.md); the list of routes for "
+    "`Accept: application/json`",
 }
 SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "Sessions": (
@@ -36,7 +37,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     ),
     "Streams and samples": (
         "streams",
-        ("samples",),
+        ("samples", "units"),
         "[Streams over HTTP](streams.md) explains batches, live samples, retention, history and "
         "server-sent events.",
     ),

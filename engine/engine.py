@@ -61,6 +61,7 @@ from .model.views import (
 )
 from .parts import EngineArguments, Parts
 from .planning import explanations
+from .planning.explanations import Explanation
 from .processes.external_io import Outcome
 from .processes.registry import PROCESSES, Processes
 from .processes.supervision import DIRECT, Runner
@@ -585,22 +586,39 @@ class Engine:
         return replace(view, specification=next(iter(texts), None))
 
     def explain_running(self, id: str) -> str:
-        """Explain the stages of a running query or request. Raises `UnknownRequest`."""
-        if self.queries.has(id):
-            return self.queries.explain_running(id)
-        return self._parts.requests.explain_running(id)
+        """Return the text of `running_explanation`."""
+        return self.running_explanation(id).text
 
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None
     ) -> str:
-        """Explain a request, a template or a query as text, without starting it."""
+        """Return the text of `explanation`."""
+        return self.explanation(event=event, template=template, query=query).text
+
+    def running_explanation(self, id: str) -> Explanation:
+        """Explain the stages of a running query or request. Raises `UnknownRequest`."""
+        if self.queries.has(id):
+            return self.queries.running_explanation(id)
+        return self._parts.requests.running_explanation(id)
+
+    def explanation(
+        self,
+        *,
+        event: str | None = None,
+        template: str | None = None,
+        query: str | None = None,
+        strategy: str = "fast",
+    ) -> Explanation:
+        """Explain a request, a template or a query, without starting it."""
         if event is not None:
             request = self.parse_request(event)
-            return self._parts.requests.explain(self._parts.templates.of(request), request)
+            found = self._parts.templates.of(request)
+            return self._parts.requests.explanation(found, request, strategy)
         if template is not None:
-            return explanations.explain_template(self._parts.templates.find(template))
+            text = explanations.explain_template(self._parts.templates.find(template))
+            return Explanation(text, (("template", text),))
         if query is not None:
-            return self.queries.explain(query)
+            return self.queries.explanation(query)
         raise BadArguments("explain needs an event, a template or a query")
 
     @property

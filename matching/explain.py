@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
@@ -72,9 +73,9 @@ class Explainer:
             fields = [c.field for c in stream.contents if c.feature in serving]
             text = stream_text(stream.name, stream.contents, fields, maker=stream.maker)
             if stream.name in chosen:
-                yield Alternative(text, Outcome.CHOSEN)
+                yield Alternative(text, Outcome.CHOSEN, stream=stream.name)
             else:
-                yield self._stream(stream, goal, text)
+                yield replace(self._stream(stream, goal, text), stream=stream.name)
         if len(streams) > LISTED:
             more = len(streams) - LISTED
             yield Alternative(f"{more} more streams", Outcome.UNTRIED, "not listed")

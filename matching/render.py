@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence, Set
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias, assert_never
 
 from ..ontology.units import format_unit
@@ -28,6 +29,23 @@ from .want import Want
 
 MOST_LINES = 500
 """Lines of a match at most; one more gives the number of the others."""
+DEEPEST = 60
+"""Steps above each other in `steps`: parsers of JSON limit its depth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A line of a match as a value, for interfaces that draw the tree themselves.
+
+    ``verdict``: chosen, possible, not tried or failed; empty for what a chosen line rests on.
+    """
+
+    text: str
+    verdict: str = ""
+    reason: str = ""
+    stream: str | None = None
+    transformation: str | None = None
+    parts: tuple[Step, ...] = ()
 
 
 class _Use(NamedTuple):
@@ -84,6 +102,48 @@ def render(match: Match) -> str:
     return "\n".join(lines)
 
 
+def steps(match: Match) -> Step:
+    """The tree of `render` as a value: the title with the lines below it.
+
+    At most `MOST_LINES` steps, and at most `DEEPEST` above each other.
+    """
+    sources = () if match.supply is None else match.supply.sources
+    rest = [alternative for alternative in match.tree if alternative.outcome is not Outcome.CHOSEN]
+    below: list[_Item] = [_Use(source.node, (source.port,)) for source in sources]
+    if match.supply is None and not rest:
+        below += match.missing
+    left = MOST_LINES
+
+    def made(items: Sequence[_Item], depth: int, verdict: str = "") -> tuple[Step, ...]:
+        nonlocal left
+        found = []
+        for item in items if depth < DEEPEST else ():
+            if left <= 0:
+                break
+            left -= 1
+            found.append(step(item, depth, verdict))
+        return tuple(found)
+
+    def step(item: _Item, depth: int, verdict: str) -> Step:
+        match item:
+            case str():
+                return Step(item, "failed")
+            case Alternative(text, outcome, reason, parts, stream):
+                return Step(text, str(outcome), reason, stream, None, made(parts, depth + 1))
+            case _Use(node, ports, _):
+                text, uses = _node(node, ports)
+                stream = node.stream if isinstance(node, UseStream) else None
+                unit = node.transformation if isinstance(node, Compute) else None
+                return Step(text, verdict, "", stream, unit, made(uses, depth + 1))
+            case _:
+                assert_never(item)
+
+    return Step(
+        _title(match.want, sources),
+        parts=made(below, 0, str(Outcome.CHOSEN)) + made(rest, 0),
+    )
+
+
 def _hung(parts: Sequence[_Item], down: str) -> list[_Line]:
     """The parts below something whose lines begin with ``down``, the last one first."""
     last = len(parts) - 1
@@ -121,7 +181,7 @@ def _described(
     match item:
         case str():
             return item, ()
-        case Alternative(text, outcome, reason, parts):
+        case Alternative(text, outcome, reason, parts, _):
             return f"{outcome}: {text}" + (f" — {reason}" if reason else ""), parts
         case _Use(node, ports, role):
             text, below = _node(node, ports)

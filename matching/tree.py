@@ -24,12 +24,14 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """One way to get a feature. The ``parts`` of a failed one are the things that it lacked."""
+    """One way to get a feature: ``stream``, or a transformation. The ``parts`` of a failed one are
+    the things that it lacked."""
 
     text: str
     outcome: Outcome
     reason: str = ""
     parts: tuple[Alternative, ...] = ()
+    stream: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

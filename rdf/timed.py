@@ -40,7 +40,7 @@ class Kind(IntEnum):
 
     @property
     def is_number(self) -> bool:
-        return self in (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
+        return 1 <= self <= 4  # INTEGER … DOUBLE
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -122,7 +122,9 @@ class TripleRows:
     @property
     def triples(self) -> int:
         """The number of triples that the rows stand for."""
-        return sum(int(np.count_nonzero(column.present)) for column in self.objects.values())
+        nulls = [column.null for column in self.objects.values()]
+        absent = sum(int(np.count_nonzero(null)) for null in nulls if null is not None)
+        return len(self) * len(nulls) - absent
 
     def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
         """Return the ids of its terms (`dictionary.Holder`)."""

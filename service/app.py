@@ -48,6 +48,7 @@ from .routes import (
     subscriptions,
     templates,
     transformations,
+    units,
 )
 from .runtime.context import Service
 from .runtime.live_ingest import LiveBodies
@@ -68,6 +69,7 @@ RESOURCES = (
     events,
     queries,
     streams,
+    units,
     subscriptions,
     annotations,
     transformations,
@@ -157,11 +159,13 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_tick, service)
+            service.recent_log.open()
             service.isolation.open()
             tasks.start_soon(service.isolation.restart_workers)
             if service.token_file is not None:
                 tasks.start_soon(service.token_file.watch)
             yield
+            service.recent_log.close()
             service.leave()
             service.isolation.close()
             service.decoder.close()
@@ -230,4 +234,5 @@ async def _tick(service: Service) -> None:
         service.ticked = ended = time.monotonic()
         metrics.tick_seconds.observe(ended - begun)
         await anyio.sleep(pause)
-        metrics.loop_lag.observe(max(0.0, time.monotonic() - ended - pause))
+        service.loop_lag = max(0.0, time.monotonic() - ended - pause)
+        metrics.loop_lag.observe(service.loop_lag)

@@ -82,6 +82,8 @@ class Triple:
     subject: Place
     predicate: Path | Variable
     object: Place
+    span: Span = field(default=NO_SPAN, compare=False)
+    """The place of predicate and object."""
 
 
 # -- expressions ([110]-[128]): a variable, an IRI, a literal, or one of these -------------------

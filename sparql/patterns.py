@@ -258,10 +258,11 @@ class PatternReader(PathReader):
     def _properties(self, subject: Place) -> None:
         """[77] PropertyListNotEmpty, [83] PropertyListPathNotEmpty."""
         while True:
+            start = len(self.source) if self.here is None else self.here.start
             verb = self._verb()
-            self._object(subject, verb)
+            self._object(subject, verb, start)
             while self.accept_mark(","):
-                self._object(subject, verb)
+                self._object(subject, verb, start)
             if not self.accept_mark(";"):
                 return
             while self.accept_mark(";"):
@@ -280,12 +281,13 @@ class PatternReader(PathReader):
             return self.predicate()
         return self.path()
 
-    def _object(self, subject: Place, verb: Path | Variable) -> None:
+    def _object(self, subject: Place, verb: Path | Variable, start: int) -> None:
         here = self.here
         place = len(self.triples)
         object, _ = self._node()
         # Keep the order of the text: triples in the brackets of an object follow the object.
-        self.triples.insert(place, Triple(subject, verb, object))
+        span = Span(start, self.last_token.end)
+        self.triples.insert(place, Triple(subject, verb, object, span))
         self.count_pattern(here)
 
     def _is_term(self, token: Token) -> bool:

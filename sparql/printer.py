@@ -55,7 +55,7 @@ _STEP = "  "
 
 def print_query(query: Query, prefixes: Mapping[str, str] | None = None) -> str:
     """Return the text of a query, a line for each part. It declares the prefixes that it uses."""
-    printer = _Printer(prefixes or {})
+    printer = Printer(prefixes or {})
     lines = list(printer.query(query, ""))
     declared = [
         f"PREFIX {p}: <{printer.prefixes[p]}>" for p in printer.prefixes if p in printer.used
@@ -64,7 +64,9 @@ def print_query(query: Query, prefixes: Mapping[str, str] | None = None) -> str:
     return "\n".join([*base, *declared, *lines]) + "\n"
 
 
-class _Printer:
+class Printer:
+    """Prints parts of a query; ``used`` collects the prefixes that it needs."""
+
     def __init__(self, prefixes: Mapping[str, str]) -> None:
         self.prefixes = prefixes
         self.used: set[str] = set()

@@ -293,11 +293,15 @@ class StreamGenerator:
             if not self.rules.gap:
                 self._announce(min(int(stamps[-1]), TIME_MAX - 1) + 1)
             return len(batch)
-        kept = self._admit(batch, distinct=distinct)
+        kept, due = self._admit(batch, distinct=distinct), self._due()
         if len(kept):
-            self._pending = kept if self._pending is None else concatenate([self._pending, kept])
-            self._pending = _in_order(self._pending)
-        self._flush_until(self._due())
+            if self._pending is None and kept.available[-1] <= due:
+                self._release(kept)
+            elif self._pending is None:
+                self._pending = kept
+            else:
+                self._pending = _in_order(concatenate([self._pending, kept]))
+        self._flush_until(due)
         return len(batch)
 
     def promise_after(self, batch: SampleBatch) -> int:
@@ -413,7 +417,8 @@ class StreamGenerator:
         return max(TIME_MIN, greatest - self.lateness)
 
     def _admit(self, batch: SampleBatch, *, distinct: bool) -> SampleBatch:
-        """Drop and count what is late or a duplicate, each judged by all samples before it."""
+        """Drop and count what is late or a duplicate, each judged by all samples before it; return
+        the rest by available time."""
         available = batch.available
         before = TIME_MIN if self._greatest is None else self._greatest
         first = int(available[0])
@@ -440,11 +445,11 @@ class StreamGenerator:
                 self._pass_late(self.late_stream, batch.take(late), greatest[:-1][late])
             batch = batch.take(~late)
         if not distinct or not len(batch):
-            return batch
+            return _in_order(batch)
         again = self._duplicates.among(batch, self.stream, self.pending)
         count = int(np.count_nonzero(again))
         self.counters.duplicate += count
-        return batch.take(~again) if count else batch
+        return _in_order(batch.take(~again) if count else batch)
 
     def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
         """Late samples go on with their valid times and values. Each is available when it came, in
@@ -513,11 +518,11 @@ def _fields(schema: Schema) -> str:
 
 
 def _increases(available: Times) -> bool:
-    return len(available) < 2 or bool((available[1:] > available[:-1]).all())
+    return len(available) < 2 or not np.count_nonzero(available[1:] <= available[:-1])
 
 
 def _never_falls(available: Times) -> bool:
-    return bool((available[1:] >= available[:-1]).all())
+    return len(available) < 2 or not np.count_nonzero(available[1:] < available[:-1])
 
 
 def _in_order(batch: SampleBatch) -> SampleBatch:

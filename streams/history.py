@@ -108,7 +108,7 @@ class FluentStream(Runs):
 
     def _has_lost(self, name: str, pool: StringPool, held: int) -> bool:
         """Whether most texts of a field may be gone, by their number or by what they take."""
-        if len(pool) > max(_TEXTS, _SHARE * (len(self) + held)):
+        if len(pool) > _TEXTS and len(pool) > _SHARE * (len(self) + held):
             return True
         before = self._looked_for.get(name, 0)
         if before is None:

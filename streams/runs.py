@@ -157,7 +157,7 @@ class Runs:
             return None
         available = batch.available
         if (self._last_available is not None and available[0] < self._last_available) or (
-            len(available) > 1 and not bool((available[1:] >= available[:-1]).all())
+            len(available) > 1 and np.count_nonzero(available[1:] < available[:-1])
         ):
             raise ValueError("available times of a stream do not decrease (Def. 4.1)")
         number = self._next

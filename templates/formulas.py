@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,7 +33,7 @@ from ..reasoning.mtl.formulas import readings_of
 from ..reasoning.mtl.monitoring import RESULT_FIELDS
 from ..streams.sample import TIME_FIELDS
 from .needs import Needs, NeedsError
-from .slots import bind_slots
+from .slots import given_arguments
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def bound_monitor(monitor: Monitor, source: str, vocabulary: Vocabulary) -> Boun
     return _bound(check_mtl(monitor, source, vocabulary), monitor, source)
 
 
-def bound_template(
+def bound_formula_template(
     template: FormulaTemplate, arguments: Sequence[Term | Variable], vocabulary: Vocabulary
 ) -> BoundFormula:
     """Return the formula of a template with ``arguments``, one for each parameter.
@@ -66,20 +66,22 @@ def bound_template(
     `bound_monitor` where the ontology has changed since the template was registered.
     """
     checked = check_formula_template(template, vocabulary)
-    bound = bind_slots(template, checked.slots, arguments)
+    values, objects = given_arguments(template, checked.slots, arguments)
     sorts = dict(checked.monitor.parameters)
-    # A sort of its own, so that quantifiers over the sort go on to mean all objects.
-    fixed = {iri: sorts[name] for name, iri in bound.objects.items()}
+    fixed: dict[str, str] = {}
+    for name, iri in objects.items():
+        # A sort of its own, so that quantifiers over the sort go on to mean all objects.
+        sorts[name], fixed[iri] = iri, sorts[name]
     monitor = replace(
         checked.monitor,
-        parameters=tuple((name, bound.objects.get(name, sort)) for name, sort in sorts.items()),
-        formula=_with_values(checked.monitor.formula, bound.values),
+        parameters=tuple(sorts.items()),
+        formula=_with_values(checked.monitor.formula, values),
         fixed=tuple(fixed.items()),
     )
     return _bound(monitor, template.monitor, template.source)
 
 
-def template_wants(template: FormulaTemplate, vocabulary: Vocabulary) -> tuple[Want, ...]:
+def formula_template_wants(template: FormulaTemplate, vocabulary: Vocabulary) -> tuple[Want, ...]:
     """Return what a template needs for all objects. Raises `LanguageError` and `NeedsError`."""
     checked = check_formula_template(template, vocabulary)
     return tuple(_bound(checked.monitor, template.monitor, template.source).readings)
@@ -125,7 +127,7 @@ def _want(reading: Reading, sorts: dict[str, str], objects: dict[str, str]) -> W
     return Want(reading.feature, first.sort, first.object, tuple(others))
 
 
-def _with_values(node: Any, values: Mapping[str, Constant | ObjectConstant]) -> Any:
+def _with_values(node: Any, values: dict[str, Constant | ObjectConstant]) -> Any:
     """The formula with values in place of parameters."""
     if isinstance(node, Parameter):
         return values[node.name]

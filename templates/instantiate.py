@@ -13,7 +13,6 @@ from typing import assert_never
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
-from ..languages.chronicle import ChronicleTemplate
 from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.hints import count
@@ -76,9 +75,7 @@ def instantiate(
     return bind(template.query, bindings)
 
 
-def check_count(
-    template: AnyTemplate | ChronicleTemplate, arguments: Sequence[Term | Variable]
-) -> None:
+def check_count(template: AnyTemplate, arguments: Sequence[Term | Variable]) -> None:
     """Raise `ArgumentError` for a wrong number of arguments."""
     parameters = template.parameters
     if len(arguments) != len(parameters):
@@ -199,6 +196,6 @@ def _text(term: Term) -> str:
     return str(term) if isinstance(term, BlankNode) else term_text(term)
 
 
-def _signature(template: AnyTemplate | ChronicleTemplate) -> str:
+def _signature(template: AnyTemplate) -> str:
     names = ", ".join(f"?{parameter.value}" for parameter in template.parameters)
     return f"{shorten(template.name)}({names})"

@@ -14,16 +14,15 @@ from importlib.resources import files
 
 from pyoxigraph import Variable
 
-from ..languages.csparql.ast import ContinuousQuery
+from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.errors import LanguageError
-from ..languages.mtl import FormulaTemplate
 from ..languages.templates import AnyTemplate, parse_any_template
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import DYKNOW, PREFIXES, local_name, shorten
-from .formulas import BoundFormula, bound_template, template_wants
 from .instantiate import instantiate
 from .needs import Needs, NeedsError, is_static_in, needs, open_predicates
+from .reasoning import Bound, bound_template, template_wants
 
 
 class TemplateExists(Exception):
@@ -110,16 +109,18 @@ class TemplateLibrary:
 
     def instantiate(
         self, template: AnyTemplate, arguments: Sequence[Term | Variable]
-    ) -> ContinuousQuery | BoundFormula:
-        """Return the query or formula of a template with these arguments. Raises `ArgumentError`;
-        for a formula `LanguageError` and `NeedsError` too, where the ontology has changed."""
-        if isinstance(template, FormulaTemplate):
-            return bound_template(template, arguments, self._ontology.vocabulary)
-        return instantiate(template, arguments, self._ontology.vocabulary)
+    ) -> ContinuousQuery | Bound:
+        """Return the query, formula or pattern of a template with these arguments. Raises
+        `ArgumentError`; for what is no query `LanguageError` and `NeedsError` too, where the
+        ontology has changed."""
+        if isinstance(template, Template):
+            return instantiate(template, arguments, self._ontology.vocabulary)
+        is_static = is_static_in(self._ontology.static_store)
+        return bound_template(template, arguments, self._ontology.vocabulary, is_static)
 
-    def needs(self, query: ContinuousQuery | BoundFormula) -> Needs:
+    def needs(self, query: ContinuousQuery | Bound) -> Needs:
         """Return the `needs` of a query by this library's ontology. Raises `NeedsError`."""
-        if isinstance(query, BoundFormula):
+        if not isinstance(query, ContinuousQuery):
             return query.needs
         return needs(query, self._ontology.vocabulary, is_static_in(self._ontology.static_store))
 
@@ -134,7 +135,7 @@ class TemplateLibrary:
                 )
         try:
             # The argument of a parameter in a predicate position is unknown yet.
-            if isinstance(template, FormulaTemplate) or not open_predicates(template.query):
+            if not isinstance(template, Template) or not open_predicates(template.query):
                 self._check_circle(template)
         except NeedsError as error:
             raise TemplateRefused(error.message, error.hint) from error
@@ -167,7 +168,7 @@ class TemplateLibrary:
 
     def _events_of(self, template: AnyTemplate) -> tuple[str, ...]:
         """Return the events that a template needs."""
-        if isinstance(template, FormulaTemplate):
+        if not isinstance(template, Template):
             wants = template_wants(template, self._ontology.vocabulary)
         elif open_predicates(template.query):
             return ()

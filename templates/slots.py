@@ -1,52 +1,49 @@
-"""Arguments of requests for templates whose parameters have kinds: formulas and chronicles."""
+"""Arguments of templates whose bodies are formulas or patterns: objects and values by kind."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Sequence
+from typing import TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
-from ..languages.chronicle import ChronicleTemplate
-from ..languages.mtl import FormulaTemplate
 from ..languages.mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
+from ..languages.sase.checked import ValueSlot
+from ..languages.templates import AnyTemplate
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import XSD, shorten
 from ..streams.time import parse_time
 from .instantiate import argument_error, check_count, number_problem
 
-
-@dataclass(frozen=True, slots=True)
-class BoundSlots:
-    """The values of a template's parameters, and the objects (IRIs) that a request names."""
-
-    values: Mapping[str, Constant | ObjectConstant]
-    objects: Mapping[str, str]
+Values: TypeAlias = dict[str, Constant | ObjectConstant]
+Slot: TypeAlias = ObjectSlot | Parameter | ValueSlot
+"""What a parameter stands for: objects, a value of a kind, or a value of any kind."""
 
 
-def bind_slots(
-    template: FormulaTemplate | ChronicleTemplate,
-    slots: Sequence[ObjectSlot | Parameter],
+def given_arguments(
+    template: AnyTemplate,
+    slots: Sequence[Slot],
     arguments: Sequence[Term | Variable],
-) -> BoundSlots:
-    """Bind the slots of a template to ``arguments``, one for each. A variable leaves the objects of
-    a slot free. Raises `ArgumentError`."""
+) -> tuple[Values, dict[str, str]]:
+    """Return the values that the ``arguments`` give, and the objects (IRIs), by the names of the
+    parameters; ``slots``: what each of these stands for. A variable leaves an object free. Raises
+    `ArgumentError`."""
     check_count(template, arguments)
-    values: dict[str, Constant | ObjectConstant] = {}
+    values: Values = {}
     objects: dict[str, str] = {}
     for index, (slot, argument) in enumerate(zip(slots, arguments, strict=True)):
         parameter = template.parameters[index]
         match slot, argument:
-            case Parameter(), Variable():
+            case Parameter() | ValueSlot(), Variable():
                 raise argument_error(
-                    "it must be given: the template finds no value for it",
+                    "it must be given: nothing else gives its value",
                     index,
                     parameter,
-                    f"give {_EXAMPLES[slot.kind]} instead of {argument}",
+                    f"give {_example(slot.kind)} instead of {argument}",
                 )
-            case Parameter(), NamedNode() | BlankNode() | Literal():
-                values[slot.name] = _constant(argument, slot.kind, index, parameter)
+            case Parameter() | ValueSlot(), NamedNode() | BlankNode() | Literal():
+                kind = slot.kind or _kind_of(argument)
+                values[slot.name] = _constant(argument, kind, index, parameter)
             case ObjectSlot(name), NamedNode(value=iri):
                 objects[name] = iri
             case ObjectSlot(), Variable():
@@ -64,10 +61,10 @@ def bind_slots(
                     parameter,
                     "write a name such as dyknow:uav1",
                 )
-    return BoundSlots(values, objects)
+    return values, objects
 
 
-_EXAMPLES: Final = {
+_EXAMPLES = {
     Kind.NUMBER: "a number, for example 100,",
     Kind.TRUTH: "true or false",
     Kind.TEXT: 'a text, for example "red",',
@@ -104,5 +101,17 @@ def _constant(term: Term, kind: Kind, index: int, parameter: Variable) -> Consta
         f"it is {article} {kind} in the template, and {shown} is none",
         index,
         parameter,
-        f"give {_EXAMPLES[kind].rstrip(',')}",
+        f"give {_example(kind).rstrip(',')}",
     )
+
+
+def _example(kind: Kind | None) -> str:
+    return "a value, for example 100," if kind is None else _EXAMPLES[kind]
+
+
+def _kind_of(term: Term) -> Kind:
+    """The kind of a value that may be of any."""
+    if not isinstance(term, Literal):
+        return Kind.OBJECT
+    kinds = {"boolean": Kind.TRUTH, "string": Kind.TEXT, "dateTime": Kind.TIME}
+    return kinds.get(term.datatype.value.removeprefix(XSD), Kind.NUMBER)

@@ -19,8 +19,8 @@ from ..converters.to_samples import ID, field_names
 from ..languages.csparql import body_tree, required_parameters
 from ..languages.csparql.ast import ContinuousQuery, Form, Template
 from ..languages.errors import LanguageError
-from ..languages.mtl import FormulaTemplate, check_formula_template
-from ..languages.mtl.checked import ObjectSlot, Parameter
+from ..languages.mtl import FormulaTemplate
+from ..languages.mtl.checked import ObjectSlot
 from ..languages.ssl.annotation import Argument, PortAnnotation
 from ..languages.templates import AnyTemplate
 from ..matching.space import EventDescription
@@ -29,12 +29,13 @@ from ..matching.want import Want
 from ..ontology.vocabulary import THING, Vocabulary
 from ..rdf.namespaces import shorten
 from ..reasoning.mtl.monitoring import VERDICT
-from .formulas import BoundFormula, bound_template, template_wants
+from ..reasoning.patterns.query import START
 from .instantiate import ArgumentError, instantiate
 from .needs import Needs, NeedsError
 from .patterns import head_subjects, patterns
+from .reasoning import Bound, ReasonedTemplate, bound_template, slots_of, template_wants
 
-NeedsOf: TypeAlias = Callable[[ContinuousQuery | BoundFormula], Needs]
+NeedsOf: TypeAlias = Callable[[ContinuousQuery | Bound], Needs]
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,14 @@ class EventTransformation(EventDescription):
             self._wants_cache[key] = self._wants(key[1])
         return self._wants_cache[key]
 
-    def query(self, subject: Subject) -> ContinuousQuery | BoundFormula:
+    def query(self, subject: Subject) -> ContinuousQuery | Bound:
         """Return the template's query for ``subject``. Raises `ArgumentError`."""
         assert self.vocabulary is not None
-        if isinstance(self.template, FormulaTemplate):
+        assert self.template is not None
+        if not isinstance(self.template, Template):
             # `lacks` leaves out templates of several parameters.
             object = Variable("o") if subject.object is None else NamedNode(subject.object)
             return bound_template(self.template, [object], self.vocabulary())
-        assert self.template is not None
         own, sorts = _parameters(self.template)
         arguments: list[NamedNode | Variable] = []
         for parameter in self.template.parameters:
@@ -85,9 +86,9 @@ class EventTransformation(EventDescription):
         """Return whether a parameter stands for the object."""
         if subject.object is None:
             return False
-        if isinstance(self.template, FormulaTemplate):
-            return True
         assert self.template is not None
+        if not isinstance(self.template, Template):
+            return True
         return _parameters(self.template)[0] is not None
 
     def _wants(self, subject: Subject) -> tuple[Want, ...] | None:
@@ -106,9 +107,9 @@ def event_transformation(
     """Return a template as a transformation; ``lacks`` states why it allows direct
     requests only."""
     description = (
-        _formula(template, vocabulary())
-        if isinstance(template, FormulaTemplate)
-        else _query(template, needs_of)
+        _query(template, needs_of)
+        if isinstance(template, Template)
+        else _reasoned(template, vocabulary())
     )
     inputs = tuple(
         PortAnnotation(want.feature, want.feature, (), (Argument("o", want.wanted_sort),))
@@ -137,12 +138,13 @@ class _Description(NamedTuple):
     lacks: str
 
 
-def _formula(template: FormulaTemplate, vocabulary: Vocabulary) -> _Description:
-    names = [slot.variable.name for slot in template.slots]
+def _reasoned(template: ReasonedTemplate, vocabulary: Vocabulary) -> _Description:
+    names = [parameter.value for parameter in template.parameters]
+    value = VERDICT if isinstance(template, FormulaTemplate) else START
     lacks, sort = "", THING
     wants: tuple[Want, ...] = ()
     try:
-        slots = check_formula_template(template, vocabulary).slots
+        slots = slots_of(template, vocabulary)
         wants = template_wants(template, vocabulary)
     except (LanguageError, NeedsError) as error:
         lacks = error.message
@@ -151,13 +153,13 @@ def _formula(template: FormulaTemplate, vocabulary: Vocabulary) -> _Description:
             case (ObjectSlot(sort=sort),):
                 pass
             case _:
-                values = [f"?{slot.name}" for slot in slots if isinstance(slot, Parameter)]
+                values = [f"?{slot.name}" for slot in slots if not isinstance(slot, ObjectSlot)]
                 lacks = (
                     _must_be_given(template, values)
                     if values
                     else "it is no event of a single object"
                 )
-    return _Description(wants, sort, VERDICT, names[0] if names else ID, lacks)
+    return _Description(wants, sort, value, names[0] if names else ID, lacks)
 
 
 def _must_be_given(template: AnyTemplate, parameters: Sequence[str]) -> str:

@@ -253,7 +253,7 @@ class Blank:
 TemplatePosition: TypeAlias = Var | Const | Blank
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Construct:
     """The head of a CONSTRUCT: its triple patterns."""
 

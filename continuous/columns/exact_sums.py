@@ -21,15 +21,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...streams.jit import JIT, Kernel
-from .fold_kernels import read_only
+from ...streams.jit import JIT
+from .fold_kernels import NO_SKIP, Groups
 from .pane_runs import PaneRuns
+from .sum_kernels import BITS, HALF, add, fold_pane, read, round_sums
 
 At = NDArray[np.int32] | NDArray[np.int64] | None
 """The group of each row; None: the groups 0, 1, 2 … in order."""
 
-BITS = 40
-_HALF = 2 ** (BITS - 1)
 _LOWEST, _HIGHEST = -26, 24
 """Digits for float64: from 2^988 down to 2^-1012. Bits of values below that are cut off."""
 _TERMS = 2**21
@@ -41,116 +40,6 @@ def _grain(digit: int) -> float:
     return 2.0 ** (BITS * digit + 28)
 
 
-def _add(
-    digits: Any,
-    counts: Any,
-    at: Any,
-    values: Any,
-    numbers: Any,
-    start: int,
-    sign: float,
-    grains: Any,
-    inverse: Any,
-) -> int:
-    """Add ``sign`` times each value and its number to its group; return the row where it stopped.
-
-    Without ``at`` the groups are 0, 1, 2 …; without ``numbers`` each is 1. The loop adds a block of
-    512 rows at a time, or nothing of it: it stops at a block with a value that the digits cannot
-    represent. It first computes the digits of a whole block without branches, so that the compiler
-    uses vector instructions.
-    """
-    depth, rows = digits.shape[0], values.shape[0]
-    limit = grains[0] * 2.0**BITS
-    rest, counted = np.empty(512, np.float64), np.empty(512, np.int64)
-    parts = np.empty((depth, 512), np.int64)
-    counted[:] = np.int64(sign)
-    for begin in range(start, rows, 512):
-        size = min(512, rows - begin)
-        beyond = 0
-        for i in range(size):
-            rest[i] = sign * values[begin + i]
-            beyond += not abs(rest[i]) < limit
-        if beyond > 0:
-            return begin
-        for k in range(depth):
-            row = parts[k]
-            for i in range(size):
-                part = np.int64(rest[i] * inverse[k])
-                row[i] = part
-                rest[i] -= part * grains[k]
-        for i in range(size):
-            beyond += rest[i] != 0.0
-        if beyond > 0:
-            return begin
-        if numbers.shape[0] > 0:
-            for i in range(size):
-                counted[i] = np.int64(sign * numbers[begin + i])
-        if at.shape[0] > 0:
-            for k in range(depth):
-                row, total = parts[k], digits[k]
-                for i in range(size):
-                    total[np.uint64(at[begin + i])] += row[i]
-            for i in range(size):
-                counts[np.uint64(at[begin + i])] += counted[i]
-        else:
-            for k in range(depth):
-                row, total = parts[k], digits[k, begin : begin + size]
-                for i in range(size):
-                    total[i] += row[i]
-            total = counts[begin : begin + size]
-            for i in range(size):
-                total[i] += counted[i]
-    return int(rows)
-
-
-def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
-    """Write the sum of group ``rows[i]`` to ``out[i]``. Carries are propagated first, so that equal
-    sums have equal digits and round equally."""
-    depth = digits.shape[0]
-    for i in range(rows.shape[0]):
-        group = np.uint64(rows[i])
-        carry = np.int64(0)
-        total = 0.0
-        for j in range(depth):
-            k = depth - 1 - j
-            digit = digits[k, group] + carry
-            carry = (digit + _HALF) >> BITS
-            total += (digit - (carry << BITS)) * grains[k]
-        if carry != 0:
-            total += carry * (grains[0] * 2.0**BITS)
-        out[i] = total
-
-
-def _add_signature() -> Any:
-    from numba import types
-
-    value, ints = read_only(types.float64, "C"), types.int64[::1]
-    return types.int64(
-        types.Array(types.int64, 2, "C"),
-        ints,
-        read_only(types.int32, "C"),
-        value,
-        value,
-        types.int64,
-        types.float64,
-        types.float64[::1],
-        types.float64[::1],
-    )
-
-
-def _round_signature() -> Any:
-    from numba import types
-
-    return types.void(
-        types.Array(types.int64, 2, "C"),
-        read_only(types.int64),
-        types.float64[::1],
-        types.float64[::1],
-    )
-
-
-_add_kernel = Kernel(_add, _add_signature)
-_round_kernel = Kernel(_round, _round_signature)
 _NO_NUMBERS = np.zeros(0, np.float64)
 _NO_GROUPS = np.zeros(0, np.int32)
 
@@ -213,7 +102,73 @@ class FloatTotals(Totals):
         self._top = -1
         self._nonfinite: NDArray[np.int64] | None = None
         self._terms = 0
+        self._state: NDArray[np.float64] = np.zeros((0, 2), np.float64)
+        """`RowFold.state` while a pane is folded; else that of no rows."""
         self._update_grains()
+
+    def fold_pane(
+        self,
+        subjects: NDArray[np.int32],
+        values: NDArray[np.float64],
+        great: float,
+        groups: Groups,
+        *,
+        extremes: bool = False,
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]] | None:
+        """Fold a pane of few rows and add it; return its groups, ascending, and the columns of
+        `RowFold.take`, shape ``(2 or 4, n)``. None, and no change: a value is not below ``great``,
+        or loops are not compiled. Contract: ``extremes`` is the same in all calls.
+
+        Law: this is `RowFold.add`, `RowFold.take` and `add`, in one call.
+        """
+        if not JIT:
+            return None
+        rows, capacity = len(subjects), groups.used + len(subjects)
+        groups.reserve(capacity)
+        self.reserve(capacity)
+        width = 4 if extremes else 2
+        if len(self._state) < len(self.counts):
+            self._state = np.zeros((len(self.counts), width), np.float64)
+            self._state[:, 2:] = np.inf
+        self._carry(1)
+        at, columns = np.empty(rows, np.int32), np.empty((width, rows), np.float64)
+        groups.used, touched, fits = fold_pane(
+            np.ascontiguousarray(subjects),
+            np.ascontiguousarray(values),
+            great,
+            groups.group_of,
+            groups.members,
+            groups.used,
+            self._state,
+            self.digits,
+            self.counts,
+            self._grains,
+            self._inverse,
+            at,
+            columns,
+        )
+        if touched < 0:
+            return None
+        at, columns = at[:touched], columns[:, :touched]
+        if not fits:
+            self.add(at, columns[0], columns[1], 1)
+        return at, columns
+
+    def present(
+        self, used: int, of: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+        """Return those of the first ``used`` groups that have rows, and are in ``of`` if that is
+        given, with their sums and counts."""
+        self.reserve(used)
+        if not JIT or self._nonfinite is not None:
+            some = self.counts[:used] > 0
+            rows = np.flatnonzero(some if of is None else some & of)
+            return rows, self.values(rows), self.counts[rows]
+        rows, sums = np.empty(used, np.int64), np.empty(used, np.float64)
+        numbers = np.empty(used, np.int64)
+        mask = NO_SKIP if of is None else of
+        n = read(self.digits, self.counts, mask, used, self._grains, rows, sums, numbers)
+        return rows[:n], sums[:n], numbers[:n]
 
     def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
         if at is not None and len(values) > _TERMS:
@@ -240,14 +195,14 @@ class FloatTotals(Totals):
     def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:
         if JIT:
             out = np.empty(len(rows), np.float64)
-            _round_kernel(self.digits, rows, self._grains, out)
+            round_sums(self.digits, rows, self._grains, out)
         else:
             digits = self.digits[:, rows]
             carry: NDArray[np.int64] = np.zeros(len(rows), np.int64)
             out = np.zeros(len(rows), np.float64)
             for k in reversed(range(len(digits))):
                 digit = digits[k] + carry
-                carry = (digit + _HALF) >> BITS
+                carry = (digit + HALF) >> BITS
                 out += (digit - (carry << BITS)) * self._grains[k]
             out[carry != 0] += carry[carry != 0] * self._limit
         if self._nonfinite is not None:
@@ -281,7 +236,7 @@ class FloatTotals(Totals):
         if JIT:
             where = _NO_GROUPS if at is None else np.ascontiguousarray(at, np.int32)
             columns = (values, _NO_NUMBERS if numbers is None else numbers)
-            stop: int = _add_kernel(
+            stop: int = add(
                 self.digits,
                 self.counts,
                 where,
@@ -352,7 +307,7 @@ class FloatTotals(Totals):
             self._top += 1
             self._update_grains()
         for k in range(len(self.digits) - 1, 0, -1):
-            carry = (self.digits[k] + _HALF) >> BITS
+            carry = (self.digits[k] + HALF) >> BITS
             self.digits[k] -= carry << BITS
             self.digits[k - 1] += carry
         if not self.digits[0].any() and len(self.digits) > 2:

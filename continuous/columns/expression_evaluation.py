@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
 from ...languages.object_cache import ObjectCache
-from ...rdf.dictionary import Term
+from ...rdf.dictionary import NO_TERM, Term
 from ...rdf.timed import Kind, ObjectColumn, split_term
 from ...streams.sample import Mask
 from ..algebra.expressions import INFIX, Call, Const, Expression, Var, variables
@@ -80,6 +80,8 @@ def evaluate(
     Law: the value for a row depends on that row alone. Cost: numpy per node, times the number of
     kinds in a column; for Oxigraph, Python per distinct combination of values.
     """
+    if isinstance(expression, Var) and expression.name in columns:
+        return columns[expression.name]
     native, foreign = _split_foreign(expression)
     if foreign:
         values = {name: _evaluate_foreign(call, columns, rows, terms) for name, call in foreign}
@@ -140,6 +142,9 @@ def _native(
     """Evaluate by columns alone. Rows are split so that each column of a part has one kind."""
     if not isinstance(expression, Call):
         return _Rows(columns, rows, terms).value(expression)
+    compared = _compared(expression, columns)
+    if compared is not None:
+        return compared
     names = sorted(name for name in variables(expression) if name in columns)
     parts = split_by_kind([columns[name] for name in names], terms)
     if parts is None:
@@ -149,6 +154,37 @@ def _native(
         for at, typed in parts
     ]
     return scatter([at for at, _ in parts], values, terms.dictionary)
+
+
+def _compared(call: Call, columns: Mapping[str, ObjectColumn]) -> ObjectColumn | None:
+    """Compare a variable's numbers with a constant in one call of numpy; None if ``call`` is
+    something else or may need more than float64."""
+    comparison = _comparison(call)
+    if comparison is None:
+        return None
+    name, variable, numbers = comparison
+    column = columns.get(variable)
+    number = None if column is None else numbers.get(column.kind)
+    if column is None or number is None:
+        return None
+    return ObjectColumn(Kind.BOOLEAN, _ORDER[name](column.values, number), column.null)
+
+
+@ObjectCache
+def _comparison(call: Call) -> tuple[str, str, Mapping[Kind, int | float]] | None:
+    """Return the comparison, the variable, and the constant as a number by the kind of the
+    variable's column, if the two compare as ``call`` does (§17.3: both become one type)."""
+    match call:
+        case Call(name, (Var(variable), Const(term))) if name in _ORDER:
+            kind, value = split_term(canonical(term), lambda _: NO_TERM)
+            if not kind.is_number:
+                return None
+            numbers: dict[Kind, int | float] = {Kind.FLOAT: float(value), Kind.DOUBLE: float(value)}
+            if kind in numbers or abs(value) < _EXACT:
+                numbers |= {Kind.INTEGER: float(value), Kind.DECIMAL: float(value)}
+            numbers[kind] = value
+            return name, variable, numbers
+    return None
 
 
 def split_by_kind(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | None:
@@ -184,7 +220,11 @@ def holds(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> Mask:
     """Return which rows pass a FILTER with ``expression``: those where it is true."""
-    yes, error = truth(evaluate(expression, columns, rows, terms), terms)
+    compared = _compared(expression, columns) if isinstance(expression, Call) else None
+    if compared is not None:
+        yes, error = compared.values, compared.null
+    else:
+        yes, error = truth(evaluate(expression, columns, rows, terms), terms)
     return yes if error is None else yes & ~error
 
 

@@ -149,7 +149,7 @@ def ascending(times: NDArray[np.int64]) -> bool:
     """Whether no time is less than its predecessor."""
     if JIT and len(times) > 4096:
         return bool(_ascending_kernel(np.ascontiguousarray(times)))
-    return bool(np.all(times[1:] >= times[:-1]))
+    return len(times) < 2 or not np.count_nonzero(times[1:] < times[:-1])
 
 
 class Groups:
@@ -251,8 +251,10 @@ class RowFold:
             np.add.at(self.state[:, 1], found, 1)
             if len(self.empty) == 4:
                 values = values + 0
-                np.minimum.at(self.state[:, 2], found, values)
-                np.minimum.at(self.state[:, 3], found, mirror(values))
+                # A NaN is no error: it is less than all, as in the loop.
+                with np.errstate(invalid="ignore"):
+                    np.minimum.at(self.state[:, 2], found, values)
+                    np.minimum.at(self.state[:, 3], found, mirror(values))
             self._listed = False
             return
         # If many groups are touched, a list of them costs more than a search.

@@ -9,6 +9,7 @@ due at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -70,3 +71,9 @@ class PaneRuns:
         cells = state[:, : self.cells].reshape(len(state), self.panes, self.groups)
         np.cumsum(cells, axis=1, out=prefix[:, 1:])
         return prefix
+
+
+def equal_runs(values: NDArray[np.int64]) -> list[slice]:
+    """Return the runs of equal values, in order."""
+    first = np.flatnonzero(np.append(True, values[1:] != values[:-1]))[: len(values)].tolist()
+    return [slice(*ends) for ends in pairwise([*first, len(values)])]

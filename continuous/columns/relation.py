@@ -89,7 +89,9 @@ class TermValues(TermTable):
     def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
         """Return the `Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
         self._follow()
-        return np.where(ids < 0, np.int8(Sort.OTHER), self._sort[ids])
+        # The last entry is that of `NO_TERM`, -1: `_follow` leaves at least one without a term.
+        found: NDArray[np.int8] = self._sort.take(ids)
+        return found
 
     def canonical(self, column: ObjectColumn) -> ObjectColumn:
         """Replace every TERM by its canonical spelling, so that equal values have equal ids."""

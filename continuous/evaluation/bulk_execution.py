@@ -12,29 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from ...rdf.timed import ObjectColumn
 from ..algebra.expressions import Const, Var
-from ..algebra.plan import (
-    Aggregate,
-    AnyScan,
-    Ask,
-    Blank,
-    Construct,
-    Distinct,
-    Extend,
-    Filter,
-    Head,
-    Order,
-    Plan,
-    Project,
-    Scan,
-    Select,
-    TypeScan,
-)
+from ..algebra.plan import Ask, Blank, Construct, Head, Order, Project, Select, Slice
 from ..columns.budget import BudgetExceeded
-from ..columns.relation import NeedsOxigraph, Pairs, Relation
+from ..columns.relation import NeedsOxigraph
 from ..incremental.bulk_aggregation import not_in_bulk
-from ..operators.executor import execute
+from ..operators.executor import Step, run
 from ..operators.result_forms import END, finish_batch
 from ..operators.results import ResultBatch
 from .execution import Execution
@@ -45,15 +28,14 @@ ROWS: Final = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BulkPlan:
-    """A plan over the solutions of an aggregate for several windows, and the result form.
+    """Steps over the solutions of an aggregate for several windows, and the result form.
 
     Law: the results are those of the windows one by one. Cost: a few hundred calls of numpy per
     pass, a few nanoseconds per pane, window and group. Memory: see `bulk_aggregation.CELLS`.
     """
 
-    plan: Plan
+    steps: tuple[Step, ...]
     head: Select | Construct
-    aggregate: Aggregate
     execution: Execution
 
     @classmethod
@@ -67,13 +49,13 @@ class BulkPlan:
         reason = not_in_bulk(shape, distinct=execution.distinct)
         if reason:
             return reason
-        plan = _with_end(execution.plan, shape.aggregate)
-        if plan is None:
+        steps = execution.steps
+        if steps is None or any(isinstance(step, Slice) for step in steps):
             return "a step above the aggregate needs all solutions of one window"
         if not isinstance(head, Select) and not _by_row(head):
             return "the order of a window's triples may depend on all of its solutions"
         assert not isinstance(head, Ask)
-        return cls(plan, head, shape.aggregate, execution)
+        return cls(tuple(map(_with_end, steps)), head, execution)
 
     def results(self, ends: Sequence[int]) -> ResultBatch | None:
         """Return the results of the windows that end at some of ``ends``, from the first on; None
@@ -84,60 +66,28 @@ class BulkPlan:
             found = execution.in_bulk(ends, ROWS)
             if found is None:
                 return None
-            count, aggregated = found
-            relation = execute(self.plan, _Aggregated(self.aggregate, aggregated), terms)
+            bulk, aggregated = found
+            relation = run(self.steps, aggregated, terms)
             windows = relation.columns[END].values
             rows = int(np.bincount(windows, minlength=1).max())
             terms.budget.check_result(rows)
         except (NeedsOxigraph, BudgetExceeded):
             # The window that is concerned raises it again, by itself.
             return None
-        execution.follow(ends[count - 1])
-        spans = [execution.windows.span(end) for end in ends[:count]]
+        execution.follow(bulk)
+        spans = [execution.windows.span(end) for end in bulk.ends]
         return finish_batch(self.head, relation, windows, spans, static.terms)
 
 
-@dataclass(frozen=True, slots=True)
-class _Aggregated:
-    """A source with the solutions of the aggregate alone."""
-
-    aggregate: Aggregate
-    relation: Relation
-    profile: None = None
-
-    def ready(self, plan: Plan) -> Relation | None:
-        return self.relation if plan is self.aggregate else None
-
-    def pairs(self, scan: Scan | TypeScan) -> Pairs:
-        raise AssertionError(f"{scan} stands above an aggregate")
-
-    def matches(self, scan: Scan | AnyScan) -> Relation:
-        raise AssertionError(f"{scan} stands above an aggregate")
-
-    def nodes(self, graph: str) -> ObjectColumn:
-        raise AssertionError(f"a path over {graph} stands above an aggregate")
-
-
-def _with_end(plan: Plan, aggregate: Aggregate) -> Plan | None:
-    """Return ``plan`` with the column `END` kept up to its root; None if it cannot be kept."""
-    if plan is aggregate:
-        return plan
-    if not isinstance(plan, Filter | Extend | Project | Distinct | Order):
-        return None
-    child = _with_end(plan.child, aggregate)
-    if child is None:
-        return None
-    match plan:
-        case Filter(condition):
-            return Filter(condition, child)
-        case Extend(variable, expression):
-            return Extend(variable, expression, child)
-        case Project(variables):
+def _with_end(step: Step) -> Step:
+    """Return ``step`` so that it keeps the column `END` and the order of windows."""
+    match step:
+        case Project(variables, child):
             return Project((*variables, END), child)
-        case Distinct():
-            return Distinct(child)
-        case Order(keys):
+        case Order(keys, child):
             return Order(((Var(END), False), *keys), child)
+        case _:
+            return step
 
 
 def _by_row(head: Head) -> bool:

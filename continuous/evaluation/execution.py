@@ -23,10 +23,11 @@ from ..algebra.plan import (
 )
 from ..algebra.triple_times import names_now
 from ..algebra.volatile_functions import has_volatile
-from ..columns.relation import Relation
+from ..columns.relation import NeedsOxigraph, Relation
 from ..incremental.aggregate_shape import Shape, shape_of
 from ..incremental.aggregation import IncrementalAggregate
 from ..incremental.bulk_aggregation import BulkAggregate, fitting
+from ..operators.executor import Step, run, steps_above
 from ..operators.profile import Profile
 from ..operators.sources import StaticSide, WindowSource
 from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
@@ -57,6 +58,8 @@ class Execution:
         self.patterns: PatternSolver | None = None
         self.served: tuple[Plan, ...] = ()
         """The parts that the compiled loop evaluates."""
+        self.steps: tuple[Step, ...] | None = None
+        """The operators above the aggregate that `incremental` computes, if these are all."""
         self.not_folded = self._not_folded() if folds else "it is not to be folded"
         """Why `incremental` is None, or empty."""
         self._folded: int | None = None
@@ -117,14 +120,18 @@ class Execution:
         buffers = self.windows.contents.buffers.values()
         done = low if self._folded is None else max(low, self._folded)
         pane = self.windows.schedule.pane
-        while True:
-            times = [buffer.earliest(done) for buffer in buffers]
-            time = min((time for time in times if time is not None), default=None)
-            if time is None or time > end:
-                break
-            done = time + (window.grid.origin - time) % pane
+        while done < end:
+            # The usual case first: one pane has been completed.
+            if end - done > pane:
+                times = [buffer.earliest(done) for buffer in buffers]
+                time = min((time for time in times if time is not None), default=None)
+                if time is None or time > end:
+                    break
+                done = time + (window.grid.origin - time) % pane - pane
+            done += pane
             tables = [t for buffer in buffers for t in buffer.between(done - pane, done)]
-            self.incremental.fold(done, tables)
+            if tables:
+                self.incremental.fold(done, tables)
             if profile is not None:
                 predicate = self.static.terms.dictionary.find(scan.predicate)
                 columns = (table.objects.get(predicate) for table in tables)
@@ -135,17 +142,17 @@ class Execution:
             profile.add(scan, rows, 0)
             profile.beside(scan, profile.clock() - begin)
 
-    def in_bulk(self, ends: Sequence[int], most: int) -> tuple[int, Relation] | None:
-        """Return the number of windows that one pass covers, from the first of ``ends`` on, and the
-        solutions of the aggregate for these (`BulkAggregate`). None if it covers fewer than two, or
-        if they have more than ``most`` rows each. Changes nothing but the numbers of groups."""
+    def in_bulk(self, ends: Sequence[int], most: int) -> tuple[BulkAggregate, Relation] | None:
+        """Return the aggregate over windows that one pass covers, from the first of ``ends`` on,
+        and its solutions for these. None if the pass covers fewer than two, or if they have more
+        than ``most`` rows each. Changes nothing but the numbers of groups."""
         assert self.incremental is not None
         window = self.windows.schedule.windows[0]
         assert window.grid is not None
         assert window.range is not None
         low, _ = window.bounds(ends[0])
-        extremes = any(wanted for _, wanted in self.incremental.shape.arguments)
-        since = low if extremes or self._folded is None else max(low, self._folded)
+        folded = low if self._folded is None else max(low, self._folded)
+        since = low if self.incremental.has_extremes else folded
         tables = self._rows(since, ends[-1])
         if sum(map(len, tables)) > most * len(ends):
             return None
@@ -158,16 +165,34 @@ class Execution:
         if count < len(ends):
             tables = self._rows(since, ends[count - 1])
         panes = Grid(pane, window.grid.origin)
-        bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, tables)
+        bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, folded, tables)
         relation = bulk.relation()
-        return None if relation is None else (count, relation)
+        return None if relation is None else (bulk, relation)
 
-    def follow(self, end: int) -> None:
-        """Bring the aggregate to the window that ends at ``end``, over windows that `in_bulk` has
-        evaluated."""
+    def follow(self, bulk: BulkAggregate) -> None:
+        """Bring the aggregate to the last window of ``bulk``, which `in_bulk` has evaluated."""
         assert self.incremental is not None
-        self.fold(end)
+        end = bulk.ends[-1]
+        if bulk.hand_over():
+            self.incremental.evict(self.windows.schedule.windows[0].bounds(end)[0])
+            self._folded = end
+        else:
+            self.fold(end)
         self.incremental.jump()
+
+    def solutions(self) -> Relation | None:
+        """Return the solutions of the plan for the window that `fold` has folded, if the steps
+        above the aggregate need no other source; else None. Law: `execute` returns the same."""
+        if self.incremental is None or self.steps is None:
+            return None
+        try:
+            aggregated = self.incremental.solutions()
+            if aggregated is None:
+                return None
+            return run(self.steps, aggregated, self.static.terms)
+        except NeedsOxigraph:
+            # `sources` has another way, which may suffice.
+            return None
 
     def _rows(self, low: int, high: int) -> list[TripleRows]:
         buffers = self.windows.contents.buffers.values()
@@ -186,6 +211,7 @@ class Execution:
         if isinstance(shape, str):
             self.not_folded = shape
             return
+        self.steps = steps_above(self.plan, shape.aggregate)
         schedule = self.windows.schedule
         window = schedule.windows[0].range
         assert window is not None

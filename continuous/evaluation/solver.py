@@ -16,13 +16,13 @@ from ...languages.errors import Span
 from ...rdf.dictionary import Term
 from ...sparql import ast
 from ..algebra.from_sparql import Graphs, translate
-from ..algebra.plan import Ask, Query
+from ..algebra.plan import Ask, Head, Query
 from ..algebra.rewrite_rules import optimize
 from ..algebra.triple_times import asks_for_times, at_time
 from ..algebra.unsupported import Unsupported
 from ..algebra.volatile_functions import calls_volatile, with_seeds
 from ..columns.budget import BudgetExceeded
-from ..columns.relation import NeedsOxigraph
+from ..columns.relation import NeedsOxigraph, Relation
 from ..estimation.input_rates import Flow
 from ..estimation.pattern_sizes import Known
 from ..operators.executor import execute
@@ -173,6 +173,9 @@ class Solver:
         execution = self.execution
         if execution is not None and self.translated is not None:
             head, plan = self.translated.head, execution.plan
+            found = execution.solutions() if self.profile is None else None
+            if found is not None:
+                return self._finished(head, found, start, shown)
             if execution.names_now:
                 plan = at_time(plan, shown)
             if execution.has_volatile:
@@ -180,9 +183,7 @@ class Solver:
             for source in execution.sources(rows, self.profile):
                 try:
                     relation = execute(plan, source, self.terms)
-                    if not isinstance(head, Ask):
-                        self.terms.budget.check_result(relation.rows)
-                    return finish(head, relation, start, shown, self.terms)
+                    return self._finished(head, relation, start, shown)
                 except NeedsOxigraph:
                     # The next source does not fold, which may suffice. Else Oxigraph evaluates
                     # exactly, usually bags too; if not, the result is marked `merged`.
@@ -193,6 +194,11 @@ class Solver:
                     "Oxigraph would draw others when it computes the window again"
                 )
         return self.oxigraph.solve(rows.tables, start, shown)
+
+    def _finished(self, head: Head, relation: Relation, start: int, shown: int) -> WindowResult:
+        if not isinstance(head, Ask):
+            self.terms.budget.check_result(relation.rows)
+        return finish(head, relation, start, shown, self.terms)
 
     def known(self, flows: Mapping[str, Flow]) -> Known:
         """Return the basis of cost estimates; ``flows`` are the known rates of the inputs, by

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rdf.dictionary import Ids
 from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ..algebra.expressions import Const, Var
 from ..algebra.plan import Plan
@@ -36,6 +37,10 @@ _ROW = "\0row"
 _SUBJECT = "\0s"
 COMPACT = 1024
 """Below this number of groups, dropping some is not worth its cost."""
+FEW = 4096
+"""Up to this number of rows of a pane, the calls of numpy cost more than the loops."""
+SELECTIVE = 128
+"""Up to this number of groups, a HAVING tests them all: to know which have changed costs more."""
 DENSE = 4
 """If one group in this number has changed, evaluate all: that is simpler and as fast."""
 
@@ -72,6 +77,10 @@ class IncrementalAggregate:
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
         self._distinct = DistinctPairs(terms) if distinct else None
+        self._is_direct = shape.direct
+        self._is_simple = (
+            shape.plain and not distinct and [a for a, _ in shape.arguments] == [shape.scan.object]
+        )
         self.sorts = GroupSorts(shape.sorts, self.groups, static)
         self.irregular: deque[int] = deque()
         self._static_version: int | None = None
@@ -95,11 +104,24 @@ class IncrementalAggregate:
         """Fold the rows of the pane that ends at ``end``, in order."""
         self.groups.reach(len(self.terms.dictionary))
         predicate = self.terms.dictionary.find(self.shape.scan.predicate)
+        found = [(t.subject, t.objects[predicate]) for t in tables if predicate in t.objects]
+        if not (self._is_simple and self._fold_at_once(end, found)):
+            self._fold_by_kind(end, found)
+        for changed in self.sorts.fold(end, tables):
+            self._touched.mark(changed)
+
+    def _fold_at_once(self, end: int, found: Sequence[tuple[Ids, ObjectColumn]]) -> bool:
+        """Fold a pane of few rows of one kind in one compiled call; return False, and do nothing,
+        for another one. Law: the state afterwards is that of `_fold_by_kind`."""
+        if len(found) != 1 or len(found[0][0]) > FEW:
+            return False
+        subjects, column = found[0]
+        return self.partials[0].fold_pane(end, subjects, column, self.groups, self._touched)
+
+    def _fold_by_kind(self, end: int, found: Sequence[tuple[Ids, ObjectColumn]]) -> None:
         try:
-            for table in tables:
-                column = table.objects.get(predicate)
-                if column is not None:
-                    self._fold(end, table.subject, column)
+            for subjects, column in found:
+                self._fold(end, subjects, column)
         except (NeedsOxigraph, BudgetExceeded):
             # Its windows are computed from all rows, which raises `BudgetExceeded` again if due.
             self.irregular.append(end)
@@ -108,8 +130,6 @@ class IncrementalAggregate:
         self._touched.reserve(self.groups.used)
         for partial in self.partials:
             partial.push(end, self.groups.used, self._touched)
-        for changed in self.sorts.fold(end, tables):
-            self._touched.mark(changed)
 
     def evict(self, until: int) -> None:
         """Evict the panes that end at or before ``until``."""
@@ -131,6 +151,10 @@ class IncrementalAggregate:
         is_static = self._static_pairs is not None and len(self._static_pairs[0]) > 0
         return not (is_static or self.irregular or len(self.static.pairs(self.shape.scan)[0]))
 
+    @property
+    def has_extremes(self) -> bool:
+        return any(extremes for _, extremes in self.shape.arguments)
+
     def has_room(self, new: int) -> bool:
         """Whether ``new`` groups more would let `evict` drop none."""
         return self.groups.used + new < self._compact_at
@@ -145,14 +169,25 @@ class IncrementalAggregate:
         ``source`` provides the relations to join.
         """
         shape = self.shape
-        having = bool(shape.having) and plan is shape.having[0] and shape.direct
+        having = self._is_direct and bool(shape.having) and plan is shape.having[0]
         if self.irregular or not (having or plan is shape.aggregate):
             return None
         self._with_static()
         if having:
             return self._having()
-        rows = self._alive(slice(self.groups.used))
-        return self._direct(rows) if shape.direct else self._joined(rows, source)
+        if self._is_direct:
+            return self._present(self.groups.used)[1]
+        return self._joined(self._alive(slice(self.groups.used)), source)
+
+    def solutions(self) -> Relation | None:
+        """Return the solutions of the aggregate for all groups; None if a HAVING should test some
+        groups only, or if they need another source."""
+        is_selective = bool(self.shape.having) and self.groups.used > SELECTIVE
+        if self.irregular or is_selective or not self._is_direct:
+            return None
+        self._touched.all = True
+        self._with_static()
+        return self._present(self.groups.used)[1]
 
     def _alive(self, rows: Rows) -> NDArray[np.int64]:
         """Return those of ``rows`` that have rows in the window and are of the sorts."""
@@ -170,8 +205,11 @@ class IncrementalAggregate:
         test_all = touched is None or DENSE * len(touched) > used
         tested: Rows = slice(used) if touched is None or test_all else touched
         self._passing[tested] = False
-        rows = self._alive(tested)
-        relation = self._direct(rows)
+        if isinstance(tested, slice):
+            rows, relation = self._present(used)
+        else:
+            rows = self._alive(tested)
+            relation = self._direct(rows)
         for filter in reversed(self.shape.having):
             kept = np.flatnonzero(
                 holds(filter.condition, relation.columns, relation.rows, self.terms)
@@ -182,12 +220,25 @@ class IncrementalAggregate:
         self._touched.clear()
         return relation if test_all else self._direct(np.flatnonzero(self._passing[:used]))
 
+    def _present(self, used: int) -> tuple[NDArray[np.int64], Relation]:
+        """Return the groups that have rows in the window and are of the sorts, and the aggregates
+        of these subjects."""
+        of = self.sorts.holds(slice(used)) if self.shape.sorts else None
+        found = self.partials[0].present(used, of) if len(self.partials) == 1 else None
+        if found is None:
+            rows = self._alive(slice(used))
+            return rows, self._direct(rows)
+        rows, partial = found
+        return rows, self._of_subjects(rows, [partial])
+
     def _direct(self, rows: NDArray[np.int64]) -> Relation:
         """Return the aggregates of the subjects ``rows``."""
+        return self._of_subjects(rows, [partial.partial(rows) for partial in self.partials])
+
+    def _of_subjects(self, rows: NDArray[np.int64], partials: Sequence[Partial]) -> Relation:
         subject = self.shape.scan.subject
         assert isinstance(subject, Var)
         columns = {subject.name: ObjectColumn(Kind.TERM, self.groups.members[rows])}
-        partials = [partial.partial(rows) for partial in self.partials]
         return self.finish(columns, partials, len(rows))
 
     def _joined(self, rows: NDArray[np.int64], source: Source) -> Relation:
@@ -264,9 +315,8 @@ class IncrementalAggregate:
         for position, column in zip((scan.subject, scan.object), pairs, strict=True):
             if isinstance(position, Var):
                 columns[position.name] = column
-        nothing = ObjectColumn(Kind.INTEGER, np.broadcast_to(np.int64(0), (rows,)))
         return [
-            nothing
+            ObjectColumn(Kind.INTEGER, np.broadcast_to(np.int64(0), (rows,)))
             if argument is None
             else columns[argument.name]
             if isinstance(argument, Var) and argument.name in columns

@@ -119,8 +119,8 @@ def fitting(
 class BulkAggregate:
     """Windows that end at ``ends`` over ``tables``, the rows since the panes folded so far.
 
-    ``window``: the length of a window; ``panes``: the grid of panes. For extremes ``tables`` has
-    the rows of the folded panes too.
+    ``window``: the length of a window; ``panes``: the grid of panes; ``folded``: the end of the
+    last folded one. For extremes ``tables`` has the rows of the folded panes too.
     """
 
     def __init__(
@@ -129,14 +129,17 @@ class BulkAggregate:
         ends: Sequence[int],
         window: int,
         panes: Grid,
+        folded: int,
         tables: Sequence[TripleRows],
     ) -> None:
         self._aggregate = aggregate
+        self.ends = ends
         self._ends = np.array(ends, np.int64)
         self._window = window
         self._grid = panes
+        self._until = folded
         self._tables = tables
-        self._extremes = any(extremes for _, extremes in aggregate.shape.arguments)
+        self._numbers: list[_Numbers] = []
 
     def relation(self) -> Relation | None:
         """Return the solutions of the aggregate for all windows, by window, then by group; None if
@@ -179,6 +182,7 @@ class BulkAggregate:
             numbers[-1].add_panes(panes or ())
         if not all(each.is_finite for each in numbers):
             return None
+        self._numbers = numbers
         alive = runs.sums(numbers[0].counts) > 0
         self._keep_sorts(alive, cells)
         windows, places = np.nonzero(alive)
@@ -192,12 +196,30 @@ class BulkAggregate:
             found.columns, found.rows, frozenset((END, *aggregate.shape.aggregate.keys))
         )
 
+    def hand_over(self) -> bool:
+        """Give the aggregate those panes of the last window that it has not folded; call it after
+        `relation`. Return False, and do nothing, if it must fold their rows: extremes have a state
+        of their own. Law: the aggregate is then as if it had folded them."""
+        if self._aggregate.has_extremes:
+            return False
+        after = max(self._until, int(self._ends[-1]) - self._window)
+        for partial, numbers in zip(self._aggregate.partials, self._numbers, strict=True):
+            partial.append(numbers.key, *numbers.panes_after(after))
+        for facts in self._aggregate.sorts.facts:
+            stated = list(facts.stated(self._tables, self._aggregate.static))
+            if stated:
+                times, subjects = map(np.concatenate, zip(*stated, strict=True))
+                ends = self._pane_of(times)
+                facts.append(ends[ends > after], subjects[ends > after])
+        self._aggregate.sorts.forget()
+        return True
+
     def _folded(self, argument: int, key: Key) -> list[Pane] | None:
         """Return the folded panes that windows contain; None if columns cannot add them."""
         panes = self._aggregate.partials[argument].panes_of(key)
         if panes is None:
             return None
-        if self._extremes:
+        if self._aggregate.has_extremes:
             return []
         low = int(self._ends[0]) - self._window
         kept = [pane for pane in panes if pane[0] > low]
@@ -327,6 +349,16 @@ class _Numbers:
         cells = self._cells.of(ends[there], groups[there])
         self._sums[cells] = columns[0, there]
         self.counts[cells] = columns[1, there]
+
+    def panes_after(self, end: int) -> tuple[Times, NDArray[np.int32], NDArray[np.generic]]:
+        """Return each cell with rows in a pane that ends after ``end``: the end of its pane, its
+        group, and its sum and count, shape ``(2, n)``, in order of panes and groups."""
+        width = self._cells.runs.groups
+        first = int(np.searchsorted(self._cells.ends, end, "right"))
+        cells = np.flatnonzero(self.counts[first * width :]) + first * width
+        panes, places = np.divmod(cells, width)
+        columns = np.stack([self._sums[cells], self.counts[cells].astype(self._sums.dtype)])
+        return self._cells.ends[panes], self._cells.groups[places].astype(np.int32), columns
 
     def of_runs(self, windows: NDArray[np.int64], places: NDArray[np.int64]) -> Numbers:
         """Return the values of the group at ``places[i]`` over window ``windows[i]``."""

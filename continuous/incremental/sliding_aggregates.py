@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from ...rdf.timed import Kind, ObjectColumn
 from ..columns.exact_sums import At, FloatTotals, IntegerTotals
 from ..columns.fold_kernels import Groups, grow, mirror
+from ..columns.pane_runs import equal_runs
 from ..columns.relation import TermValues
 from ..operators.partial_aggregates import (
+    GREAT,
     Key,
     NumberFold,
     Numbers,
@@ -98,6 +100,43 @@ class SlidingNumbers:
         """Fold rows of the present pane."""
         self._fold.add(part.subjects, part.values, part.skip, groups)
 
+    def fold_pane(
+        self,
+        end: int,
+        subjects: NDArray[np.int32],
+        values: NDArray[np.float64],
+        groups: Groups,
+        touched: ChangedGroups,
+    ) -> bool:
+        """Fold the rows of a whole pane and end it, which is `fold` and `push` in one compiled
+        call; return False, and change nothing, if that cannot fold them."""
+        totals, sliding = self._totals, self._sliding
+        if not isinstance(totals, FloatTotals):
+            return False
+        extremes = sliding is not None
+        found = totals.fold_pane(subjects, values, GREAT, groups, extremes=extremes)
+        if found is None:
+            return False
+        at, columns = found
+        touched.reserve(groups.used)
+        touched.mark(at)
+        if sliding is not None:
+            sliding.reserve(groups.used)
+            sliding.push(end, at, columns[2:].T.copy())
+            columns = columns[:2].copy()
+        self.panes.append((end, at, columns, None))
+        return True
+
+    def present(
+        self, used: int, of: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int64], Numbers] | None:
+        """Return those of the first ``used`` groups that have rows, and are in ``of`` if that is
+        given, with their values. None: these need several calls."""
+        if not isinstance(self._totals, FloatTotals):
+            return None
+        rows, sums, counts = self._totals.present(used, of)
+        return rows, Numbers(sums, counts, self._ends(rows, used))
+
     def abandon(self, used: int) -> None:
         """Drop the rows of the present pane."""
         self._fold.take(used)
@@ -115,6 +154,14 @@ class SlidingNumbers:
         if not distinct:
             self.panes.append((end, at, columns, high))
             self._add(at, columns, high, 1)
+
+    def append(self, ends: NDArray[np.int64], at: NDArray[np.int32], columns: NDArray[Any]) -> None:
+        """Add folded panes: the end of the pane of each group ``at[i]``, ascending, and its sum and
+        count. Contract: there are no extremes."""
+        self._totals.reserve(int(at.max(initial=-1)) + 1)
+        self._totals.add(at, columns[0], columns[1], 1)
+        for rows in equal_runs(ends):
+            self.panes.append((int(ends[rows.start]), at[rows], columns[:, rows], None))
 
     def evict(self, until: int, touched: ChangedGroups) -> None:
         """Evict the panes that end at or before ``until``."""
@@ -150,14 +197,18 @@ class SlidingNumbers:
         """Return the values of the groups ``rows``."""
         used = int(rows.max(initial=-1)) + 1
         self._totals.reserve(used)
-        ends = None
-        if self._sliding is not None:
-            self._sliding.reserve(used)
-            ends = self._sliding.ends(rows)
-            if self._held is not None:
-                covered = rows < len(self._held)
-                ends[covered] = np.minimum(ends[covered], self._held[rows[covered]])
-        return Numbers(self._totals.values(rows), self._totals.counts[rows], ends)
+        return Numbers(self._totals.values(rows), self._totals.counts[rows], self._ends(rows, used))
+
+    def _ends(self, rows: NDArray[np.int64], used: int) -> NDArray[Any] | None:
+        """Return the extremes of the groups ``rows``, which are below ``used``."""
+        if self._sliding is None:
+            return None
+        self._sliding.reserve(used)
+        ends = self._sliding.ends(rows)
+        if self._held is not None:
+            covered = rows < len(self._held)
+            ends[covered] = np.minimum(ends[covered], self._held[rows[covered]])
+        return ends
 
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
         """Drop all groups except ``kept`` (ascending); group g becomes ``new[g]``."""
@@ -217,6 +268,38 @@ class SlidingPartial:
                 self._of(part.key).fold(part, groups)
             elif not self._distinct:
                 self._odd.append((groups.groups(part.subjects), part))
+
+    def fold_pane(
+        self,
+        end: int,
+        subjects: NDArray[np.int32],
+        column: ObjectColumn,
+        groups: Groups,
+        touched: ChangedGroups,
+    ) -> bool:
+        """`fold` and `push` of a pane with these rows alone; return False, and change nothing, if
+        that takes several calls."""
+        if column.kind not in (Kind.FLOAT, Kind.DOUBLE) or column.null is not None:
+            return False
+        numbers = self._of((column.kind, 0))
+        return numbers.fold_pane(end, subjects, column.values, groups, touched)
+
+    def append(
+        self, key: Key, ends: NDArray[np.int64], at: NDArray[np.int32], columns: NDArray[Any]
+    ) -> None:
+        """Add folded panes, all of one `Key`; see `SlidingNumbers.append`."""
+        self._of(key).append(ends, at, columns)
+
+    def present(
+        self, used: int, of: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int64], Partial] | None:
+        """Return the groups that `SlidingNumbers.present` returns, and their aggregates. None: the
+        window has several kinds of numbers, or other terms."""
+        if len(self._kinds) != 1 or self._odd_rows:
+            return None
+        [(key, numbers)] = self._kinds.items()
+        found = numbers.present(used, of)
+        return None if found is None else (found[0], Partial({key: found[1]}))
 
     def abandon(self, used: int) -> None:
         """Drop the rows of the present pane."""

@@ -45,6 +45,8 @@ class Background:
         self._rules = rules
         self._own_rules: tuple[int, Rules] | None = None
         """The rules of the schema in the store, and the store's version."""
+        self._supersorts: tuple[Rules | None, dict[str, frozenset[str]]] = None, {}
+        """Results of `supersorts`, with the rules that gave them."""
         self.conversion = conversion or _unchanged
 
     @classmethod
@@ -150,8 +152,14 @@ class Background:
 
     def supersorts(self, sort: str) -> frozenset[str]:
         """Return ``sort`` and all sorts above it."""
-        above = self.rules.above(NamedNode(sort))
-        return frozenset({sort, *(kind.value for kind in above if isinstance(kind, NamedNode))})
+        rules = self.rules
+        if rules is not self._supersorts[0]:
+            self._supersorts = rules, {}
+        known = self._supersorts[1]
+        if sort not in known:
+            above = (kind for kind in rules.above(NamedNode(sort)) if isinstance(kind, NamedNode))
+            known[sort] = frozenset({sort, *(kind.value for kind in above)})
+        return known[sort]
 
     def copy(
         self, predicates: Collection[NamedNode] | None, classes: Collection[NamedNode] | None

@@ -6,9 +6,9 @@ only, not on how they were cut into batches.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Protocol, assert_never
+from typing import Protocol, TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,30 +132,59 @@ def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
             )
         case Exists():
             return _marked(plan, source, terms)
-        case Filter(condition, child):
-            relation = execute(child, source, terms)
+        case Aggregate():
+            return aggregate(plan, execute(plan.child, source, terms), terms)
+        case Filter() | Extend() | Project() | Distinct() | Order() | Slice():
+            return apply(plan, execute(plan.child, source, terms), terms)
+        case _:
+            assert_never(plan)
+
+
+Step: TypeAlias = Filter | Extend | Project | Distinct | Order | Slice
+"""An operator that reads the solutions of its child alone."""
+
+
+def apply(step: Step, relation: Relation, terms: TermValues) -> Relation:
+    """Return the solutions of ``step`` if ``relation`` has those of its child."""
+    match step:
+        case Filter(condition):
             return relation.take(holds(condition, relation.columns, relation.rows, terms))
-        case Extend(variable, expression, child):
-            relation = execute(child, source, terms)
+        case Extend(variable, expression):
             if variable in relation.columns:
                 raise NeedsOxigraph(f"?{variable} is bound twice")
             value = evaluate(expression, relation.columns, relation.rows, terms)
             return Relation({**relation.columns, variable: value}, relation.rows, relation.key)
-        case Aggregate():
-            return aggregate(plan, execute(plan.child, source, terms), terms)
-        case Project(variables, child):
-            return _projected(execute(child, source, terms), variables)
-        case Distinct(child):
-            relation = execute(child, source, terms)
+        case Project(variables):
+            return _projected(relation, variables)
+        case Distinct():
             return relation if relation.key is not None else distinct(relation, terms)
-        case Order(keys, child):
-            return ordered(execute(child, source, terms), keys, terms)
-        case Slice(start, length, child):
-            relation = execute(child, source, terms)
+        case Order(keys):
+            return ordered(relation, keys, terms)
+        case Slice(start, length):
             stop = relation.rows if length is None else min(relation.rows, start + length)
             return relation.take(np.arange(min(start, stop), stop))
         case _:
-            assert_never(plan)
+            assert_never(step)
+
+
+def run(steps: Sequence[Step], relation: Relation, terms: TermValues) -> Relation:
+    """Return the solutions of the last of ``steps``; ``relation`` has those below the first."""
+    for step in steps:
+        terms.budget.pauses.pause()
+        relation = apply(step, relation, terms)
+    return relation
+
+
+def steps_above(plan: Plan, leaf: Plan) -> tuple[Step, ...] | None:
+    """Return the steps from ``leaf`` to ``plan``, in the order of their execution; None if another
+    operator is between the two."""
+    steps: list[Step] = []
+    while plan is not leaf:
+        if not isinstance(plan, Step):
+            return None
+        steps.append(plan)
+        plan = plan.child
+    return tuple(reversed(steps))
 
 
 def _projected(relation: Relation, variables: tuple[str, ...]) -> Relation:

@@ -298,9 +298,9 @@ class Partial:
         self, function: str, groups: NDArray[np.int64], terms: TermValues, star: bool = False
     ) -> ObjectColumn:
         """Return the aggregate's value for all ``groups``: null if it is an error or unbound."""
-        keys = sorted(key for key, of in self.numbers.items() if of.counts.any())
-        numbers = np.zeros(len(groups), np.int64)
-        for key in keys:
+        keys = sorted(key for key, of in self.numbers.items() if np.count_nonzero(of.counts))
+        numbers = self.numbers[keys[0]].counts if keys else np.zeros(len(groups), np.int64)
+        for key in keys[1:]:
             numbers = numbers + self.numbers[key].counts
         others = self.others
         if others is not None:
@@ -316,19 +316,21 @@ class Partial:
             if is_extreme and others[:, TERMS].any():
                 raise NeedsOxigraph(f"{function} over terms that are no numbers")
             wrong = np.asarray((others[:, TERMS] > 0) | (others[:, ERRORS] > 0))
-        if is_extreme and not numbers.all():
+        if is_extreme and np.count_nonzero(numbers) < len(numbers):
             wrong = numbers == 0 if wrong is None else wrong | (numbers == 0)
         null = wrong if wrong is not None and wrong.any() else None
-        single = np.zeros(len(groups), np.bool_)
-        single[list(self.singles.groups)] = True
+        single: NDArray[np.bool_] | None = None
+        if self.singles.groups:
+            single = np.zeros(len(groups), np.bool_)
+            single[list(self.singles.groups)] = True
         if not keys:
             column = ObjectColumn(Kind.INTEGER, np.zeros(len(groups), np.int64))
         elif is_extreme:
             column, doubtful = self._extreme(function, keys, len(groups), terms)
-            single |= doubtful
+            single = either(single, doubtful)
         else:
             column = self._total(function == "AVG", keys, numbers, terms)
-        if single.any():
+        if single is not None and single.any():
             at, rest = np.flatnonzero(single), np.flatnonzero(~single)
             found = [self._one_by_one(function, keys, group) for group in at.tolist()]
             few = term_column(found, terms.dictionary.transient_id)
@@ -383,8 +385,9 @@ class Partial:
 
     def _extreme(
         self, function: str, keys: list[Key], rows: int, terms: TermValues
-    ) -> tuple[ObjectColumn, NDArray[np.bool_]]:
-        """Return the extremes, and for which groups float64 cannot order two numbers."""
+    ) -> tuple[ObjectColumn, NDArray[np.bool_] | None]:
+        """Return the extremes, and for which groups float64 cannot order two numbers (None: for
+        none)."""
         side = 0 if function == "MIN" else 1
         ends = {}
         for key in keys:
@@ -392,9 +395,9 @@ class Partial:
             assert found is not None
             values = mirror(found[:, 1]) if side else found[:, 0]
             ends[key] = values / 10.0 ** key[1] if key[0] is Kind.DECIMAL else values
-        doubtful = np.zeros(rows, np.bool_)
         if len(keys) == 1:
-            return ObjectColumn(keys[0][0], ends[keys[0]]), doubtful
+            return ObjectColumn(keys[0][0], ends[keys[0]]), None
+        doubtful = np.zeros(rows, np.bool_)
         worst = np.inf if side == 0 else -np.inf
         best = np.full(rows, worst)
         chosen = np.full(rows, -1)

@@ -77,6 +77,13 @@ class WindowResult:
         return len(self.triples) if self.triples is not None else int(bool(self.answer))
 
     @property
+    def is_empty(self) -> bool:
+        """Whether it has no solution and no triple; an answer is never empty."""
+        if self.triples is not None:
+            return not any(map(len, self.triples.tables))
+        return self.solutions is not None and not len(self.solutions)
+
+    @property
     def ends(self) -> Sequence[int]:
         """The ends of all windows: a batch of one."""
         return (self.end,)

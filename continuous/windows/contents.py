@@ -318,7 +318,9 @@ def _has_triples(table: TripleRows) -> bool:
 def _rows_after(rows: TripleRows, after: int, in_order: bool) -> TripleRows:
     """Return the rows with τ > ``after``."""
     if in_order:
-        first = int(np.searchsorted(rows.time, after, "right"))
-        return rows.take(slice(first, None)) if first else rows
+        if rows.time[0] > after:
+            return rows
+        first = int(rows.time.searchsorted(after, "right"))
+        return rows.take(slice(first, None))
     kept = rows.time > after
     return rows if kept.all() else rows.take(kept)

@@ -17,6 +17,8 @@ from ..columns.relation import concatenate_rows
 
 _SMALL = 4096
 """Chunks below this number of rows are merged, because each chunk costs some numpy calls."""
+_MANY = 8
+"""The number of small chunks that are merged at once: a merge at each window copies its rows."""
 
 Shape = tuple[int, tuple[tuple[int, int], ...]]
 """Sort (-1: none) and (predicate, kind) of each column: common to the rows of a chunk."""
@@ -123,7 +125,7 @@ class RowBuffer(TermTable):
 
 def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:
     """Merge each run of small chunks in order, up to ``settled``, into one chunk."""
-    if sum(chunk.small for chunk in chunks) < 2:
+    if len(chunks) < _MANY or sum(chunk.small for chunk in chunks) < _MANY:
         return chunks
     merged: list[_Chunk] = []
     run: list[_Chunk] = []

@@ -29,8 +29,8 @@ EvaluateWindows = Callable[[list[int]], tuple[int, bool] | None]
 them, from the first on, it has evaluated in one pass, and whether the rows of the last one are
 needed again; None if these windows must be evaluated one by one."""
 _BLOCK = 2**15
-FEWEST, MOST = 6, 512
-"""The least and the greatest number of windows of one pass, which costs as much as five windows."""
+FEWEST, MOST = 8, 512
+"""The least and the greatest number of windows of a pass, which costs as much as seven or eight."""
 
 
 class OpenWindows:

@@ -50,6 +50,8 @@ C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
 MTL = "mtl"
 """The transformation that evaluates a formula of metric temporal logic ([DyKnow10 §5.4])."""
+PATTERN = "pattern"
+"""The transformation that finds the matches of a pattern of events ([DyKnow10 §2, §7])."""
 SELECT_INSTANCE = "selectInstance"
 """The transformation that selects one query's results from those of a shared evaluation."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
@@ -434,13 +436,20 @@ class Configuration:
     def newest_sample(self, *generators: StreamGenerator) -> int:
         """Return the greatest available time (ns) of the samples in streams and upstream of them;
         `TIME_MIN` if there is none."""
+        times = (each.stream.last_available for each in self._with_upstream(generators))
+        return max((time for time in times if time is not None), default=TIME_MIN)
+
+    def lateness(self, generator: StreamGenerator) -> int:
+        """Return the greatest lateness (ns) of a stream and of those upstream of it."""
+        return max(each.lateness for each in self._with_upstream([generator]))
+
+    def _with_upstream(self, generators: Iterable[StreamGenerator]) -> set[StreamGenerator]:
         read = set(generators)
-        for generator in generators:
+        for generator in tuple(read):
             unit = self.units.get(generator.name)
             for part in () if unit is None else self.upstream_units(unit):
                 read.update(part.inputs)
-        times = (source.stream.last_available for source in read)
-        return max((time for time in times if time is not None), default=TIME_MIN)
+        return read
 
     def is_stamped(self, generator: StreamGenerator) -> bool | None:
         """Whether the samples, or those that they were computed from, were all stamped on arrival;

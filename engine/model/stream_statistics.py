@@ -52,6 +52,7 @@ def stream_view(
         rate=rate_of(generator),
         lag=last_available - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
+        contents=() if annotation is None else annotation.contents,
         producer=producer,
         subscribers=generator.subscribers + generator.listeners,
     )

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from ...languages.ssl.annotation import Content
+from ...matching.render import Step
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import Counters
 from ...streams.history import Retention
 from ...streams.sample import Field
 from ...streams.time import HOUR
+from ...templates.parameters import ParameterUse
 
 
 class Since(StrEnum):
@@ -55,7 +58,8 @@ class StreamDeclaration:
 class StreamView:
     """The present state of a stream. Times in ns; ``rate`` in samples per second of available time
     (over at least a second). ``first_available`` is the oldest retained available time.
-    ``is_idle``: it had no samples for ``idle``, so readers do not wait for it."""
+    ``is_idle``: it had no samples for ``idle``, so readers do not wait for it. ``contents`` are the
+    features that the annotation gives to fields; ``annotation`` is its text."""
 
     name: str
     fields: tuple[Field, ...]
@@ -78,6 +82,7 @@ class StreamView:
     rate: float
     lag: int | None
     annotation: str | None
+    contents: tuple[Content, ...]
     producer: str | None
     subscribers: int
 
@@ -108,11 +113,15 @@ class EvaluationView:
 
 @dataclass(frozen=True, slots=True)
 class TemplateView:
-    """A registered event template; ``name`` is the IRI of its event concept."""
+    """A registered event template; ``name`` is the IRI of its event concept. ``doc`` is the comment
+    at its beginning, ``window`` that of its query in words (None: a formula)."""
 
     name: str
     local_name: str
     parameters: tuple[str, ...]
+    uses: tuple[ParameterUse, ...]
+    doc: str
+    window: str | None
     source: str
     etag: str
 
@@ -219,8 +228,8 @@ class MatchView:
     """The result of semantic matching for a feature, with the reasons.
 
     ``cost`` and ``quality`` are those of the plan, None without a plan. ``proven``: the plan is
-    proven to be the strategy's optimum. ``specification`` is the plan in XML, None without a plan
-    or if XML cannot express it.
+    proven to be the strategy's optimum. ``tree`` has all that was considered. ``specification`` is
+    the plan in XML, None without a plan or if XML cannot express it.
     """
 
     feature: str
@@ -233,6 +242,7 @@ class MatchView:
     cost: float | None
     quality: float | None
     proven: bool
+    tree: Step
     specification: str | None = None
 
 

@@ -6,82 +6,62 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import assert_never
-
-from pyoxigraph import NamedNode, Store
 
 from ...continuous.estimation.input_rates import Flow
 from ...continuous.evaluation.evaluator import ContinuousEvaluator
-from ...continuous.operators.background import Background
 from ...languages.csparql import format_query, with_streams
 from ...languages.csparql.ast import (
     ContinuousQuery,
     CountWindow,
     EventRequest,
     LandmarkWindow,
+    Template,
     TimeWindow,
     Window,
 )
-from ...languages.mtl import FormulaTemplate
 from ...languages.ssl.annotation import StreamAnnotation
 from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.plan import Node, streams_of
 from ...matching.plan_value import cost_of, quality_of
-from ...matching.render import render
+from ...matching.render import render, steps
 from ...matching.space import StreamSpace
 from ...matching.tree import Alternative, Outcome
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
-from ...ontology.units import Conversion, UnitError, conversion
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
 from ...streams.time import TIME_MIN, format_duration, format_time
-from ...templates.formulas import BoundFormula
 from ...templates.needs import Needs
+from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
 from ..model.views import MatchView, PlanView, UnitView
 from ..units.base import ComputationalUnit
-from .monitor_start import explain_monitor
+from .reasoning_start import explain_bound
+from .static_side import closed_ontology
 
 
-def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background:
-    """Return the static side of queries: the present ontologies and their entailments.
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """An explanation: its text, the same by stages (pairs of a title and a text), and the matches
+    that found its streams."""
 
-    ``named``: ontologies that a query names with FROM NAMED, which it sees as named graphs too.
-    """
-    if not named:
-        return _background(ontology, ontology.closed_store)
-    stores: list[tuple[int, Store]] = []
+    text: str
+    stages: tuple[tuple[str, str], ...]
+    matches: tuple[Match, ...] = ()
 
-    def store() -> Store:
-        if not stores or stores[0][0] != ontology.version:
-            store_with_graphs = Store()
-            store_with_graphs.extend(ontology.closed_store())
-            for iri in named:
-                store_with_graphs.extend(
-                    ontology.static_store.quads_for_pattern(None, None, None, NamedNode(iri))
-                )
-            stores[:] = [(ontology.version, store_with_graphs)]
-        return stores[0][1]
+    @classmethod
+    def of(cls, stages: Sequence[tuple[str, str]], matches: Sequence[Match] = ()) -> Explanation:
+        """Return an explanation whose text has each title, and its stage indented below."""
+        parts = (f"{title}\n{_indent(text)}" for title, text in stages)
+        return cls("\n\n".join(parts), tuple(stages), tuple(matches))
 
-    return _background(ontology, store)
-
-
-def _background(ontology: Ontology, store: Callable[[], Store]) -> Background:
-    def change(source: str, target: str) -> Conversion | None:
-        features = [ontology.vocabulary.feature(iri) for iri in (source, target)]
-        units = [None if feature is None else feature.unit for feature in features]
-        if units[0] is None or units[1] is None or units[0] == units[1]:
-            return None
-        try:
-            return conversion(units[0], units[1])
-        except UnitError:
-            return None
-
-    return Background(
-        store, lambda: ontology.version, rules=lambda: ontology.rules, conversion=change
-    )
+    @property
+    def found(self) -> bool:
+        """Whether everything that was looked for is there."""
+        return all(match.supply is not None for match in self.matches)
 
 
 def unit_view(unit: ComputationalUnit) -> UnitView:
@@ -136,18 +116,19 @@ def match_view(
         cost=cost,
         quality=quality,
         proven=match.proven,
+        tree=steps(match),
     )
 
 
 def explain_template(template: AnyTemplate) -> str:
     """Explain a template: parameters, window, text."""
-    window = None if isinstance(template, FormulaTemplate) else template.query.window
+    window = template.query.window if isinstance(template, Template) else None
     lines = [
         f"template {shorten(template.name)}",
         "parameters: " + ", ".join(f"?{parameter.value}" for parameter in template.parameters),
     ]
     if window is not None:
-        lines.append(f"window: {_window(window)}")
+        lines.append(f"window: {window_text(window)}")
     return "\n".join([*lines, "", template.source.strip()])
 
 
@@ -156,13 +137,14 @@ def explain_query(
     ontology: Ontology,
     dictionary: TermDictionary,
     flows: Mapping[str, Flow],
-) -> str:
+) -> Explanation:
     """Explain a query that names its streams: the parsed text, then the plans. ``flows``: the rates
     of its streams, by their IRIs in the query."""
     names = list(dict.fromkeys(clause.iri for clause in parsed.streams))
     background = closed_ontology(ontology, parsed.static_named)
     evaluator = ContinuousEvaluator(parsed, dictionary, background, names)
-    return f"{format_query(parsed)}\n\n{evaluator.explain(flows)}"
+    stages = ("query", format_query(parsed)), ("evaluation", evaluator.explain(flows))
+    return Explanation("\n\n".join(text for _, text in stages), stages)
 
 
 def explain_matched_query(
@@ -171,14 +153,14 @@ def explain_matched_query(
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
-) -> str:
+) -> Explanation:
     """Explain a query that names no streams: text, matching, plans."""
     stages = _matching_stages(parsed, wanted, matches, ontology, dictionary)
-    return "\n\n".join([f"registered\n{_indent(parsed.source.strip())}", *stages])
+    return Explanation.of([("registered", parsed.source.strip()), *stages], matches)
 
 
-def explain_monitor_plan(source: str, matches: Sequence[Match], evaluation: str) -> str:
-    """Explain a monitor that is not started: text, matching, evaluation."""
+def explain_reasoning_plan(source: str, matches: Sequence[Match], evaluation: str) -> Explanation:
+    """Explain a monitor or pattern that is not started: text, matching, evaluation."""
     return explain_running_query(source.strip(), (), matches, "none yet", evaluation, "")
 
 
@@ -189,38 +171,36 @@ def explain_running_query(
     plan: str,
     evaluation: str,
     alone: str,
-) -> str:
+) -> Explanation:
     """Explain a running query: text, annotations of its streams or the matches that found them,
     units, evaluation of windows. ``alone``: why it shares no computation with other queries; empty
     if it does."""
-    parts = [f"registered\n{_indent(source)}"]
+    stages = [("registered", source)]
     if read:
-        parts.append("streams\n" + "\n".join(_indent(each.source or each.stream) for each in read))
+        stages.append(("streams", "\n".join(each.source or each.stream for each in read)))
     if matches:
-        parts.append("semantic matching\n" + "\n".join(_indent(render(m)) for m in matches))
+        stages.append(_matched(matches))
     if alone:
         evaluation = f"by itself: {alone}\n\n{evaluation}"
-    return "\n\n".join([*parts, f"units\n{_indent(plan)}", f"evaluation\n{_indent(evaluation)}"])
+    return Explanation.of([*stages, ("units", plan), ("evaluation", evaluation)], matches)
 
 
 def explain_request(
     template: AnyTemplate,
     request: EventRequest,
-    bound: ContinuousQuery | BoundFormula,
+    bound: ContinuousQuery | Bound,
     wanted: Needs,
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
-) -> str:
+) -> Explanation:
     """Explain a request: template, needed features, matching, query, plans of the evaluation."""
-    parts = [
-        f"request\n  {request.source.strip()}",
-        f"template\n{_indent(template.source.strip())}",
-    ]
-    if isinstance(bound, BoundFormula):
-        parts += _found(wanted, matches)
-        return "\n\n".join([*parts, f"evaluation\n{_indent(explain_monitor(bound.monitor))}"])
-    return "\n\n".join([*parts, *_matching_stages(bound, wanted, matches, ontology, dictionary)])
+    stages = [("request", request.source.strip()), ("template", template.source.strip())]
+    if isinstance(bound, ContinuousQuery):
+        stages += _matching_stages(bound, wanted, matches, ontology, dictionary)
+    else:
+        stages += [*_found(wanted, matches), ("evaluation", explain_bound(bound))]
+    return Explanation.of(stages, matches)
 
 
 def _matching_stages(
@@ -229,24 +209,25 @@ def _matching_stages(
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
-) -> list[str]:
+) -> list[tuple[str, str]]:
     """Explain needed features and matching; if all are found, the query and its plans too."""
-    parts = _found(wanted, matches)
+    stages = _found(wanted, matches)
     streams = [name for m in matches if m.supply is not None for name in streams_of(m.supply)]
     if all(match.supply is not None for match in matches):
         names = list(dict.fromkeys(streams))
         filled = with_streams(bound, names)
         evaluator = ContinuousEvaluator(filled, dictionary, closed_ontology(ontology), names)
-        parts.append(f"query\n{_indent(format_query(filled))}")
-        parts.append(f"evaluation\n{_indent(evaluator.explain())}")
-    return parts
+        stages.append(("query", format_query(filled)))
+        stages.append(("evaluation", evaluator.explain()))
+    return stages
 
 
-def _found(wanted: Needs, matches: Sequence[Match]) -> list[str]:
-    return [
-        "features needed\n" + "\n".join(f"  {want}" for want in wanted.wants),
-        "semantic matching\n" + "\n".join(_indent(render(match)) for match in matches),
-    ]
+def _found(wanted: Needs, matches: Sequence[Match]) -> list[tuple[str, str]]:
+    return [("features needed", "\n".join(map(str, wanted.wants))), _matched(matches)]
+
+
+def _matched(matches: Sequence[Match]) -> tuple[str, str]:
+    return "semantic matching", "\n".join(map(render, matches))
 
 
 def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView:
@@ -312,7 +293,8 @@ def _alternative(alternative: Alternative, reasons: Sequence[str]) -> str:
     return f"{alternative.outcome}: {alternative.text}{reason}"
 
 
-def _window(window: Window) -> str:
+def window_text(window: Window) -> str:
+    """Describe a window in words."""
     match window:
         case TimeWindow():
             held, step = f"the last {format_duration(window.range)}", format_duration(window.step)

@@ -17,6 +17,7 @@ from pyoxigraph import NamedNode
 from ...continuous.columns.budget import UNLIMITED, Budget
 from ...converters.objects import ObjectTable
 from ...converters.values import field_type
+from ...languages.csparql.ast import ContinuousQuery
 from ...languages.ssl.annotation import TransformationAnnotation
 from ...matching.match import Match, match_all
 from ...matching.plan import (
@@ -42,7 +43,6 @@ from ...streams.past_queries import Moment
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MIN
-from ...templates.formulas import BoundFormula
 from ...templates.transformations import EventTransformation
 from ..catalog.transformation_library import (
     BuiltIn,
@@ -71,8 +71,8 @@ from ..units.selection import SelectionUnit
 from ..units.source import SourceUnit
 from ..units.synchronization import SynchronizationUnit, TakenField, schema_of
 from ..units.user_transformation import TransformationUnit
-from .monitor_start import MonitorStarter
 from .query_units import Queries
+from .reasoning_start import ReasoningStarter
 from .unit_shapes import is_implied
 
 
@@ -99,8 +99,8 @@ class Plans:
         self._runner = runner
         self.queries = Queries(ontology, dictionary, configuration, self.obtain, budget)
         """Starts continuous queries over plans."""
-        self.monitors = MonitorStarter(ontology, dictionary, configuration, self.obtain)
-        """Starts monitors over plans."""
+        self.reasoning = ReasoningStarter(ontology, dictionary, configuration, self.obtain)
+        """Starts formulas and patterns over plans."""
         self._begins_after: dict[str, int] = {}
         """The last available time before the first sample, for streams of units that began with
         new samples or at a moment."""
@@ -272,9 +272,9 @@ class Plans:
         ]
         query = event.query(node.subject)
         unit: ComputationalUnit = (
-            self.monitors.start(query, supplies, since)
-            if isinstance(query, BoundFormula)
-            else self.queries.start(query, supplies, since).unit
+            self.queries.start(query, supplies, since).unit
+            if isinstance(query, ContinuousQuery)
+            else self.reasoning.start(query, supplies, since)
         )
         self._annotate(node, unit, since)
         return unit

@@ -16,7 +16,6 @@ from ...continuous.sharing.similar_queries import Unshared, form_of
 from ...converters.to_triples import SampleConverter
 from ...languages.csparql import with_streams
 from ...languages.csparql.ast import ContinuousQuery
-from ...languages.mtl import Monitor
 from ...languages.ssl.annotation import Content, StreamAnnotation
 from ...matching.match import Match
 from ...matching.plan import annotation_of
@@ -25,9 +24,9 @@ from ...matching.want import THING
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...streams.generator import StreamGenerator
-from ...templates.formulas import BoundFormula, bound_monitor
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError
+from ...templates.reasoning import Reasoned
 from ..configuration.configuration import Configuration
 from ..model.beginning import resolve_duration
 from ..model.errors import BadArguments, NoPlan
@@ -35,25 +34,25 @@ from ..model.result_schema import check_head, head_role, result_form
 from ..model.result_windows import KeptWindows
 from ..model.stream_statistics import flow_of
 from ..model.views import Since
-from ..units.monitor import MonitorUnit
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
 from .plan_execution import Plans
 from .query_sharing import FormInstance, QuerySharing, shared_key
 from .query_units import QuerySettings
+from .reasoning_start import ReasoningUnit, bound_of
 from .registrations import AnyQuery, Submission
 from .stream_binding import check_graphs, find_streams, mean_the_same, supplies_of
 from .stream_reading import ReadStream, find_stream, read_streams
 
-RegisteredUnit: TypeAlias = QueryUnit | InstanceUnit | MonitorUnit
+RegisteredUnit: TypeAlias = QueryUnit | InstanceUnit | ReasoningUnit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartedQuery:
-    """A running query or monitor. ``matches`` found its streams, or ``reads`` are the streams that
-    it names; the other is empty. ``converter`` converts its samples to the triples of its head;
-    None for a table. ``instance`` identifies queries that could share with it; None: it cannot.
-    ``unshared``: why it shares no computation; empty if it does.
+    """A running query, monitor or pattern. ``matches`` found its streams, or ``reads`` are the
+    streams that it names; the other is empty. ``converter`` converts its samples to the triples of
+    its head; None for a table. ``instance`` identifies queries that could share with it; None: it
+    cannot. ``unshared``: why it shares no computation; empty if it does.
     """
 
     unit: RegisteredUnit
@@ -94,8 +93,8 @@ class QueryStarter:
     def start(self, name: str, query: AnyQuery, submission: Submission) -> StartedQuery:
         """Start ``query`` with the output stream ``name``. Raises the errors of
         `RegisteredQueries.register`, and starts nothing then."""
-        if isinstance(query, Monitor):
-            return self._start_monitor(name, query, submission)
+        if not isinstance(query, ContinuousQuery):
+            return self._start_reasoning(name, query, submission)
         check_head(query, self._ontology.vocabulary)
         check_graphs(self._ontology, query)
         matches: tuple[Match, ...] = ()
@@ -136,15 +135,17 @@ class QueryStarter:
             self._sharing.add_alone(name, instance)
         return StartedQuery(unit, kept, matches, reads, converter, instance, unshared)
 
-    def _start_monitor(self, name: str, monitor: Monitor, submission: Submission) -> StartedQuery:
-        formula = formula_of(monitor, submission.source, self._ontology)
+    def _start_reasoning(
+        self, name: str, reasoned: Reasoned, submission: Submission
+    ) -> StartedQuery:
+        bound = bound_of(reasoned, submission.source, self._ontology)
         matches = find_streams(
-            self._plans, formula.needs, submission.strategy, submission.since, f"monitor {name}"
+            self._plans, bound.needs, submission.strategy, submission.since, name
         )
         supplies = supplies_of(matches)
         since = self._plans.resolve_duration(submission.since, supplies)
         try:
-            unit = self._plans.monitors.start(formula, supplies, since, name=name)
+            unit = self._plans.reasoning.start(bound, supplies, since, name=name)
         except Exception:
             # Units of its plan may have started before the error.
             self._configuration.release_unused()
@@ -258,15 +259,6 @@ class QueryStarter:
             self._dictionary,
             ranges=dict.fromkeys(form.iri_predicates, THING),
         )
-
-
-def formula_of(monitor: Monitor, source: str, ontology: Ontology) -> BoundFormula:
-    """Return a monitor with what it needs. Raises `LanguageError`, and `BadArguments` for a
-    parameter whose objects no feature gives."""
-    try:
-        return bound_monitor(monitor, source, ontology.vocabulary)
-    except NeedsError as error:
-        raise BadArguments(error.message, error.hint) from error
 
 
 @contextmanager

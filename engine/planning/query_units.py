@@ -48,8 +48,8 @@ from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
 from ..units.shared_query import TALLY, InstanceUnit, TemplateUnit
-from . import explanations
 from .query_sharing import FormInstance
+from .static_side import closed_ontology
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +157,7 @@ class Queries:
     ) -> int:
         """Estimate the number of queries of ``pattern`` from which on sharing is cheaper.
         ``flows``: the rates of their streams."""
-        background = explanations.closed_ontology(self._ontology, instance.form.static_named)
+        background = closed_ontology(self._ontology, instance.form.static_named)
         static = StaticSide(background, TermValues(self._dictionary))
         return break_even_count(instance.form, pattern, instance.constants, static, flows)
 
@@ -172,7 +172,7 @@ class Queries:
         with the streams ``read``."""
         inputs, converters = self._inputs_of(read)
         query = with_streams(query, list(inputs)) if not query.streams else query
-        background = explanations.closed_ontology(self._ontology, query.static_named)
+        background = closed_ontology(self._ontology, query.static_named)
         evaluator = SimilarQueriesEvaluator(
             query, instance.form, pattern, self._dictionary, background, list(inputs), self._budget
         )
@@ -221,7 +221,7 @@ class Queries:
         return evaluator.agreement(arguments, selected, streamed)
 
     def _evaluator(self, query: ContinuousQuery, inputs: Sequence[str]) -> TemplateEvaluator:
-        background = explanations.closed_ontology(self._ontology, query.static_named)
+        background = closed_ontology(self._ontology, query.static_named)
         return TemplateEvaluator(query, self._dictionary, background, inputs, budget=self._budget)
 
     def _start_shared(
@@ -316,7 +316,7 @@ class Queries:
     ) -> QueryUnit:
         def make(output: StreamGenerator) -> QueryUnit:
             named = replace(query, name=output.name)
-            background = explanations.closed_ontology(self._ontology, named.static_named)
+            background = closed_ontology(self._ontology, named.static_named)
             sources, parameters = list(inputs.values()), {"query": text or format_query(named)}
             return QueryUnit(
                 *self._configuration.identity(C_SPARQL, sources, output, parameters),

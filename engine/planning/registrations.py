@@ -10,19 +10,35 @@ from ...continuous.algebra.options import Bounds, Options, Report, Semantics
 from ...languages.csparql import parse_query
 from ...languages.csparql.ast import ContinuousQuery, Dialect
 from ...languages.mtl import Monitor, is_monitor, parse_monitor
+from ...languages.patterns import (
+    Pattern,
+    is_pattern,
+    language_of,
+    parse_pattern,
+    registered_name,
+)
 from ..model.beginning import Beginning, parse_beginning
 from ..model.errors import AlreadyExists, BadArguments
 from ..model.views import QueryView
 
-AnyQuery: TypeAlias = ContinuousQuery | Monitor
+AnyQuery: TypeAlias = ContinuousQuery | Monitor | Pattern
 """What a client may register under a name."""
 MTL = "MTL"
 """The dialect of monitors."""
 
 
 def parse_registered(text: str) -> AnyQuery:
-    """Parse a continuous query or a monitor. Raises `LanguageError`."""
+    """Parse a continuous query, a monitor or a pattern. Raises `LanguageError`."""
+    if is_pattern(text):
+        return parse_pattern(text)
     return parse_monitor(text) if is_monitor(text) else parse_query(text)
+
+
+def name_of(query: AnyQuery) -> str:
+    """Return the name that a text registers; "" if it gives none."""
+    if isinstance(query, ContinuousQuery | Monitor):
+        return query.name
+    return registered_name(query)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +62,8 @@ class Submission:
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """The ``number``-th submission. Kind (STREAM, QUERY or MONITOR), form and dialect are stored,
-    because a later version may not be able to parse the text."""
+    """The ``number``-th submission. Kind (STREAM, QUERY, MONITOR or PATTERN), form and dialect are
+    stored, because a later version may not be able to parse the text."""
 
     number: int
     submission: Submission
@@ -59,6 +75,8 @@ class Registration:
     def of(cls, number: int, submission: Submission, query: AnyQuery) -> Registration:
         if isinstance(query, Monitor):
             return cls(number, submission, "MONITOR", "", MTL)
+        if not isinstance(query, ContinuousQuery):
+            return cls(number, submission, "PATTERN", "", language_of(query))
         kind = "STREAM" if query.produces_stream else "QUERY"
         return cls(number, submission, kind, str(query.form), str(query.dialect))
 
@@ -113,12 +131,15 @@ def options_of(
     query: AnyQuery, semantics: Semantics | None, bounds: Bounds, origin: int, report: Report
 ) -> Options:
     """Return the options of a registration. Raises `BadArguments` for options of windows given to a
-    monitor."""
+    monitor or a pattern."""
     options = Options(semantics or usual_semantics(query), bounds, origin, report)
-    if isinstance(query, Monitor) and (semantics is not None or options != Options("bag")):
+    has_windows = isinstance(query, ContinuousQuery)
+    if not has_windows and (semantics is not None or options != Options("bag")):
+        what = "monitor" if isinstance(query, Monitor) else "pattern"
         raise BadArguments(
-            "a monitor has no windows: `semantics`, `bounds`, `origin` and `report` mean nothing",
-            "leave them out; the text says what is reported: `with report changes`",
+            f"a {what} has no windows: `semantics`, `bounds`, `origin` and `report` mean nothing",
+            "leave them out"
+            + ("; the text says what is reported: `with report changes`" * (what == "monitor")),
         )
     return options
 

@@ -14,17 +14,15 @@ from dataclasses import dataclass, replace
 from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...continuous.operators.results import WindowResult
 from ...converters.to_triples import SampleConverter
+from ...languages.csparql.ast import ContinuousQuery
 from ...languages.errors import LanguageError, Span
-from ...languages.mtl import Monitor
 from ...languages.specification.ast import RESERVED
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import local_name
-from ...reasoning.mtl.evaluator import TooManyStates
-from ...reasoning.mtl.explanation import Explanation, NoStart
-from ...reasoning.states.state_maker import TooManyDue
-from ...streams.time import format_time
+from ...reasoning.mtl.explanation import Explanation
+from ...reasoning.patterns.explanation import ExplainedMatch, PartialMatches
 from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.name_resolution import checked_strategy, did_you_mean
@@ -35,32 +33,33 @@ from ..model.errors import (
     BadArguments,
     Conflict,
     NoResult,
-    Refused,
     UnknownQuery,
 )
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
 from ..planning import explanations
-from ..planning.monitor_start import explain_monitor
 from ..planning.plan_execution import Plans
 from ..planning.query_start import (
     QueryStarter,
     RegisteredUnit,
     StartedQuery,
     bad_arguments_for_unsupported,
-    formula_of,
 )
+from ..planning.reasoning_start import bound_of, explain_bound
 from ..planning.registrations import (
     AnyQuery,
     Registration,
     Submission,
     check_same,
+    name_of,
     options_of,
     parse_registered,
     registration_of,
 )
 from ..units.monitor import MonitorUnit
+from ..units.pattern import PatternUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
+from . import reasoning_answers
 from .empty_reasons import NO_WINDOW, why_empty
 
 
@@ -150,7 +149,7 @@ class RegisteredQueries:
         """Return the name that a query would get; for a text without a name, or with errors,
         ``wanted`` or the next reserved name."""
         try:
-            name = parse_registered(text).name
+            name = name_of(parse_registered(text))
         except LanguageError:
             name = ""
         return _own_name(name) if name else wanted or self._configuration.next_reserved
@@ -187,7 +186,9 @@ class RegisteredQueries:
             raise
         if existing is not None:
             running.users = running.unit.users = existing.users + 1
-        if query.name and not any(each.name.startswith(RESERVED) for each in running.started.reads):
+        if name_of(query) and not any(
+            each.name.startswith(RESERVED) for each in running.started.reads
+        ):
             # Another run may give a reserved name to another stream, so such a query is not stored.
             self._ontology.registered.queries[name] = registration.json()
         self._lost.pop(name, None)
@@ -268,13 +269,18 @@ class RegisteredQueries:
             plan=explanations.plan_view(self._configuration, unit),
         )
 
+    def unit(self, name: str) -> RegisteredUnit:
+        """The unit of a query. Raises `UnknownQuery`."""
+        return self._get(name).unit
+
     def latest(self, name: str) -> WindowResult:
         """The result of the last closed window. Raises `UnknownQuery` and `NoResult`."""
         running = self._get(name)
-        if isinstance(running.unit, MonitorUnit):
+        if isinstance(running.unit, MonitorUnit | PatternUnit):
+            what = running.registration.kind.lower()
             raise NoResult(
-                f"{name!r} is a monitor and has no windows",
-                f"its verdicts are the samples of stream {name} (GET /streams/{name}/samples)",
+                f"{name!r} is a {what} and has no windows",
+                f"its results are the samples of stream {name} (GET /streams/{name}/samples)",
             )
         found = running.started.kept.latest
         if found is None:
@@ -297,45 +303,27 @@ class RegisteredQueries:
         """The results of kept windows (`KeptWindows.between`). Raises `UnknownQuery`."""
         return self._get(name).started.kept.between(start, end, limit)
 
-    def why(self, name: str, objects: Sequence[str], start: int) -> Callable[[], Explanation]:
-        """Return the work that explains one verdict of a monitor, for another thread: see
-        `RecalledSamples.explain`. Raises `UnknownQuery` and `BadArguments`; the work raises
-        `NoResult`, `Refused` and `Forgotten`."""
-        unit = self._get(name).unit
-        if not isinstance(unit, MonitorUnit):
-            raise BadArguments(
-                f"{name!r} is a query, and only verdicts of monitors are explained",
-                f"GET /queries/{name}?explain=true shows its stages",
-            )
-        names = [f"?{parameter}" for parameter, _ in unit.monitoring.monitor.parameters]
-        if len(names) != len(objects):
-            raise BadArguments(
-                f"{len(objects)} objects are given for a monitor of {len(names)} parameters",
-                f"give `object` once for each of {', '.join(names)}" if names else "give none",
-            )
-        recalled = unit.recall()
+    def why(
+        self, name: str, objects: Sequence[str], start: int
+    ) -> Callable[[], Explanation | tuple[ExplainedMatch, ...]]:
+        """Return the work that explains a verdict or a match, for another thread: see
+        `reasoning_answers.why`. Raises `UnknownQuery`."""
+        return reasoning_answers.why(name, self._get(name).unit, objects, start)
 
-        def explain() -> Explanation:
-            try:
-                return recalled.explain(objects, start)
-            except NoStart as error:
-                around = " and ".join(map(format_time, error.near))
-                raise NoResult(
-                    f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
-                    f"there are states at {around}"
-                    if around
-                    else f"GET /streams/{name}/samples lists the verdicts that it reported",
-                ) from error
-            except (TooManyStates, TooManyDue) as error:
-                raise Refused(
-                    f"the retained samples of the streams of {name!r} make more states than an "
-                    "explanation may evaluate",
-                    "keep fewer samples of these streams (`retention`)",
-                ) from error
-
-        return explain
+    def partial(self, name: str, objects: Sequence[str], limit: int) -> PartialMatches:
+        """The partial matches of a pattern: see `reasoning_answers.partial`. Raises
+        `UnknownQuery`."""
+        return reasoning_answers.partial(name, self._get(name).unit, objects, limit)
 
     def explain_running(self, name: str) -> str:
+        """Return the text of `running_explanation`."""
+        return self.running_explanation(name).text
+
+    def explain(self, text: str) -> str:
+        """Return the text of `explanation`."""
+        return self.explanation(text).text
+
+    def running_explanation(self, name: str) -> explanations.Explanation:
         """Explain the stages of a running query. Raises `UnknownQuery`."""
         running = self._get(name)
         return explanations.explain_running_query(
@@ -347,16 +335,15 @@ class RegisteredQueries:
             running.started.unshared,
         )
 
-    def explain(self, text: str) -> str:
+    def explanation(self, text: str) -> explanations.Explanation:
         """Explain the stages of a query without starting it. Its streams need not exist. Raises
         `LanguageError`, `NoPlan` and `BadArguments`."""
         query = parse_registered(text)
         context = self._ontology, self._dictionary
-        if isinstance(query, Monitor):
-            formula = formula_of(query, text, self._ontology)
-            found = self._plans.match(formula.needs.wants, "fast", explained=True)
-            how = explain_monitor(formula.monitor)
-            return explanations.explain_monitor_plan(text, found, how)
+        if not isinstance(query, ContinuousQuery):
+            bound = bound_of(query, text, self._ontology)
+            found = self._plans.match(bound.needs.wants, "fast", explained=True)
+            return explanations.explain_reasoning_plan(text, found, explain_bound(bound))
         with bad_arguments_for_unsupported():
             if query.streams:
                 return explanations.explain_query(query, *context, self._starter.flows(query))
@@ -415,7 +402,8 @@ class RegisteredQueries:
 
     def _name_of(self, query: AnyQuery, submission: Submission, wanted: str) -> str:
         """Return the name of the query and its stream. Raises `Refused` and `AlreadyExists`."""
-        if not query.name:
+        own = name_of(query)
+        if not own:
             for running in self._running.values():
                 if not running.is_named and running.registration.submission == submission:
                     return running.name
@@ -423,7 +411,7 @@ class RegisteredQueries:
                 self._configuration.skip_reserved(wanted)
                 return wanted
             return self._configuration.reserved_name()
-        name = _own_name(query.name)
+        name = _own_name(own)
         if name not in self._running:
             self._declared.check_stream_name(name)
             if self._configuration.has(name):
@@ -437,7 +425,7 @@ class RegisteredQueries:
     def _start(self, name: str, registration: Registration, query: AnyQuery) -> _Running:
         started = self._starter.start(name, query, registration.submission)
         started.unit.users += 1
-        running = _Running(name, bool(query.name), registration, started)
+        running = _Running(name, bool(name_of(query)), registration, started)
         self._running[name] = running
         return running
 

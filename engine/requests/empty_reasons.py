@@ -21,6 +21,7 @@ from ...templates.needs import NeedsError, is_static_in, needs, unknown_terms
 from ..configuration.configuration import Configuration
 from ..units.base import ComputationalUnit
 from ..units.monitor import MonitorUnit
+from ..units.pattern import PatternUnit
 from ..units.policy import AdaptationUnit
 from ..units.shared_query import InstanceUnit
 from ..units.windowed import WindowUnit
@@ -40,6 +41,8 @@ def why_empty(
         return None
     if isinstance(evaluating, MonitorUnit):
         return _without_verdicts(evaluating)
+    if isinstance(evaluating, PatternUnit):
+        return _without_matches(evaluating)
     if not isinstance(evaluating, WindowUnit):
         return None
     vocabulary = ontology.vocabulary
@@ -76,6 +79,20 @@ def _without_verdicts(unit: MonitorUnit) -> str:
     told = ", ".join(f"{count:,} {word}" for word, count in verdicts.items())
     more = ", others are not decided yet" if run.has_open else ""
     return f"{counts}: the verdicts are {told}{more}, and it reports {run.monitor.report}"
+
+
+def _without_matches(unit: PatternUnit) -> str:
+    """Return why a pattern has no match."""
+    run = unit.recognition
+    if not unit.samples:
+        return f"no sample read yet from {', '.join(source.name for source in unit.reads)}"
+    counts = f"{unit.samples:,} samples read"
+    missing = [kind for kind, count in run.rows_of.items() if not count]
+    if missing:
+        return f"{counts}, none of them of {', '.join(missing)} with its objects and a value"
+    pending = run.evaluator.pending
+    waits = f", and {pending:,} wait for what may still come" if pending else ""
+    return f"{counts}: no events match{waits}"
 
 
 def _wants(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:

@@ -19,24 +19,23 @@ from ...languages.ssl.annotation import StreamAnnotation
 from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.space import StreamSpace
-from ...matching.strategy import Kind
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import XSD, shorten
 from ...streams.past_queries import Moment
-from ...templates.formulas import BoundFormula
 from ...templates.instantiate import ArgumentError
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError
+from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan, UnknownRequest
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
 from ..planning import explanations
-from ..planning.monitor_start import verdict_annotation
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
+from ..planning.reasoning_start import ReasoningUnit, result_annotation
 from ..planning.request_sharing import RequestSharing, ShareableQuery
 from ..planning.stream_binding import (
     check_graphs,
@@ -44,7 +43,6 @@ from ..planning.stream_binding import (
     mean_the_same,
     supplies_of,
 )
-from ..units.monitor import MonitorUnit
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
 from .empty_reasons import why_empty
@@ -58,7 +56,7 @@ _SHORT = {
 """The literals that SPARQL can write without quotes and datatype."""
 
 
-Body: TypeAlias = ContinuousQuery | BoundFormula
+Body: TypeAlias = ContinuousQuery | Bound
 """What a template says, with the arguments of a request."""
 
 
@@ -68,7 +66,7 @@ class _Running:
     samples convert to triples; ``shareable`` is the query that it could share, while it runs alone.
     """
 
-    unit: QueryUnit | InstanceUnit | MonitorUnit
+    unit: QueryUnit | InstanceUnit | ReasoningUnit
     matches: tuple[Match, ...]
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
@@ -224,17 +222,20 @@ class EventRequests:
         running = self._answers.get(stream)
         return None if running is None else running.rdf
 
-    def explain_running(self, id: str) -> str:
+    def running_explanation(self, id: str) -> explanations.Explanation:
         """Explain the plan of a running request and the evaluation of its query. Raises
         `UnknownRequest`."""
         unit = self._request(id).running.unit
         view = explanations.plan_view(self._configuration, unit)
-        return f"{view.text.rstrip()}\n\n{unit.explain()}"
+        stages = ("units", view.text.rstrip()), ("evaluation", unit.explain())
+        return explanations.Explanation("\n\n".join(text for _, text in stages), stages)
 
-    def explain(self, template: AnyTemplate, request: EventRequest) -> str:
+    def explanation(
+        self, template: AnyTemplate, request: EventRequest, strategy: str
+    ) -> explanations.Explanation:
         """Explain the stages of answering ``request`` without starting it."""
         query, wanted = self._query(template, request)
-        matches = self._plans.match(wanted.wants, str(Kind.FAST), explained=True)
+        matches = self._plans.match(wanted.wants, strategy, explained=True)
         return explanations.explain_request(
             template, request, query, wanted, matches, self._ontology, self._dictionary
         )
@@ -258,7 +259,7 @@ class EventRequests:
         self, template: AnyTemplate, request: EventRequest, strategy: str, since: Beginning
     ) -> tuple[Body, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
-        if not isinstance(query, BoundFormula):
+        if isinstance(query, ContinuousQuery):
             check_graphs(self._ontology, query)
         event = shorten(request.event)
         return query, find_streams(self._plans, wanted, strategy, since, event)
@@ -274,8 +275,8 @@ class EventRequests:
     ) -> _Running:
         """Start the units of the matches, then the query unit, or an instance of a shared query."""
         supplies = supplies_of(matches)
-        if isinstance(query, BoundFormula):
-            return self._build_monitor(request, query, matches, since)
+        if not isinstance(query, ContinuousQuery):
+            return self._build_reasoning(request, query, matches, since)
         assert isinstance(template, Template)
         shareable = None
         if since is Since.NOW:
@@ -292,16 +293,16 @@ class EventRequests:
             built = self._plans.queries.start(query, supplies, since)
         return _Running(built.unit, tuple(matches), built.annotation, built.rdf, shareable)
 
-    def _build_monitor(
+    def _build_reasoning(
         self,
         request: EventRequest,
-        formula: BoundFormula,
+        bound: Bound,
         matches: Sequence[Match],
         since: Beginning,
     ) -> _Running:
         text = request.source.strip()
-        unit = self._plans.monitors.start(formula, supplies_of(matches), since, request=text)
-        annotation = verdict_annotation(unit.output.name, request.event, formula.monitor)
+        unit = self._plans.reasoning.start(bound, supplies_of(matches), since, request=text)
+        annotation = result_annotation(request.event, unit)
         return _Running(unit, tuple(matches), annotation, annotation, None)
 
     def _is_valid(self, running: _Running) -> bool:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ...languages.csparql.ast import EventRequest
+from ...languages.csparql.ast import EventRequest, Template
 from ...languages.mtl import FormulaTemplate
 from ...languages.templates import AnyTemplate
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.namespaces import shorten
 from ...templates.library import NoSuchTemplate, TemplateExists, TemplateLibrary, TemplateRefused
+from ...templates.parameters import parameter_uses
 from ...templates.transformations import event_transformation
 from ..catalog.name_resolution import did_you_mean
-from ..configuration.configuration import C_SPARQL, MTL
+from ..configuration.configuration import C_SPARQL, MTL, PATTERN
 from ..model.errors import AlreadyExists, Conflict, Refused, UnknownEvent, UnknownTemplate
 from ..model.status_changes import Change, ChangeKind, KnownTransformation
 from ..model.views import TemplateView
+from ..planning.explanations import window_text
 from .event_requests import EventRequests
 
 
@@ -106,7 +108,7 @@ class EventTemplates:
             transformation = event_transformation(
                 template, lambda: self._ontology.vocabulary, self._library.needs
             )
-            kind = MTL if isinstance(template, FormulaTemplate) else C_SPARQL
+            kind = _kind(template)
             if transformation != self._space.transformations.get(transformation.name):
                 self._report(
                     Change(
@@ -118,10 +120,31 @@ class EventTemplates:
                 )
 
     def _view(self, template: AnyTemplate) -> TemplateView:
+        window = template.query.window if isinstance(template, Template) else None
         return TemplateView(
             name=template.name,
+            uses=parameter_uses(template, self._ontology.vocabulary),
+            doc=_comment(template.source),
+            window=None if window is None else window_text(window),
             local_name=shorten(template.name).removeprefix("dyknow:"),
             parameters=tuple(f"?{parameter.value}" for parameter in template.parameters),
             source=template.source,
             etag=self._library.etag(template.name),
         )
+
+
+def _kind(template: AnyTemplate) -> str:
+    """The transformation that evaluates a template."""
+    if isinstance(template, Template):
+        return C_SPARQL
+    return MTL if isinstance(template, FormulaTemplate) else PATTERN
+
+
+def _comment(source: str) -> str:
+    """The comment with which a text begins, without its signs."""
+    lines = []
+    for line in source.strip().splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# ").rstrip())
+    return " ".join(lines)

@@ -62,6 +62,8 @@ class ResultEmitter:
             self._emit(batch.with_available(self._available(batch.valid)))
 
     def _emit_window(self, result: WindowResult) -> None:
+        if result.is_empty:
+            return
         available = max(result.end, self._last_available) + 1
         batch = self.results.convert(result, available)
         for error in self.lost:

@@ -9,25 +9,15 @@ they are numbers.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Final, assert_never
 
-from ...ontology.units import Unit, UnitError, conversion, dimension, format_unit
 from ...ontology.vocabulary import THING, Vocabulary
 from ...streams.sample import TIME_FIELDS
 from ..errors import LanguageError, Span
 from ..hints import count, suggest_name
 from ..mtl.ast import Binding, Measured, Number, Slot, Symbol, Text, TimePoint, Truth
 from ..mtl.ast import Variable as WrittenVariable
-from ..mtl.checked import (
-    Calculation,
-    Constant,
-    Kind,
-    ObjectConstant,
-    ObjectSlot,
-    Parameter,
-    kind_of,
-)
+from ..mtl.checked import Kind, ObjectConstant, ObjectSlot, Parameter, kind_of
 from ..object_cache import ObjectCache
 from ..ontology_names import OntologyNames
 from . import ast
@@ -43,12 +33,11 @@ from .checked import (
     Message,
     Moment,
     Occurs,
-    Operand,
     Test,
     Variable,
 )
+from .values import Values, article
 
-_ORDERED: Final = frozenset({"<", "<=", ">", ">="})
 _RESERVED: Final = frozenset({"start", "end", *TIME_FIELDS})
 _KINDS: Final = {
     Truth: Kind.TRUTH,
@@ -81,7 +70,7 @@ def check_chronicle_template(
     slots: list[ObjectSlot | Parameter] = []
     for slot in template.slots:
         name = slot.variable.name
-        if name not in checker.values:
+        if name not in checker.parameters:
             if name not in checked.head:
                 raise checker.error(
                     f"the matches do not tell of `?{name}`",
@@ -89,8 +78,8 @@ def check_chronicle_template(
                     f"name it in the head: `chronicle {template.chronicle.name}(?{name}, …)`",
                 )
             slots.append(ObjectSlot(name, checked.variables[name].sort or THING))
-        elif name in checker.parameters:
-            slots.append(Parameter(name, checker.parameters[name]))
+        elif name in checker.values.parameter_kinds:
+            slots.append(Parameter(name, checker.values.parameter_kinds[name]))
         else:
             raise checker.error(
                 f"the chronicle does not use `?{name}`",
@@ -117,13 +106,10 @@ class _Checker:
         }
         """The variables that are objects of features or events."""
         free = {each.variable.name for each in slots if each.sort is None}
-        self.values = free - self._objects
+        self.parameters = free - self._objects
         """The parameters of a template that stand for values."""
-        self.parameters: dict[str, Kind] = {}
-        """The kind as which each of these is compared."""
         self._sorts = self.sorts((*slots, *chronicle.parameters), clauses)
-        self._kinds = self.stated_kinds()
-        self._variables: dict[str, Meaning] = {}
+        self.values = Values(names, self.kinds(), self.parameters)
         self._arities: dict[str, int] = {}
 
     def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
@@ -142,7 +128,7 @@ class _Checker:
         for each in self._events:
             self.bind_values(each.message)
         for name, (_, span) in self._sorts.items():
-            self.meaning(name, span)
+            self.values.meaning(name, span)
         for parameter in chronicle.parameters:
             self.check_field(parameter)
         clauses = chronicle.clauses
@@ -151,7 +137,7 @@ class _Checker:
         return CheckedChronicle(
             chronicle.stream or chronicle.name,
             tuple(each.variable.name for each in chronicle.parameters),
-            self._variables,
+            self.values.variables,
             tuple(
                 Event(self.message(each.message), each.point.name, each.span)
                 for each in self._events
@@ -173,8 +159,8 @@ class _Checker:
         stated = [(each.variable, each.sort) for each in slots if each.sort is not None]
         stated += [(each.variable, each.sort) for each in clauses if isinstance(each, Binding)]
         for variable, sort in stated:
-            if variable.name in found or variable.name in self.values:
-                is_value = variable.name in self.values
+            if variable.name in found or variable.name in self.parameters:
+                is_value = variable.name in self.parameters
                 raise self.error(
                     f"`?{variable.name}` {'is a value' if is_value else 'has two sorts'}",
                     variable.span,
@@ -191,7 +177,7 @@ class _Checker:
             if isinstance(argument, WrittenVariable):
                 sort, span = self._sorts.get(argument.name, (THING, argument.span))
                 meaning = Meaning(Kind.OBJECT, sort, None, span)
-                self._variables.setdefault(argument.name, meaning)
+                self.values.variables.setdefault(argument.name, meaning)
 
     def bind_values(self, message: ast.Message) -> None:
         """Give the variables that a value of the event equals their meaning."""
@@ -200,36 +186,26 @@ class _Checker:
                 continue
             assert isinstance(test.operand, WrittenVariable)
             name, feature = test.operand.name, self.feature(message)
-            kind, unit = self.kind(feature), self.unit(feature)
+            kind, unit = self.values.kind(feature), self.values.unit(feature)
             sort, span = self._sorts.get(name) or (None, test.operand.span)
             if sort is not None and kind is not Kind.OBJECT:
                 raise self.error(
-                    f"`?{name}` is {_article(kind)}, and of no sort", span, "leave its sort out"
+                    f"`?{name}` is {article(kind)}, and of no sort", span, "leave its sort out"
                 )
-            self._variables.setdefault(name, Meaning(kind, sort, unit, span))
+            self.values.variables.setdefault(name, Meaning(kind, sort, unit, span))
 
     def is_variable(self, operand: ast.Operand) -> bool:
-        return isinstance(operand, WrittenVariable) and operand.name not in self.values
-
-    def meaning(self, name: str, span: Span) -> Meaning:
-        found = self._variables.get(name)
-        if found is None:
-            raise self.error(
-                f"no event binds `?{name}`",
-                span,
-                f"name it in one, `event(E[?{name}], t)`, or write `?` for any object",
-            )
-        return found
+        return isinstance(operand, WrittenVariable) and operand.name not in self.parameters
 
     def check_field(self, parameter: Slot) -> None:
         name = parameter.variable.name
-        if name in self.values:
+        if name in self.parameters:
             raise self.error(
                 f"`?{name}` is a value that a request gives, and no part of a match",
                 parameter.span,
                 "leave it out of the head of the chronicle",
             )
-        self.meaning(name, parameter.span)
+        self.values.meaning(name, parameter.span)
         if name in _RESERVED:
             raise self.error(
                 f"`?{name}` cannot be in the head: the matches have a time {name!r}",
@@ -242,7 +218,7 @@ class _Checker:
     def feature(self, message: ast.Message) -> str:
         return self._names.feature(message.concept.text, message.concept.span)
 
-    def stated_kinds(self) -> dict[str, Kind]:
+    def kinds(self) -> dict[str, Kind]:
         """The kind of the values of each feature or event: by its range or unit, or else by the
         first constant or object that it is compared with."""
         found: dict[str, Kind] = {}
@@ -265,15 +241,6 @@ class _Checker:
                 if kind is not None:
                     found.setdefault(self.feature(message), kind)
         return found
-
-    def kind(self, feature: str) -> Kind:
-        return self._kinds.get(feature, Kind.NUMBER)
-
-    def unit(self, feature: str) -> Unit | None:
-        if self.kind(feature) is not Kind.NUMBER:
-            return None
-        info = self._names.vocabulary.feature(feature)
-        return () if info is None or info.unit is None else info.unit
 
     # -- clauses -----------------------------------------------------------------------------
 
@@ -306,7 +273,7 @@ class _Checker:
             None if test is None else self.test(test, feature)
             for test in (message.before, message.value)
         ]
-        kind = self.kind(feature) if any(tests) else None
+        kind = self.values.kind(feature) if any(tests) else None
         return Message(feature, arguments, tests[0], tests[1], kind, message.span)
 
     def argument(self, argument: ast.Argument) -> Argument:
@@ -314,7 +281,7 @@ class _Checker:
             case None:
                 return None
             case WrittenVariable(name, span):
-                self.meaning(name, span)
+                self.values.meaning(name, span)
                 return Variable(name)
             case Symbol(text, span):
                 if self._names.find_sort(text, span) is not None:
@@ -367,127 +334,27 @@ class _Checker:
     # -- values ------------------------------------------------------------------------------
 
     def test(self, test: ast.Test, feature: str) -> Test:
-        kind, unit = self.kind(feature), self.unit(feature)
+        kind, unit = self.values.kind(feature), self.values.unit(feature)
         return Test(
-            test.operator, self.compared(test.operator, test.operand, kind, unit, test.span)
+            test.operator, self.values.compared(test.operator, test.operand, kind, unit, test.span)
         )
 
     def comparison(self, clause: ast.Comparison) -> Comparison:
         name = clause.left.name
-        if name in self.values:
+        if name in self.parameters:
             raise self.error(
                 f"`?{name}` is a value that a request gives",
                 clause.left.span,
                 "write a variable that an event binds to the left of it",
             )
-        left = self.meaning(name, clause.left.span)
-        right = self.compared(clause.operator, clause.right, left.kind, left.unit, clause.span)
+        left = self.values.meaning(name, clause.left.span)
+        right = self.values.compared(
+            clause.operator, clause.right, left.kind, left.unit, clause.span
+        )
         return Comparison(Variable(name), clause.operator, right)
-
-    def compared(
-        self, operator: str, operand: ast.Operand, kind: Kind, unit: Unit | None, span: Span
-    ) -> Operand:
-        """Return what a value of this kind and unit is compared with."""
-        found, own, unit_of_it = self.operand(operand, kind)
-        if own is not kind:
-            raise self.error(
-                f"{_article(kind)} is compared with {_article(own)}",
-                span,
-                "both sides of a comparison are of one kind",
-            )
-        if operator in _ORDERED and kind not in (Kind.NUMBER, Kind.TIME):
-            raise self.error(
-                f"`{operator}` orders no {kind}s",
-                span,
-                "truths, texts and objects are compared by `=` and `!=`",
-            )
-        if unit_of_it is None or unit is None or unit_of_it == unit:
-            return found
-        return self.converted(found, unit_of_it, unit, span)
-
-    def operand(self, operand: ast.Operand, kind: Kind) -> tuple[Operand, Kind, Unit | None]:
-        """Return an operand with its kind, and its unit if it states one."""
-        match operand:
-            case Truth(value):
-                return Constant(value, Kind.TRUTH), Kind.TRUTH, None
-            case Number(value, unit, span):
-                self.check_unit(unit, span)
-                return Constant(value, Kind.NUMBER), Kind.NUMBER, unit
-            case Text(value):
-                return Constant(value, Kind.TEXT), Kind.TEXT, None
-            case TimePoint(value):
-                return Constant(value, Kind.TIME), Kind.TIME, None
-            case Symbol(text, span):
-                if kind is not Kind.OBJECT:
-                    return ObjectConstant(""), Kind.OBJECT, None
-                return ObjectConstant(self._names.object(text, span)), Kind.OBJECT, None
-            case WrittenVariable(name) if name in self.values:
-                return self.parameter(operand, kind), kind, None
-            case WrittenVariable(name, span):
-                meaning = self.meaning(name, span)
-                return Variable(name), meaning.kind, meaning.unit
-            case Measured(variable, unit, span):
-                self.check_unit(unit, span)
-                if variable.name not in self.values:
-                    raise self.error(
-                        f"`?{variable.name}` has the unit of its feature",
-                        span,
-                        "a unit follows a number, or a parameter of a template that is one",
-                    )
-                return self.parameter(variable, Kind.NUMBER), Kind.NUMBER, unit
-            case _:
-                assert_never(operand)
-
-    def parameter(self, variable: WrittenVariable, kind: Kind) -> Parameter:
-        before = self.parameters.setdefault(variable.name, kind)
-        if before is not kind:
-            raise self.error(
-                f"`?{variable.name}` is compared as {_article(before)} and as {_article(kind)}",
-                variable.span,
-                "a parameter is of one kind: use two",
-            )
-        return Parameter(variable.name, kind)
-
-    def check_unit(self, unit: Unit | None, span: Span) -> None:
-        try:
-            dimension(unit or ())
-        except UnitError as error:
-            raise self.error(str(error), span) from None
-
-    def converted(self, operand: Operand, unit: Unit, target: Unit, span: Span) -> Operand:
-        try:
-            change = conversion(unit, target)
-        except UnitError:
-            raise self.error(
-                f"{_words(unit)} and {_words(target)} do not fit together",
-                span,
-                f"{_words(unit)} measures {dimension(unit)}, {_words(target)} measures "
-                f"{dimension(target)}",
-            ) from None
-        match operand:
-            case Constant(value):
-                return replace(operand, value=float(value) * change.factor + change.offset)
-            case Parameter():
-                factor = Constant(change.factor, Kind.NUMBER)
-                scaled = Calculation("*", operand, factor)
-                return Calculation("+", scaled, Constant(change.offset, Kind.NUMBER))
-            case _:
-                raise self.error(
-                    f"a value in {_words(target)} is compared with one in {_words(unit)}",
-                    span,
-                    "compare values of one unit",
-                )
 
 
 def _messages(chronicle: ast.Chronicle) -> Iterator[ast.Message]:
     for clause in chronicle.clauses:
         if isinstance(clause, ast.Event | ast.Occurs | ast.Hold):
             yield clause.message
-
-
-def _article(kind: Kind) -> str:
-    return f"an {kind}" if kind is Kind.OBJECT else f"a {kind}"
-
-
-def _words(unit: Unit) -> str:
-    return f"[{format_unit(unit)}]" if unit else "a number without a unit"

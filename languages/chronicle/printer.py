@@ -46,7 +46,9 @@ def _clause(clause: ast.Clause) -> str:
             times = f"({least}, {'oo' if most is None else most})"
             return f"occurs({times}, {_message(message)}, {_interval(start, end)})"
         case ast.Hold(message, start, end):
-            state = f"{_series(message)}:{_test(message.value)}"
+            # Without brackets `P:uav1` would be one name.
+            series = _series(message) if message.arguments else f"{message.concept.text}[]"
+            state = f"{series}:{_test(message.value)}"
             return f"hold({state}, {_interval(start, end)})"
         case ast.Distance():
             return _distance(clause)

@@ -40,8 +40,9 @@ _XSD_EXAMPLE: Final = (
 _DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 
 
-def read_duration(at: Cursor, what: str) -> int:
-    """Read a duration, in ns; more than 0 and less than 146 years."""
+def read_duration(at: Cursor, what: str, *, spelled_out: bool = False) -> int:
+    """Read a duration, in ns; more than 0 and less than 146 years. ``spelled_out``: the unit may be
+    a word, as in ``5 seconds``."""
     here = at.here
     if here is not None and here.kind is Kind.STRING:
         return _literal(at, what)
@@ -50,13 +51,13 @@ def read_duration(at: Cursor, what: str) -> int:
     if here is None or here.kind is not Kind.NUMBER or not here.text.isdigit():
         raise at.expected(what, _EXAMPLE)
     at.take()
-    factor = _unit(at, what, here)
+    factor = _unit(at, what, here, spelled_out=spelled_out)
     # Rejects longer texts before int(), whose cost is quadratic in the digits.
     value = int(here.text) * factor if len(here.text) <= 20 else _LONGEST
     return _in_range(at, what, value, here.span)
 
 
-def _unit(at: Cursor, what: str, number: Token) -> int:
+def _unit(at: Cursor, what: str, number: Token, *, spelled_out: bool) -> int:
     # Units are lower case; the engines of C-SPARQL accept upper case too.
     unit = at.here
     word = unit.text.lower() if unit is not None and unit.kind is Kind.WORD else ""
@@ -65,6 +66,9 @@ def _unit(at: Cursor, what: str, number: Token) -> int:
         return _UNITS[word]
     hint = _EXAMPLE
     meant = _SPELLED_OUT.get(word.removesuffix("s"))
+    if meant is not None and spelled_out:
+        at.take()
+        return _UNITS[meant]
     if meant is not None:
         hint = f"write `{number.text}{meant}`"
     elif word in ("", "step", "slide", "tumbling"):

@@ -99,11 +99,11 @@ def _query(source: str) -> ContinuousQuery:
     check_groups(reader, found.groups, found.dataset)
     Check(reader, found, body).check()
     query = ContinuousQuery(
-        name=_name(found, reader),
+        name=name_of(found, reader),
         produces_stream=found.kind in ("STREAM", "TEMPLATE"),
         every=found.every,
         form=body.form,
-        prefixes=_used_prefixes(reader),
+        prefixes=used_prefixes(reader),
         static=tuple(reader.iri_of(t) for t in found.dataset.static),
         streams=streams,
         window=found.window,
@@ -127,7 +127,7 @@ def _query(source: str) -> ContinuousQuery:
     return query
 
 
-def _name(found: Clauses, reader: ClauseReader) -> str:
+def name_of(found: Clauses, reader: ClauseReader) -> str:
     """Return the registered name. A query keeps a plain name; a template gets the IRI of its event
     concept.
 
@@ -153,7 +153,7 @@ def _dialect(found: Clauses, groups: Sequence[NamedGroup]) -> Dialect:
     return Dialect.RSP_QL if found.register_operator or windows else Dialect.C_SPARQL
 
 
-def _used_prefixes(reader: ClauseReader) -> dict[str, str]:
+def used_prefixes(reader: ClauseReader) -> dict[str, str]:
     """Return the declared prefixes, and the shared ones that the text uses."""
     used = {t.text.partition(":")[0] for t in reader.tokens if t.kind is Kind.PREFIXED}
     return {name: iri for name, iri in reader.prefixes.items() if name in used}

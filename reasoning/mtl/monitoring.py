@@ -93,7 +93,7 @@ class Monitoring:
         self._only = only
         self.terms: tuple[Term, ...] = tuple(sorted(MonitorEvaluator(monitor).terms))
         self.has_own_states = _has_own_states(monitor)
-        self._departures = Departures(monitor.policy, sources)
+        self._departures = Departures(monitor.policy.max_delay, sources)
         self._timelines: dict[str, _Timeline] = {}
         self._shared = None if self.has_own_states else self._timeline()
         self._verdicts = dict.fromkeys(WORDS, 0)

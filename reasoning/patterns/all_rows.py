@@ -18,8 +18,9 @@ from .join_loop import ask, join, scratch
 from .limits import DEFAULT_LIMITS, Limits
 from .network import minimal_network
 from .outputs import output_columns
-from .packing import pack
+from .packing import OF, pack
 from .plan import PatternPlan
+from .row_values import Row
 from .store import SMALLEST
 
 Integers = NDArray[np.int64]
@@ -63,6 +64,13 @@ class AllRows(Evaluator):
         order = "" if self._is_ordered else ", in any order of arrival"
         return "evaluated by a join from the last row" + order
 
+    def rows(self) -> list[list[Row]]:
+        """The rows in memory that suit each element, then each probe; of the element that always
+        comes last there are none."""
+        buffers = self._packed.buffers[:, OF].tolist()
+        count = len(self.plan.elements) + len(self.plan.probes)
+        return [self._rows_in(buffers.index(of)) if of in buffers else [] for of in range(count)]
+
     def _take(self, batch: Integers, kind: Integers, begin: int) -> int:
         packed, store = self._packed, self._store
         conditions = packed.conditions
@@ -103,6 +111,10 @@ class AllRows(Evaluator):
         for element in range(1, rows.shape[1]):
             np.maximum(found, ends[rows[:, element]], out=found)
         return found
+
+    def _last(self, records: Integers) -> Integers:
+        last: Integers = records.max(axis=1)
+        return last
 
     def _ask(self, records: Integers, hold: NDArray[np.bool_]) -> None:
         packed, store = self._packed, self._store

@@ -19,6 +19,7 @@ from .network import Network
 from .packing import PackedRows, kind_codes
 from .plan import NO_VALUE, ColumnType, PatternPlan
 from .printer import print_network, print_plan
+from .row_values import Row
 from .rows import Matches, Rows, concatenated
 from .store import (
     CROWDED,
@@ -131,6 +132,11 @@ class Evaluator(ABC):
         )
 
     @property
+    def watermark(self) -> int:
+        """The time (ns) before which no row comes any more."""
+        return int(self._store.marks[WATERMARK])
+
+    @property
     def pending(self) -> int:
         """The number of matches that wait."""
         return len(self._waiting)
@@ -170,6 +176,21 @@ class Evaluator(ABC):
             )
         return "\n".join(lines)
 
+    def _rows_in(self, buffer: int) -> list[Row]:
+        """The rows in a buffer that may still be joined."""
+        return [self._row(place) for place in self._store.places(buffer)]
+
+    def _row(self, place: int) -> Row:
+        record = self._store.table[place]
+        floats = record.view(np.float64)
+        values: dict[str, int | float | None] = {}
+        for i, (name, is_number) in enumerate(
+            zip(self._columns, self._is_number, strict=True), COLUMNS
+        ):
+            value = float(floats[i]) if is_number else int(record[i])
+            values[name] = None if value == NO_VALUE or value != value else value
+        return Row(int(record[NUMBER]), int(record[START]), int(record[END]), values)
+
     # -- what the evaluations differ in ------------------------------------------------------
 
     @abstractmethod
@@ -179,6 +200,10 @@ class Evaluator(ABC):
     @abstractmethod
     def _ends(self, records: Integers) -> Integers:
         """The latest end in each match."""
+
+    @abstractmethod
+    def _last(self, records: Integers) -> Integers:
+        """The place of the row of each match that came last."""
 
     @abstractmethod
     def _order(self, records: Integers) -> Integers | None:
@@ -274,7 +299,8 @@ class Evaluator(ABC):
             records, decided = np.concatenate([late_records, records])[order], decided[order]
         outputs = self._outputs(records)
         numbers = store.table[: int(marks[ROWS]), NUMBER].copy()
-        return Matches(numbers.take(records[:, : self._rows_given]), decided, outputs)
+        rows = numbers.take(records[:, : self._rows_given])
+        return Matches(rows, decided, outputs, numbers.take(self._last(records)))
 
     def _wait(self, records: Integers, due: Integers) -> None:
         room = max(0, self._limits.waiting - len(self._waiting))

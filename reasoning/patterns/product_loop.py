@@ -420,5 +420,5 @@ def sweep(*arguments: Any) -> None:
 def _called(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
     if JIT:
         return kernel(*arguments)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return kernel.py_func(*arguments)

@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from ...languages.mtl.checked import Kind
+from ...sparql.ast import Triple
 from .plan import ColumnType, Constant, Key, PatternPlan
 
 START, END = "start", "end"
@@ -84,11 +85,68 @@ matching has found the streams."""
 @dataclass(frozen=True, slots=True)
 class Result:
     """A field of the results: the output of the plans with that ``name``, of ``kind``. Where it is
-    an object of a `Source`, ``argument`` tells of which."""
+    an object of a `Source`, ``argument`` tells of which. ``is_list``: the output is `plan.Listed`.
+    """
 
     name: str
     kind: Kind
     argument: Argument | None = None
+    is_list: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class OutputComparison:
+    """``left < right`` of two outputs of a plan; it does not hold where one has no value."""
+
+    left: str
+    operator: str
+    right: str
+
+
+@dataclass(frozen=True, slots=True)
+class AllOf:
+    tests: tuple[Test, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AnyOf:
+    tests: tuple[Test, ...]
+
+
+Test: TypeAlias = OutputComparison | AllOf | AnyOf
+
+
+@dataclass(frozen=True, slots=True)
+class Absence:
+    """A match is a result only if no match of the earlier plan ``other`` has the same rows, in
+    ``rows`` of (own element, element of the other). ``until``: the output that is the last time
+    (ns) at which such a match may still be completed by a new row; None: no later than the match
+    itself."""
+
+    other: int
+    rows: tuple[tuple[int, int], ...]
+    until: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StaticJoin:
+    """Triples of static graphs, each with its graph (None: those of FROM, or the ontology), that
+    are joined to the matches of a plan: each match is a result once for each solution of them.
+    ``variables``: those that outputs of the plan fill, as (variable, output, kind)."""
+
+    triples: tuple[tuple[Triple, str | None], ...]
+    variables: tuple[tuple[str, str, Kind], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """What becomes of the matches of one plan: those that pass all ``tests`` and ``absences`` are
+    results if ``is_given``; otherwise only other branches read them."""
+
+    tests: tuple[Test, ...] = ()
+    absences: tuple[Absence, ...] = ()
+    static: StaticJoin | None = None
+    is_given: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +157,9 @@ class PatternQuery:
     the valid time (ns) of a result. A column of numbers has values of `Kind.NUMBER`, one of
     integers truths (0 or 1) or times (ns), one of keys texts or IRIs, by `Keys`; a `Key`
     of the plans has such a text.
+
+    ``branches``: one for each plan; without any the matches of all plans are results. ``graphs``:
+    the static graphs of FROM and of FROM NAMED.
     """
 
     name: str
@@ -106,6 +167,8 @@ class PatternQuery:
     plans: tuple[PatternPlan, ...]
     results: tuple[Result, ...]
     valid: str = END
+    branches: tuple[Branch, ...] = ()
+    graphs: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
 
 
 def column_type(kind: Kind) -> ColumnType:
@@ -133,6 +196,10 @@ class Keys:
         if number == len(self._keys):
             self._keys.append(key)
         return number
+
+    def find(self, key: str) -> int | None:
+        """Return the number of a key; None if it has none."""
+        return self._numbers.get(key)
 
     def key(self, number: int) -> str:
         """Return the key with this number."""

@@ -50,6 +50,8 @@ class Matches:
     rows: NDArray[np.int64]
     decided: Times
     outputs: Mapping[str, NDArray[Any]]
+    last: NDArray[np.int64]
+    """The number of the row that came last, shape ``(m,)``."""
 
     def __len__(self) -> int:
         return len(self.decided)
@@ -63,4 +65,5 @@ def concatenated(parts: Sequence[Matches]) -> Matches:
         np.concatenate([each.rows for each in parts]),
         np.concatenate([each.decided for each in parts]),
         {name: np.concatenate([each.outputs[name] for each in parts]) for name in parts[0].outputs},
+        np.concatenate([each.last for each in parts]),
     )

@@ -82,8 +82,10 @@ class Sequences(Evaluator):
         self._store.compact(*self._runs.compact(watermark, self._waiting.rows, made))
 
     def _ends(self, records: Integers) -> Integers:
-        last: Integers = records[:, 2 * len(self.plan.elements) - 1]
-        return self._store.table[:, END][last]
+        return self._store.table[:, END][self._last(records)]
+
+    def _last(self, records: Integers) -> Integers:
+        return records[:, 2 * len(self.plan.elements) - 1]
 
     def _ask(self, records: Integers, hold: NDArray[np.bool_]) -> None:
         packed, store = self._packed, self._store

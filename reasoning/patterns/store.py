@@ -101,6 +101,15 @@ class Store:
         kept = self.plan.buffers[:, RETAINED].tolist()
         return np.array([max(TIME_MIN, decided - each) for each in kept], np.int64)
 
+    def places(self, buffer: int) -> list[int]:
+        """The places in the table of the rows in a buffer that may still be joined."""
+        dead, found = int(self.dead()[buffer]), []
+        for vector in self.vectors[: int(self.marks[VECTORS])]:
+            if vector[BUFFER] == buffer:
+                own = slice(vector[BASE] + vector[FIRST], vector[BASE] + vector[STOP])
+                found += self.rows[own][self.ends[own] >= dead].tolist()
+        return found
+
     def compact(self, *roots: Integers) -> None:
         """Keep only what is live: rows in a buffer that may still be joined, and those at the
         places in ``roots``, which are renumbered. Then there is room in each array."""

@@ -416,5 +416,5 @@ def run(*arguments: Any) -> int:
     """Run the loop over rows, as `_trends_loop` says."""
     if JIT:
         return int(_trends(*arguments))
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return int(_trends.py_func(*arguments))

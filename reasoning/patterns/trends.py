@@ -83,6 +83,9 @@ class Trends(Evaluator):
     def _order(self, records: Integers) -> Integers | None:
         return None
 
+    def _last(self, records: Integers) -> Integers:
+        return records[:, 0]
+
     def _ask(self, records: Integers, hold: NDArray[np.bool_]) -> None:
         raise AssertionError("no match of trends waits")
 
@@ -106,22 +109,25 @@ class Trends(Evaluator):
         k += any(map(is_start, self.plan.outputs))
         i, f = INTEGER_WORDS * k + 1, FLOAT_WORDS * k + 1
         counts = numbers[:, f]
+        least, greatest = numbers[:, f + 2], numbers[:, f + 3]
+        has_values = least <= greatest
         match trend.function:
             case Function.COUNT:
                 return self._count(integers[:, i], counts)
-            case Function.SUM:
-                return np.where(counts > 0, numbers[:, f + 1], np.nan)
-            case Function.AVG:
+            case Function.SUM | Function.AVG:
                 with np.errstate(invalid="ignore"):
-                    return np.where(counts > 0, numbers[:, f + 1] / counts, np.nan)
-        at = 2 if trend.function is Function.MIN else 3
+                    divisor = counts if trend.function is Function.AVG else np.ones_like(counts)
+                    is_finite = has_values & (counts < np.inf)
+                    return np.where(is_finite, numbers[:, f + 1] / divisor, np.nan)
+        is_least = trend.function is Function.MIN
         if self._packed.accumulators[k, OF_NUMBERS]:
-            return np.where(counts > 0, numbers[:, f + at], np.nan)
-        return np.where(counts > 0, integers[:, i + at - 1], NO_VALUE)
+            return np.where(has_values, least if is_least else greatest, np.nan)
+        return np.where(has_values, integers[:, i + (1 if is_least else 2)], NO_VALUE)
 
     def _count(self, exact: Integers, rounded: NDArray[np.float64]) -> Values:
-        is_rounded = rounded >= _EXACT
+        is_rounded = ~(rounded < _EXACT)
         if not is_rounded.any():
             return exact.copy()
         self._rounded += int(is_rounded.sum())
-        return np.where(is_rounded, rounded, exact)
+        # Infinite numbers of trends without a value give NaN.
+        return np.where(is_rounded, np.nan_to_num(rounded, nan=np.inf, posinf=np.inf), exact)

@@ -1,13 +1,13 @@
-"""When the states of a formula leave (SPEC §1, §8)."""
+"""When the states of a formula, or the rows of a pattern, leave (SPEC §1, §8)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from ...streams.policies.policy import SynchronizationPolicy
 from ...streams.sample import Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ...streams.time_arithmetic import earlier, later
@@ -41,6 +41,12 @@ class Steps:
             return later(due, self.delay)
         return self.moment[np.searchsorted(self.reached, due, "right")]
 
+    def reaching(self, times: Times) -> Times:
+        """When these times are reached. Contract: they are, in these steps or before; those that
+        were before are taken to be so at the first moment."""
+        last = max(len(self.reached) - 1, 0)
+        return self.moment[np.minimum(np.searchsorted(self.reached, times, "left"), last)]
+
     def reached_before(self, available: Times) -> Times:
         """The time that was reached when samples of these available times came."""
         if self.delay is not None:
@@ -52,18 +58,19 @@ class Steps:
 class Departures:
     """The time reached by ``sources`` streams, numbered from 0.
 
-    With a ``max_delay`` D, the state of time t leaves at the available time t + D. Without one the
-    streams are taken to be in order of valid time: reached is the least of the greatest valid times
-    of the streams. A stream is not waited for after its end, which may be later than its last
-    sample: that of a selection is the end of the whole stream. Nothing is reached before each of
-    the others has a sample.
+    With a ``max_delay`` D (ns), the state of time t leaves at the available time t + D. Without one
+    the streams are taken to be in order of valid time, but for their ``lateness`` (ns, one a
+    stream): reached is the least, of all streams, of the greatest valid time less that. A stream is
+    not waited for after its end, which may be later than its last sample: that of a selection is
+    the end of the whole stream. Nothing is reached before each of the others has a sample.
 
     Law (tests/laws/reasoning): the steps do not depend on batch cuts, nor on the order in which the
     streams deliver. Cost: a sort of the new samples.
     """
 
-    def __init__(self, policy: SynchronizationPolicy, sources: int) -> None:
-        self._delay = policy.max_delay
+    def __init__(self, max_delay: int | None, sources: int, lateness: Sequence[int] = ()) -> None:
+        self._delay = max_delay
+        self._lateness = tuple(lateness) or (0,) * sources
         self._waiting: list[list[tuple[Times, Times]]] = [[] for _ in range(sources)]
         """The samples of each stream (available, valid) that are not before the watermark."""
         self._newest = [TIME_MIN] * sources
@@ -101,7 +108,9 @@ class Departures:
         for source, ((available, valid), _) in enumerate(due):
             # What the samples up to each moment, and earlier ones, have reached.
             greatest = np.maximum.accumulate(np.append(self._greatest[source], valid))
-            known = greatest[np.searchsorted(available, moments, "right")]
+            known = earlier(
+                greatest[np.searchsorted(available, moments, "right")], self._lateness[source]
+            )
             if len(available):
                 self._newest[source] = int(available[-1])
                 self._greatest[source] = int(greatest[-1])

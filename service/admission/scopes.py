@@ -18,10 +18,11 @@ OPEN = (
     # Orchestrators and load balancers have no token.
     "GET /healthz",
     "GET /readyz",
-    # The page and the schema contain nothing of the running system, and users log in on the page.
+    # The pages and the schema contain nothing of the running system, and users log in on them.
     "GET /",
     "GET /docs",
     "GET /static/{name}",
+    "GET /console/{name:path}",
     "GET /openapi.json",
     "GET /session",
     "POST /session",
@@ -33,6 +34,10 @@ READ = (
     "GET /streams",
     "GET /streams/{name}",
     "GET /streams/{name}/evaluation",
+    "GET /units",
+    "GET /units/{name}",
+    "GET /problems",
+    "GET /vocabulary",
     "GET /streams/{name}/samples",
     "GET /streams/{name}/events",
     "GET /follow",
@@ -64,6 +69,7 @@ READ = (
     "GET /metrics",
     # They compute an answer and change nothing.
     "POST /match",
+    "POST /explain",
     "POST /sparql",
 )
 
@@ -76,6 +82,9 @@ PUBLISH = (
 )
 
 ADMIN = (
+    # A log may quote what others sent.
+    "GET /log",
+    "GET /settings",
     "PUT /streams/{name}",
     "DELETE /streams/{name}",
     "POST /templates",

@@ -43,7 +43,7 @@ from .parameters import (
 from .streams import text_or_file
 
 query = typer.Typer(
-    help="Continuous queries and monitors: add, list, show, results, why, remove.",
+    help="Queries, monitors and patterns: add, list, show, results, why, partial, remove.",
     no_args_is_help=True,
 )
 
@@ -211,8 +211,8 @@ def remove(name: Name, url: Url = DEFAULT_URL, as_json: Json = False) -> None:
 
 @query.command()
 def why(
-    name: Annotated[str, typer.Argument(help="The monitor's name.")],
-    start: Annotated[str, typer.Argument(help="The verdict's valid time, as `follow` shows it.")],
+    name: Annotated[str, typer.Argument(help="The name of a monitor or pattern.")],
+    start: Annotated[str, typer.Argument(help="The result's valid time, as `follow` shows it.")],
     object: Annotated[
         list[str] | None,
         typer.Option(help="The object of each parameter, in order. May be repeated."),
@@ -220,7 +220,8 @@ def why(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Explain a verdict of a monitor: its states, and the value of each part of the formula."""
+    """Explain a verdict by its states and the parts of the formula, or a match by its samples."""
+    from ..http.match_tables import matches_table
     from ..http.verdict_tables import why_table
 
     with connect(url) as client:
@@ -228,7 +229,28 @@ def why(
     if as_json:
         show_json(found)
     else:
-        show_text(why_table(found))
+        show_text(matches_table(found) if "matches" in found else why_table(found))
+
+
+@query.command()
+def partial(
+    name: Annotated[str, typer.Argument(help="The pattern's name.")],
+    object: Annotated[
+        list[str] | None, typer.Option(help="An object of the match. May be repeated.")
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="At most so many.")] = 20,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Show the partial matches of a pattern: what has come, and when the rest may come."""
+    from ..http.match_tables import partial_table
+
+    with connect(url) as client:
+        found = client.partial_matches(name, object or [], limit)
+    if as_json:
+        show_json(found)
+    else:
+        show_text(partial_table(found))
 
 
 def _state(found: dict[str, Any]) -> str:
@@ -246,7 +268,7 @@ def _state(found: dict[str, Any]) -> str:
         words.append(f"nothing came: {found['empty']}")
     if found["late"]:
         words.append(f"{found['late']} samples came too late")
-    if found["dialect"] == "MTL":
+    if found["kind"] in ("MONITOR", "PATTERN"):
         return "; ".join(words) + f"\nsince {options['since']}"
     options_text = f"{options['semantics']} semantics, windows {options['bounds']}"
     if options["origin"] != format_time(0):

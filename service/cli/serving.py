@@ -81,7 +81,7 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
         raise
     app = create_app(engine, settings, time.time_ns, accepted_tokens, windows)
     url = url_of(listener)
-    say(f"DyKnow serves at {url} (documentation: {url}/docs)")
+    say(f"DyKnow serves at {url} (the console; all routes: {url}/docs)")
     service: Service = app.state.service
     service.warming = warming
     collector = service.collector = CollectionSchedule()

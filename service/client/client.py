@@ -450,9 +450,18 @@ class Client(Connection):
 
     def why(self, name: str, start: str | int, objects: Sequence[str] = ()) -> dict[str, Any]:
         """Return the explanation of a monitor's verdict: the one that starts at the time ``start``
-        (ISO-8601 or ns) for these ``objects``, one for each parameter in order."""
+        (ISO-8601 or ns) for these ``objects``, one for each parameter in order. Of a pattern, that
+        of the matches that start, or are valid, then."""
         parameters = {"start": str(start), "object": list(objects)}
         return self._object("GET", f"/queries/{_part(name)}/why", params=parameters)
+
+    def partial_matches(
+        self, name: str, objects: Sequence[str] = (), limit: int = 20
+    ) -> dict[str, Any]:
+        """Return the partial matches of a pattern that have all these ``objects``, the newest
+        first."""
+        parameters = {"object": list(objects), "limit": limit}
+        return self._object("GET", f"/queries/{_part(name)}/partial", params=parameters)
 
     def register_query(
         self,

@@ -34,9 +34,13 @@ def _with_request(_logger: Any, _name: str, line: structlog.types.EventDict) -> 
     return dict(line)
 
 
+def mask(text: str) -> str:
+    """The text with tokens masked: errors may quote a request."""
+    return _SECRETS.sub(lambda found: f"{found[1] or found[2] or found[3]}***", text)
+
+
 def _without_secrets(_logger: Any, _name: str, line: Any) -> str:
-    """The line with tokens masked: errors may quote a request."""
-    return _SECRETS.sub(lambda found: f"{found[1] or found[2] or found[3]}***", str(line))
+    return mask(str(line))
 
 
 _SHARED: tuple[structlog.types.Processor, ...] = (

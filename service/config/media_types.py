@@ -2,6 +2,7 @@
 
 JSON = "application/json"
 TEXT = "text/plain"
+HTML = "text/html"
 XML = "application/xml"
 TEXT_XML = "text/xml"
 NDJSON = "application/x-ndjson"

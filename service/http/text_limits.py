@@ -13,11 +13,11 @@ from typing import Final
 import anyio
 import anyio.to_thread
 
-from ...languages.csparql import body_tree, parse_query
-from ...languages.csparql.ast import Template
+from ...engine.planning.registrations import parse_registered
+from ...languages.csparql import body_tree
+from ...languages.csparql.ast import ContinuousQuery, Template
 from ...languages.kpl import parse_kpl
 from ...languages.kpl.ast import Specification
-from ...languages.mtl import is_monitor, parse_monitor
 from ...languages.ssl import parse_ssl
 from ...languages.ssl.ast import Declaration
 from ...languages.templates import parse_any_template
@@ -87,11 +87,10 @@ def parse_registration(text: str) -> None:
 
 
 def parse_continuous(text: str) -> None:
-    """Parse a continuous query and its patterns, or a monitor: for `parse_aside`."""
-    if is_monitor(text):
-        parse_monitor(text)
-    else:
-        patterns(body_tree(parse_query(text)))
+    """Parse a text as registering it does: for `parse_aside`."""
+    parsed = parse_registered(text)
+    if isinstance(parsed, ContinuousQuery):
+        patterns(body_tree(parsed))
 
 
 def _check_words(text: str) -> None:

@@ -16,12 +16,13 @@ def why_table(found: Mapping[str, Any]) -> str:
     parts = list(zip(_letters(), found["formulas"], strict=False))
     lines += [f"{letter}  {'  ' * part['depth']}{part['text']}" for letter, part in parts]
     columns = [("state", found["states"])]
-    columns += [(each["text"], list(map(_cell, each["values"]))) for each in found["features"]]
+    columns += [(each["text"], list(map(cell, each["values"]))) for each in found["features"]]
     columns += [(letter, part["values"]) for letter, part in parts if part["values"]]
-    return "\n".join([*lines, "", *_table(columns), ""])
+    return "\n".join([*lines, "", *table(columns), ""])
 
 
-def _table(columns: Sequence[tuple[str, Sequence[str]]]) -> Iterator[str]:
+def table(columns: Sequence[tuple[str, Sequence[str]]]) -> Iterator[str]:
+    """Yield the lines of a table: the heads, then the rows."""
     widths = [max(map(len, (name, *values))) for name, values in columns]
     rows = [[name for name, _ in columns]]
     rows += map(list, zip(*(values for _, values in columns), strict=True))
@@ -31,7 +32,8 @@ def _table(columns: Sequence[tuple[str, Sequence[str]]]) -> Iterator[str]:
         ).rstrip()
 
 
-def _cell(value: object) -> str:
+def cell(value: object) -> str:
+    """Return a value as people read it."""
     if value is None:
         return "-"
     if isinstance(value, bool):

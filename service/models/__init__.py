@@ -2,20 +2,38 @@
 texts such as ``5s``."""
 
 from .annotations import AnnotationModel
-from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
+from .events import (
+    EventIn,
+    EventModel,
+    ParameterModel,
+    PlanModel,
+    RunningUnitModel,
+    StepModel,
+    TemplateModel,
+    UnitModel,
+)
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
-from .queries import QueryModel, WhyModel
+from .queries import QueryModel
+from .reasoning import MatchesWhyModel, PartialMatchesModel, WhyModel
 from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
     ExplainModel,
+    FeatureModel,
+    FindingModel,
     HealthModel,
+    LoadModel,
+    LogLineModel,
     OntologyModel,
     OntologyReportModel,
+    SettingModel,
+    SortModel,
+    StageModel,
     StatusModel,
     ViolationModel,
+    VocabularyModel,
     WaitingModel,
 )
 from .streams import (
@@ -59,14 +77,21 @@ __all__ = [
     "EventIn",
     "EventModel",
     "ExplainModel",
+    "FeatureModel",
     "FieldModel",
+    "FindingModel",
     "HealthModel",
     "InsertionModel",
+    "LoadModel",
+    "LogLineModel",
     "MatchIn",
     "MatchModel",
+    "MatchesWhyModel",
     "OneDeclarationModel",
     "OntologyModel",
     "OntologyReportModel",
+    "ParameterModel",
+    "PartialMatchesModel",
     "PlanModel",
     "PortModel",
     "QualityIn",
@@ -74,11 +99,16 @@ __all__ = [
     "RematchModel",
     "RemovedModel",
     "RetentionModel",
+    "RunningUnitModel",
     "SessionIn",
     "SessionModel",
+    "SettingModel",
     "Since",
+    "SortModel",
     "SpecificationModel",
+    "StageModel",
     "StatusModel",
+    "StepModel",
     "Strategy",
     "StreamIn",
     "StreamModel",
@@ -89,6 +119,7 @@ __all__ = [
     "TransformationModel",
     "UnitModel",
     "ViolationModel",
+    "VocabularyModel",
     "WaitingModel",
     "WhyModel",
     "WorthIn",

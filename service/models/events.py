@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, StringConstraints
@@ -9,7 +10,37 @@ from pydantic import BaseModel, Field, StringConstraints
 from ...engine.durability.accepted_commands import WaitingCommand
 from ...engine.durability.commands import RequestEvent
 from ...engine.model import views
+from ...engine.planning.explanations import unit_view
+from ...engine.units.base import ComputationalUnit
+from ...matching.render import Step
+from ...rdf.namespaces import shorten
+from ...streams.time import SECOND
+from ...templates.parameters import ParameterUse
 from .parts import Body, Name, Since, Strategy
+
+
+class ParameterModel(BaseModel):
+    """A parameter of a template. A number or text may be compared with a feature."""
+
+    name: str
+    role: Literal["object", "sort", "feature", "number", "text"] = Field(
+        description="what its argument is"
+    )
+    sort: str | None = Field(description="the sort of an object, where the template states one")
+    feature: str | None = Field(description="the feature that is compared with it")
+    unit: str | None = Field(description="the unit of the feature, and so of the argument")
+    comparison: Literal["<", "<=", ">", ">=", "=", "!="] | None = Field(
+        description="of the feature with the argument: `>` means above it"
+    )
+    aggregate: str | None = Field(description="the aggregate of the feature that is compared")
+
+    @classmethod
+    def of(cls, use: ParameterUse) -> ParameterModel:
+        members = asdict(use) | {"name": f"?{use.name}", "role": str(use.role)}
+        for name in ("sort", "feature"):
+            if members[name] is not None:
+                members[name] = shorten(members[name])
+        return cls.model_validate(members)
 
 
 class TemplateModel(BaseModel):
@@ -17,7 +48,10 @@ class TemplateModel(BaseModel):
 
     name: str = Field(description="the IRI of the event concept")
     local_name: str
+    doc: str = Field(description="the comment at the beginning of its text")
+    window: str | None = Field(description="the window of its query in words; null: a formula")
     parameters: list[str]
+    uses: list[ParameterModel] = Field(description="what each parameter stands for, in order")
     source: str
     etag: str
 
@@ -26,7 +60,10 @@ class TemplateModel(BaseModel):
         return cls(
             name=view.name,
             local_name=view.local_name,
+            doc=view.doc,
+            window=view.window,
             parameters=list(view.parameters),
+            uses=[ParameterModel.of(use) for use in view.uses],
             source=view.source,
             etag=view.etag,
         )
@@ -62,6 +99,56 @@ class UnitModel(BaseModel):
             output=view.output,
             parameters=dict(view.parameters),
             users=view.users,
+        )
+
+
+class RunningUnitModel(UnitModel):
+    """A running unit with its counters."""
+
+    busy: float = Field(description="seconds that it has worked")
+    windows: int = Field(description="evaluated windows")
+    overruns: int = Field(description="windows without a result, which exceeded a limit")
+    late: int = Field(description="samples that arrived too late for it")
+    errors: int
+    lag: float | None = Field(description="seconds that its output is behind its inputs")
+    failure: str | None = Field(description="why it was stopped")
+
+    @classmethod
+    def running(cls, unit: ComputationalUnit) -> RunningUnitModel:
+        """Return the model of a unit of the engine."""
+        return cls(
+            **UnitModel.of(unit_view(unit)).model_dump(),
+            busy=unit.busy / SECOND,
+            windows=unit.windows,
+            overruns=unit.overruns,
+            late=unit.late,
+            errors=unit.counters.errors,
+            lag=None if unit.lag is None else unit.lag / SECOND,
+            failure=unit.failure,
+        )
+
+
+class StepModel(BaseModel):
+    """A part of a plan, or an alternative to it, with the parts that it rests on or lacks."""
+
+    text: str
+    verdict: str = Field(
+        description="chosen, possible, not tried, failed; empty below a chosen part"
+    )
+    reason: str = Field(description="why it failed or is only possible; may be empty")
+    stream: str | None = Field(description="the existing stream that it reads")
+    transformation: str | None = Field(description="the transformation that it needs")
+    parts: list[StepModel]
+
+    @classmethod
+    def of(cls, step: Step) -> StepModel:
+        return cls(
+            text=step.text,
+            verdict=step.verdict,
+            reason=step.reason,
+            stream=step.stream,
+            transformation=step.transformation,
+            parts=[cls.of(part) for part in step.parts],
         )
 
 

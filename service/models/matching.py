@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, Field
 
 from ...engine.model import views
-from .events import PlanModel
+from .events import PlanModel, StepModel
 from .parts import MOST_ARGUMENTS, Body, Name, Strategy
 
 
@@ -35,6 +35,7 @@ class MatchModel(BaseModel):
     cost: float | None = Field(description="cost of the plan's units that do not run yet")
     quality: float | None = Field(description="quality of the plan's output, 0 to 1")
     proven: bool = Field(description="whether the plan is proven to be the strategy's best")
+    tree: StepModel = Field(description="the plan, and what else was considered")
     specification: str | None = Field(
         description="the plan as a specification in XML for POST /specifications; null without a "
         "plan, or if the plan contains the query of an event"
@@ -53,5 +54,6 @@ class MatchModel(BaseModel):
             cost=view.cost,
             quality=view.quality,
             proven=view.proven,
+            tree=StepModel.of(view.tree),
             specification=view.specification,
         )

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
 from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
 from ...engine.durability.accepted_commands import WaitingCommand, query_view
 from ...engine.model import views
-from ...reasoning.mtl.explanation import Explanation, Shown
-from ...streams.time import format_time
 from .events import PlanModel
 from .parts import iso
 
@@ -32,8 +28,8 @@ class QueryModel(BaseModel):
     and ``results`` as SPARQL results."""
 
     name: str
-    kind: str = Field(description="STREAM, QUERY or MONITOR, as in the text")
-    form: str = Field(description="SELECT, CONSTRUCT, ASK; empty for a monitor")
+    kind: str = Field(description="STREAM, QUERY, MONITOR or PATTERN")
+    form: str = Field(description="SELECT, CONSTRUCT, ASK; empty for a monitor or a pattern")
     dialect: str = Field(description="C-SPARQL, RSP-QL or MTL")
     state: str = Field(
         description="running, failed, ended; not restored or waiting: from an earlier run"
@@ -118,45 +114,4 @@ class QueryModel(BaseModel):
             empty=view.empty,
             source=view.source,
             explanation=explanation,
-        )
-
-
-class ShownModel(BaseModel):
-    """A feature, or a part of the formula at a depth, with its value at each state. Of a part that
-    is true, false, unknown, or open: not known when the verdict was decided. Empty for a part
-    that has no single value."""
-
-    text: str
-    depth: int
-    values: list[float | bool | str | None]
-
-
-class WhyModel(BaseModel):
-    """Why a verdict is what it is: the states from the first that the formula looks at to the one
-    that decides it, in order of valid time."""
-
-    query: str
-    objects: dict[str, str]
-    start: str
-    verdict: Literal["true", "false", "unknown", "open"]
-    decided: str | None
-    states: list[str]
-    features: list[ShownModel]
-    formulas: list[ShownModel]
-
-    @classmethod
-    def of(cls, query: str, objects: Mapping[str, str], found: Explanation) -> WhyModel:
-        def shown(each: Shown) -> ShownModel:
-            values: list[Any] = list(each.values)
-            return ShownModel(text=each.text, depth=each.depth, values=values)
-
-        return cls(
-            query=query,
-            objects=dict(objects),
-            start=format_time(found.start),
-            verdict=found.verdict,  # type: ignore[arg-type]
-            decided=None if found.decided is None else format_time(found.decided),
-            states=list(map(format_time, found.valid)),
-            features=list(map(shown, found.features)),
-            formulas=list(map(shown, found.formulas)),
         )

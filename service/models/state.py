@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, Field
+
+from ...engine.planning.explanations import Explanation
+from ...matching.render import steps
+from .events import StepModel
 
 
 class OntologyModel(BaseModel):
@@ -34,6 +40,19 @@ class WaitingModel(BaseModel):
     reason: str
 
 
+class LoadModel(BaseModel):
+    """What the process takes of the machine."""
+
+    memory: int = Field(description="bytes of memory")
+    memory_limit: int | None = Field(description="bytes that it may take; null: no limit")
+    processor: float = Field(description="seconds of processor time since the start")
+    loop_lag: float = Field(description="seconds by which the event loop was late, the last time")
+    units_behind: int = Field(description="units with a backlog of windows")
+    log_waiting: int | None = Field(
+        description="commands that wait to be written to the log; null without a data directory"
+    )
+
+
 class StatusModel(BaseModel):
     """An overview of the service."""
 
@@ -47,10 +66,66 @@ class StatusModel(BaseModel):
     queries: int = Field(description="number of registered continuous queries")
     clients: int = Field(description="number of event-stream clients")
     accepted: int = Field(description="samples accepted since the start")
+    load: LoadModel
     waiting: list[WaitingModel] = Field(
         description="commands that an earlier run accepted and this one cannot execute now; their "
         "own lists have waiting requests, subscriptions and queries"
     )
+
+
+class FindingModel(BaseModel):
+    """Something that is wrong or soon will be, with the place and the remedy."""
+
+    level: Literal["bad", "warn"] = Field(description="bad: results are missing; warn: some may be")
+    what: str
+    detail: str
+    hint: str = Field(description="what to do; may be empty")
+    kind: Literal["service", "stream", "unit", "request", "transformation"]
+    name: str = Field(description="the name or id of the thing concerned; empty for the service")
+    stream: str | None = Field(description="the stream that shows it")
+
+
+class LogLineModel(BaseModel):
+    """A line of the service's log."""
+
+    time: str
+    level: str
+    event: str
+    values: dict[str, str] = Field(description="its further members, without tokens")
+
+
+class SettingModel(BaseModel):
+    """A setting of the service."""
+
+    name: str
+    value: str = Field(description="as text; a secret is hidden")
+    is_default: bool
+
+
+class SortModel(BaseModel):
+    """A sort of objects; ``parents`` are the sorts right above it."""
+
+    name: str
+    parents: list[str]
+
+
+class FeatureModel(BaseModel):
+    """A feature of the ontology."""
+
+    name: str
+    unit: str | None = Field(description="the unit of plain numbers")
+    domain: str | None = Field(description="the narrowest sort that has it, if stated")
+    arity: int | None
+    doc: str | None = Field(description="the ontology's comment")
+
+
+class VocabularyModel(BaseModel):
+    """The names that annotations, requests and queries may use, shortened with prefixes."""
+
+    sorts: list[SortModel]
+    features: list[FeatureModel]
+    events: list[str]
+    prefixes: dict[str, str]
 
 
 class HealthModel(BaseModel):
@@ -61,7 +136,28 @@ class HealthModel(BaseModel):
     reasons: list[str] = Field(default=[], description="the single reasons")
 
 
-class ExplainModel(BaseModel):
-    """The stages of a query, template, request or match, as text."""
+class StageModel(BaseModel):
+    """A stage of an explanation: its title, and its text."""
 
+    title: str
     text: str
+
+
+class ExplainModel(BaseModel):
+    """The stages of a query, template, request or match."""
+
+    text: str = Field(description="the whole explanation, for reading")
+    found: bool = Field(description="whether there is a plan for all that is needed")
+    stages: list[StageModel] = Field(description="the same by stages")
+    plan: list[StepModel] = Field(
+        description="for each needed feature the plan, and what else was considered"
+    )
+
+    @classmethod
+    def of(cls, explanation: Explanation) -> ExplainModel:
+        return cls(
+            text=explanation.text,
+            found=explanation.found,
+            stages=[StageModel(title=title, text=text) for title, text in explanation.stages],
+            plan=[StepModel.of(steps(match)) for match in explanation.matches],
+        )

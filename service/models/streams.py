@@ -19,6 +19,7 @@ from ...streams.sample import (
 )
 from ...streams.time import FOREVER, HOUR, format_duration
 from .parts import Body, Duration, iso, signed
+from .transformations import PortModel
 
 _TYPES = {
     "double": "float",
@@ -176,6 +177,7 @@ class StreamModel(BaseModel):
     rate: float = Field(description="recent samples per second of available time")
     lag: str | None = Field(description="how far the stream is behind the clock")
     annotation: str | None = Field(description="the SSL text")
+    ports: list[PortModel] = Field(description="the features that the annotation gives to fields")
     producer: str | None = Field(description="the unit that makes the stream")
     subscribers: int
     samples: str
@@ -218,6 +220,7 @@ class StreamModel(BaseModel):
             rate=round(view.rate, 3),
             lag=None if view.lag is None else signed(view.lag),
             annotation=view.annotation,
+            ports=[PortModel.of_content(content) for content in view.contents],
             producer=view.producer,
             subscribers=view.subscribers,
             samples=f"/streams/{view.name}/samples",

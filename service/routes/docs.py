@@ -1,60 +1,54 @@
-"""The page with the HTTP reference. It loads files of this service only, nothing from outside."""
+"""The console at `/`, and the page with the HTTP reference. Both load files of this service only,
+nothing from outside."""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
-from fastapi import APIRouter, Response
-from fastapi.responses import RedirectResponse
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import JSONResponse
 
-from ..http.problems import Problem
+from ..config.media_types import HTML, JSON
+from ..config.version import __version__
+from ..http.negotiation import accepted
+from ..http.page_files import PageFiles
 
 router = APIRouter(include_in_schema=False)
 
-STATIC = Path(__file__).resolve().parent.parent / "static"
-FILES = {
-    "docs.html": "text/html; charset=utf-8",
-    "docs.css": "text/css; charset=utf-8",
-    "docs.js": "text/javascript; charset=utf-8",
-}
-POLICY = {
-    # Own script and style, nothing inline; requests to this service; not inside other pages.
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "X-Frame-Options": "DENY",
-    "Cache-Control": "no-cache",
-}
-"""Headers of the page and its files; service/server adds those of all responses."""
+_SERVICE = Path(__file__).resolve().parent.parent
+STATIC = PageFiles(_SERVICE / "static")
+CONSOLE = PageFiles(_SERVICE / "console")
 
 
 @router.get("/")
-async def home() -> Response:
-    """Send browsers to the documentation."""
-    return RedirectResponse("/docs")
+async def home(request: Request) -> Response:
+    """Return the console, or the list of routes for `Accept: application/json`."""
+    if accepted(request, (HTML, JSON)) == HTML:
+        answer = CONSOLE.answer("index.html", request)
+        answer.headers["Vary"] = "Accept, Accept-Encoding"
+        return answer
+    routes = [
+        {"method": method.upper(), "path": path, "does": operation["description"].split("\n\n")[0]}
+        for path, operations in request.app.openapi()["paths"].items()
+        for method, operation in operations.items()
+    ]
+    links = {"version": __version__, "docs": "/docs", "openapi": "/openapi.json"}
+    return JSONResponse({**links, "routes": routes}, headers={"Vary": "Accept"})
+
+
+@router.get("/console/{name:path}")
+async def console(name: str, request: Request) -> Response:
+    """Return a file of the console."""
+    return CONSOLE.answer(name, request)
 
 
 @router.get("/docs")
-async def page() -> Response:
+async def page(request: Request) -> Response:
     """Return the documentation of all routes; its script reads /openapi.json."""
-    return _file("docs.html")
+    return STATIC.answer("docs.html", request)
 
 
 @router.get("/static/{name}")
-async def static(name: str) -> Response:
+async def static(name: str, request: Request) -> Response:
     """Return a style or script of the page."""
-    return _file(name)
-
-
-def _file(name: str) -> Response:
-    if name not in FILES:
-        raise Problem(404, "no such route", f"there is no file {name!r}")
-    return Response(_read(name), media_type=FILES[name], headers=POLICY)
-
-
-@lru_cache
-def _read(name: str) -> bytes:
-    return (STATIC / name).read_bytes()
+    return STATIC.answer(name, request)

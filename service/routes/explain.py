@@ -1,31 +1,68 @@
-"""Explanations: the stages of a query, template, request or match, as text."""
+"""Explanations: the stages of a query, template, request or match, as text or as a tree."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Query, Request
-from fastapi.responses import JSONResponse, PlainTextResponse, Response
+from typing import Any
+
+from fastapi import APIRouter, Depends, Query, Request
+from fastapi.responses import PlainTextResponse, Response
+from pydantic import Field, model_validator
 
 from ...engine.model.views import MatchView
 from ..config.media_types import JSON, TEXT
 from ..http.negotiation import accepted
 from ..http.problems import Problem, responses
 from ..http.text_limits import parse_aside, parse_continuous
-from ..models import ExplainModel, Strategy
-from ..runtime.context import Context
+from ..models import ExplainModel, StageModel, StepModel, Strategy
+from ..models.parts import Body
+from ..runtime.context import Context, Service
+from .json_body import JsonRoute
+from .streams import json_only
 
-router = APIRouter(tags=["explain"])
+router = APIRouter(tags=["explain"], route_class=JsonRoute)
 
 LIMIT = 8192
+LONGEST = 1 << 18
+"""Characters of a text that POST explains."""
+KINDS = ("event", "template", "query", "id", "feature")
+ANSWER: dict[int | str, dict[str, Any]] = {
+    200: {"content": {TEXT: {"schema": {"type": "string"}}}},
+    **responses(404, 406, 422),
+}
 
 
-@router.get(
-    "/explain",
-    response_model=ExplainModel,
-    responses={
-        200: {"content": {TEXT: {"schema": {"type": "string"}}}},
-        **responses(404, 406, 422),
-    },
-)
+class ExplainIn(Body):
+    """What to explain: exactly one of `event`, `template`, `query`, `id` and `feature`."""
+
+    event: str | None = Field(
+        None,
+        max_length=LONGEST,
+        description="a request",
+        examples=["dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"],
+    )
+    template: str | None = Field(None, max_length=LONGEST, description="a template's name")
+    query: str | None = Field(
+        None, max_length=LONGEST, description="a REGISTER STREAM|QUERY or monitor text"
+    )
+    id: str | None = Field(None, max_length=LONGEST, description="a running request or query")
+    feature: str | None = Field(None, max_length=LONGEST, description="a feature to match")
+    sort: str | None = Field(None, max_length=LONGEST, description="the sort that has the feature")
+    strategy: Strategy = "fast"
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> ExplainIn:
+        given = [name for name in KINDS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise Problem(
+                400,
+                "wrong arguments",
+                f"a request explains one thing, and this one names {len(given)}",
+                hint=f"send exactly one of {', '.join(KINDS)}",
+            )
+        return self
+
+
+@router.get("/explain", response_model=ExplainModel, responses=ANSWER)
 async def explain(
     request: Request,
     service: Context,
@@ -41,25 +78,65 @@ async def explain(
     sort: str | None = Query(None, max_length=LIMIT, description="the sort that has the feature"),
     strategy: Strategy = "fast",
 ) -> Response:
-    """Explain exactly one of `event`, `template`, `query`, `id` and `feature`."""
+    """Explain exactly one of `event`, `template`, `query`, `id` and `feature`.
+
+    As JSON `found` tells whether there is a plan, and `plan` is a tree of what was considered.
+    """
+    wanted = ExplainIn(
+        event=event,
+        template=template,
+        query=query,
+        id=id,
+        feature=feature,
+        sort=sort,
+        strategy=strategy,
+    )
+    return await _answer(request, service, wanted)
+
+
+@router.post(
+    "/explain",
+    response_model=ExplainModel,
+    dependencies=[Depends(json_only)],
+    responses={**ANSWER, **responses(404, 406, 413, 415, 422)},
+)
+async def explain_long(request: Request, service: Context, wanted: ExplainIn) -> Response:
+    """Explain as `GET /explain` does, for texts that are longer than an address may be."""
+    return await _answer(request, service, wanted)
+
+
+async def _answer(request: Request, service: Service, wanted: ExplainIn) -> Response:
     kind = accepted(request, (TEXT, JSON))
-    given = [name for name in (event, template, query, id, feature) if name is not None]
-    if len(given) != 1:
-        raise Problem(
-            400,
-            "wrong arguments",
-            f"a request explains one thing, and this one names {len(given)}",
-            hint="send exactly one of event, template, query, id, feature",
+    model = await _explained(service, wanted)
+    if kind == JSON:
+        return Response(model.model_dump_json(), media_type=JSON)
+    return PlainTextResponse(model.text)
+
+
+async def _explained(service: Service, wanted: ExplainIn) -> ExplainModel:
+    engine = service.engine
+    if wanted.feature is not None:
+        view = engine.match(wanted.feature, sort=wanted.sort, strategy=wanted.strategy)
+        text = _match(view)
+        return ExplainModel(
+            text=text,
+            found=view.found,
+            stages=[StageModel(title="semantic matching", text=text)],
+            plan=[StepModel.of(view.tree)],
         )
-    if id is not None:
-        text = service.engine.explain_running(id) + "\n"
-    elif feature is not None:
-        text = _match(service.engine.match(feature, sort=sort, strategy=strategy))
-    else:
-        if query is not None:
-            await parse_aside(parse_continuous, query)
-        text = service.engine.explain(event=event, template=template, query=query)
-    return JSONResponse({"text": text}) if kind == JSON else PlainTextResponse(text)
+    if wanted.id is not None:
+        model = ExplainModel.of(engine.running_explanation(wanted.id))
+        return model.model_copy(update={"text": model.text + "\n"})
+    if wanted.query is not None:
+        await parse_aside(parse_continuous, wanted.query)
+    return ExplainModel.of(
+        engine.explanation(
+            event=wanted.event,
+            template=wanted.template,
+            query=wanted.query,
+            strategy=wanted.strategy,
+        )
+    )
 
 
 def _match(view: MatchView) -> str:

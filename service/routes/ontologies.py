@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import anyio
 import anyio.to_thread
 from fastapi import APIRouter, Query, Request
-from pyoxigraph import NamedNode
+from pyoxigraph import Literal, NamedNode, Store
 
 from ...engine.durability.commands import LoadOntology
 from ...ontology.errors import OntologyError
@@ -15,13 +16,18 @@ from ...ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
 from ...ontology.reasoning import Reasoning
-from ...rdf.namespaces import OWL, RDF_TYPE, shorten
+from ...ontology.units import format_unit
+from ...ontology.vocabulary import THING, Vocabulary
+from ...rdf.namespaces import OWL, PREFIXES, RDF_TYPE, RDFS, shorten
 from ..http.negotiation import ONTOLOGY_FORMATS, content_type, utf8
 from ..http.problems import Problem, responses
 from ..models import (
+    FeatureModel,
     OntologyModel,
     OntologyReportModel,
+    SortModel,
     ViolationModel,
+    VocabularyModel,
     text_schema,
 )
 from ..runtime.context import Context
@@ -46,12 +52,68 @@ BODY: dict[str, Any] = {
     }
 }
 _ONTOLOGY = NamedNode(OWL + "Ontology")
+_COMMENT = NamedNode(RDFS + "comment")
 # The base of relative IRIs: an ontology that a text calls <> has no IRI of its own.
 _NO_BASE = NamedNode("urn:dyknow:no-base:")
 _OTHER_NAME_HINT = (
     "the system describes the stream space in it; load your ontology under another name"
 )
 _NAME_HINT = "name it: ?name=<IRI>, or --name IRI"
+
+
+@router.get("/vocabulary")
+async def read_vocabulary(service: Context) -> VocabularyModel:
+    """Return the sorts, features and events that annotations, requests and queries may name."""
+    ontology = service.engine.ontology
+    vocabulary, store = ontology.vocabulary, ontology.static_store
+    sorts = _domain_sorts(vocabulary)
+    features = [vocabulary.feature(iri) for iri in vocabulary.features()]
+    return VocabularyModel(
+        sorts=[
+            SortModel(
+                name=shorten(sort), parents=[*map(shorten, _parents(sort, sorts, vocabulary))]
+            )
+            for sort in sorts
+        ],
+        features=[
+            FeatureModel(
+                name=shorten(each.iri),
+                unit=None if each.unit is None else format_unit(each.unit) or None,
+                domain=None if each.domain is None else shorten(each.domain),
+                arity=each.arity,
+                doc=_comment(each.iri, store),
+            )
+            for each in features
+            if each is not None
+        ],
+        events=[*map(shorten, vocabulary.events())],
+        prefixes=dict(PREFIXES),
+    )
+
+
+def _comment(iri: str, store: Store) -> str | None:
+    for quad in store.quads_for_pattern(NamedNode(iri), _COMMENT, None):
+        if isinstance(quad.object, Literal):
+            return quad.object.value
+    return None
+
+
+def _domain_sorts(vocabulary: Vocabulary) -> list[str]:
+    """``dyknow:Thing`` and the sorts below it, without its equivalents ``owl:Thing`` and
+    ``:Sort``."""
+    return [
+        each
+        for each in vocabulary.sorts()
+        if each == THING
+        or (vocabulary.is_subsort(each, THING) and not vocabulary.is_subsort(THING, each))
+    ]
+
+
+def _parents(sort: str, sorts: Sequence[str], vocabulary: Vocabulary) -> list[str]:
+    """Those of ``sorts`` right above ``sort``: above it, and above no other of them."""
+    above = {each for each in vocabulary.supersorts(sort) if each != sort}.intersection(sorts)
+    farther = {up for each in above for up in vocabulary.supersorts(each) if up != each}
+    return sorted(above - farther)
 
 
 @router.post(

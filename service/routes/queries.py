@@ -14,13 +14,23 @@ from ...engine.durability.commands import RegisterQuery, RemoveQuery
 from ...streams.time import format_time
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
 from ..http.json_lists import listed
+from ..http.match_tables import matches_table, partial_table
 from ..http.negotiation import accepted, text_body
 from ..http.problems import responses
 from ..http.sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..http.text_limits import parse_aside, parse_continuous
 from ..http.time_parameters import Time, time_of
 from ..http.verdict_tables import why_table
-from ..models import BEGINNING, QueryModel, Since, Strategy, WhyModel, text_schema
+from ..models import (
+    BEGINNING,
+    MatchesWhyModel,
+    PartialMatchesModel,
+    QueryModel,
+    Since,
+    Strategy,
+    WhyModel,
+    text_schema,
+)
 from ..runtime.context import Context
 
 router = APIRouter(tags=["queries"])
@@ -36,7 +46,8 @@ BODY = {
     "requestBody": {
         "required": True,
         "content": {
-            kind: text_schema("a REGISTER STREAM|QUERY or monitor text", EXAMPLE) for kind in TEXTS
+            kind: text_schema("a REGISTER STREAM|QUERY text, a monitor or a pattern", EXAMPLE)
+            for kind in TEXTS
         },
     }
 }
@@ -180,32 +191,71 @@ async def read_results(
 
 @router.get(
     "/queries/{name}/why",
-    response_model=WhyModel,
+    response_model=WhyModel | MatchesWhyModel,
     responses=TEXT_RESPONSE | responses(404, 406, 410),
 )
-async def explain_verdict(
+async def explain_result(
     name: Name,
     request: Request,
     service: Context,
-    start: Annotated[str, Query(description="the valid time of the verdict, ISO-8601 or ns")],
+    start: Annotated[
+        str, Query(description="the valid time of the verdict or match, ISO-8601 or ns")
+    ],
     object: Annotated[
         list[str] | None, Query(description="the object of each parameter, in order")
     ] = None,
 ) -> Response:
-    """Explain one verdict of a monitor: the states of its window, the values of the features there,
-    and the value of each part of the formula. As JSON, or a table for ``Accept: text/plain``.
+    """Explain one verdict of a monitor, or the matches of a pattern. As JSON, or a table for
+    ``Accept: text/plain``.
 
-    The states are made again of the samples that the streams retain. 404: no state is at this time,
-    or the object is not there; 410: the streams no longer have the samples.
+    A verdict: the states of its window, the values of the features there, and the value of each
+    part of the formula. Matches: those that start at this time, or are valid then, each with the
+    samples that are its events; objects may be left out.
+
+    Both are made again of the samples that the streams retain. 404: no state is at this time, the
+    object is not there, or there is no match; 410: the streams no longer have the samples.
     """
     kind = accepted(request, (JSON, TEXT))
     moment = time_of(start, "start")
     assert moment is not None
     engine, objects = service.engine, object or []
     found = await anyio.to_thread.run_sync(engine.queries.why(name, objects, moment))
-    # The fields of a verdict begin with the objects.
-    names = engine.generator(name).schema.names
-    model = WhyModel.of(name, dict(zip(names, objects, strict=False)), found)
+    if isinstance(found, tuple):
+        model: WhyModel | MatchesWhyModel = MatchesWhyModel.of(name, found)
+        table = matches_table
+    else:
+        # The fields of a verdict begin with the objects.
+        names = engine.generator(name).schema.names
+        model = WhyModel.of(name, dict(zip(names, objects, strict=False)), found)
+        table = why_table
     if kind == TEXT:
-        return PlainTextResponse(why_table(model.model_dump()))
+        return PlainTextResponse(table(model.model_dump()))
+    return JSONResponse(model.model_dump(mode="json"))
+
+
+@router.get(
+    "/queries/{name}/partial",
+    response_model=PartialMatchesModel,
+    responses=TEXT_RESPONSE | responses(404, 406),
+)
+async def list_partial_matches(
+    name: Name,
+    request: Request,
+    service: Context,
+    object: Annotated[
+        list[str] | None, Query(description="an object of the match; may be repeated")
+    ] = None,
+    limit: Annotated[int, Query(ge=1, le=1000, description="at most so many")] = 20,
+) -> Response:
+    """List the partial matches of a pattern, the newest first: which of its events have come, and
+    between which times each of the others may still come. As JSON, or a table for
+    ``Accept: text/plain``.
+
+    Under skip_till_any_match these are all sets of events that can still become a match.
+    """
+    kind = accepted(request, (JSON, TEXT))
+    found = service.engine.queries.partial(name, object or [], limit)
+    model = PartialMatchesModel.of(name, found)
+    if kind == TEXT:
+        return PlainTextResponse(partial_table(model.model_dump()))
     return JSONResponse(model.model_dump(mode="json"))

@@ -23,6 +23,7 @@ from ...streams.time import Clock
 from ..admission.gate import Gate
 from ..admission.memory_limit import Memory
 from ..admission.token_file import TokenFile
+from ..config.recent_log import RecentLog
 from ..config.settings import Settings
 from ..durability.command_queue import CommandQueue
 from ..http.client_address import address_of
@@ -62,8 +63,12 @@ class Service:
     (`reasons`)."""
     ticked: float | None = None
     """The end of the last tick, by the monotonic clock (s); None before the first."""
+    loop_lag: float = 0.0
+    """Seconds by which the event loop was late, when the tick last waited for it."""
     token_file: TokenFile | None = None
     """Reads the tokens again when they change."""
+    recent_log: RecentLog = field(default_factory=RecentLog)
+    """The newest lines of the log."""
     warming: WarmUp | None = None
     """The warm-up after the start; the service is not ready before its end."""
     collector: CollectionSchedule | None = None

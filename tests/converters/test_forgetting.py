@@ -6,7 +6,7 @@ from pyoxigraph import Literal, NamedNode
 
 from dyknow.converters.ntriples import TripleReader
 from dyknow.converters.objects import ObjectTable
-from dyknow.converters.term_tables import PoolTable
+from dyknow.converters.term_tables import PoolTable, TextTable
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.sample import Column, FieldType
 from dyknow.streams.string_pool import StringPool
@@ -79,3 +79,23 @@ def test_a_text_is_asked_for_once_while_it_is_known() -> None:
     dictionary._sweep()
     table.of_codes(pool.encode(["c", "b", "a", "b"]), pool)
     assert sorted(asked[3:]) == ["a", "c"]
+
+
+def test_texts_of_terms_are_found_anew() -> None:
+    dictionary, asked = TermDictionary(), []
+
+    def text(term: NamedNode) -> str:
+        asked.append(term.value)
+        return term.value.removeprefix(PLACE)
+
+    table, pool = TextTable(text, dictionary), StringPool(["other"])
+    for turn in range(4):
+        names = [f"o{turn}", "always", f"o{turn - 2}", "always"]
+        if turn == 3:
+            pool = StringPool()
+        ids = dictionary.transient_ids(NamedNode(PLACE + name) for name in names)
+        for _ in range(2):
+            assert [pool[code] for code in table.of_ids(ids, pool).tolist()] == names
+        if turn == 1:
+            dictionary._sweep()
+    assert asked.count(PLACE + "always") == 3, "once, after the sweep, and for the second pool"

@@ -31,6 +31,7 @@ from dyknow.languages.csparql import (
     parse_query,
     parse_template,
 )
+from dyknow.languages.epsparql import format_epsparql, parse_epsparql
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
 from dyknow.languages.mtl import (
@@ -182,6 +183,14 @@ def print_specification(text: str) -> str:
     return printed
 
 
+def print_epsparql(text: str) -> str:
+    query = parse_epsparql(text)
+    printed = format_epsparql(query)
+    # What is printed says the same.
+    assert parse_epsparql(printed) == query
+    return printed
+
+
 def print_mtl(text: str) -> str:
     """The monitor or template as it is printed, then its parameters and the feature values that it
     reads."""
@@ -318,6 +327,7 @@ PRINTERS = {
     "sase": print_sase,
     "ssl": print_ssl,
     "csparql": print_csparql,
+    "epsparql": print_epsparql,
     "kpl": print_kpl,
     "specification": print_specification,
 }

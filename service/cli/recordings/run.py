@@ -71,15 +71,17 @@ def run(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Evaluate a continuous query over recorded streams, or check them with a monitor.
+    """Evaluate a continuous query over recorded streams, check them with a monitor, or find a
+    pattern in them.
 
     A query prints each window's result. A FILE has timed triples (.ndjson or .csv of time,s,p,o;
     .nq or .trig whose graphs have a prov:generatedAtTime), or with --ssl a table of samples.
 
-    A monitor reads tables of samples. Its verdicts are printed like the samples of dyknow follow,
-    and then the counts. Status 1 if it fails; a violation is no failure.
+    A monitor or pattern reads tables of samples. Its results are printed like the samples of dyknow
+    follow, and then the counts. Status 1 if it fails; a violation is no failure.
     """
     from ....languages.mtl import is_monitor
+    from ....languages.patterns import is_pattern
     from ..streams import read_text
     from .run_options import RunOptions
 
@@ -100,10 +102,10 @@ def run(
         explain=explain,
         as_json=as_json,
     )
-    if is_monitor(text):
-        from .monitor_run import run_monitor
+    if is_monitor(text) or is_pattern(text):
+        from .samples_run import run_over_samples
 
-        run_monitor(options)
+        run_over_samples(options, "monitor" if is_monitor(text) else "pattern")
     else:
         from .query_run import run_query
 

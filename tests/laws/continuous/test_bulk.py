@@ -1,4 +1,5 @@
-"""Laws of windows in bulk: windows that are due at once have the results of windows one by one."""
+"""Laws of windows in bulk: windows that are due at once have the results of windows one by one, and
+the short way of a lone window those of the long one."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ from dyknow.continuous.algebra.options import Options
 from dyknow.continuous.columns.budget import UNLIMITED, Budget
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.incremental import aggregation, bulk_aggregation
+from dyknow.continuous.incremental.sliding_aggregates import SlidingPartial
 from dyknow.continuous.operators.background import Background
 from dyknow.continuous.windows import window_schedule
 from dyknow.languages.csparql import bind, parse_query
@@ -217,6 +219,17 @@ def test_small_tables_and_forgotten_groups_change_nothing(
         patch.setattr(bulk_aggregation, "CELLS", cells)
         patch.setattr(window_schedule, "FEWEST", 2)
         assert run(text, found, cuts, [], opts) == wanted
+
+
+@law
+@given(texts(), elements(), cuts, statics, options)
+def test_a_pane_folded_in_one_call_changes_nothing(text, found, cuts, static, opts) -> None:
+    with at_most(1), pytest.MonkeyPatch.context() as patch:
+        quick = run(text, found, cuts, static, opts)
+        patch.setattr(aggregation, "FEW", -1)
+        patch.setattr(aggregation, "SELECTIVE", 0)
+        patch.setattr(SlidingPartial, "present", lambda *_: None)
+        assert run(text, found, cuts, static, opts) == quick
 
 
 @law

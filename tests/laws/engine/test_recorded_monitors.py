@@ -103,4 +103,4 @@ def test_a_recording_gives_the_samples_of_the_service(case: Any, draw: st.DataOb
     made = [row for batch in run.batches() for row in batch.rows()]
     assert made == published(text, rows, draw)
     verdicts = list(dyknow.run(text, given, ssl=SSL))
-    assert [verdict.start for verdict in verdicts] == [valid for _, valid, _ in made]
+    assert [verdict["valid"] for verdict in verdicts] == [valid for _, valid, _ in made]

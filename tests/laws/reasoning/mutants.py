@@ -19,6 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
 STATES, MONITORING = "test_states.py", "test_monitoring.py"
+EPSPARQL = "test_epsparql.py"
 # ruff: noqa: E501
 MUTANTS = (
     # An interval [a, b] closes when the horizon is at its end, not later.
@@ -54,6 +55,18 @@ MUTANTS = (
     ("states/departures.py", "moments > last", "moments >= last", STATES),
     ("mtl/monitoring.py", "self.evaluator.advance(steps.latest - 1)", "self.evaluator.advance(steps.latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
+    # SEQ is strict; EQUALS is of both times.
+    ("patterns/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
+    ("patterns/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),
+    # What a condition decides in a branch.
+    ("patterns/epsparql_branches.py", "if part == Truth(decides)", "if part == Truth(not decides)", EPSPARQL),
+    ("patterns/epsparql_branches.py", "return condition if has_values else Truth(False)", "return condition if has_values else Truth(True)", EPSPARQL),
+    # Alone waits until no sample of its time may come, and what excludes it is kept so long.
+    ("patterns/combined.py", "outputs[absence.until] + 1", "outputs[absence.until]", EPSPARQL),
+    ("patterns/combined.py", "until = due + self.span + 1", "until = due", EPSPARQL),
+    ("patterns/combined.py", "self.until[0][0] < watermark", "self.until[0][0] < TIME_MIN", EPSPARQL),
+    # Each solution of static triples is a result.
+    ("patterns/combined.py", "np.repeat(np.arange(len(found)), counts)", "np.flatnonzero(counts)", EPSPARQL),
 )  # fmt: skip
 """The file in ``reasoning``, the text in it, what stands there instead, the law that sees it."""
 

@@ -82,7 +82,7 @@ class Playing:
     def __init__(self, case: Drawing, cuts: int) -> None:
         self.case = case
         self.random = random.Random(cuts)
-        self.departures = Departures(case.policy, len(case.streams))
+        self.departures = Departures(case.policy.max_delay, len(case.streams))
         self.maker = StateMaker(
             case.terms, case.policy, present_for=case.present_for, wider=case.wider
         )

@@ -18,7 +18,8 @@ from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.chronicle_plans import chronicle_query, chronicle_sources
+from dyknow.reasoning.patterns.chronicle_plans import chronicle_query
+from dyknow.reasoning.patterns.chronicle_sources import chronicle_sources
 from dyknow.reasoning.patterns.query import Argument, PatternQuery
 
 ONTOLOGY = """

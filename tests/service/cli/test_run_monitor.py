@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from places import ROOT
 
 import dyknow
 from dyknow.converters.errors import ConversionError, WireError
-from dyknow.engine.model.errors import BadArguments, Conflict, NoPlan, NotAnnotated
-from dyknow.engine.monitor_run import MonitorFailed, Verdict
+from dyknow.engine.model.errors import Conflict, NoPlan, NotAnnotated
+from dyknow.engine.recorded_run import RunFailed
 from dyknow.languages.errors import LanguageError
 from dyknow.ontology.errors import OntologyError
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.streams.time import SECOND
 
 LOW = "monitor low(?x in UAV) = altitude(?x) < 100"
@@ -59,8 +61,8 @@ def monitor(folder: Path, text: str) -> Path:
     return path
 
 
-def start_and_object(verdict: Verdict) -> tuple[int, str]:
-    return verdict.start // SECOND, verdict.objects["x"]
+def start_and_object(verdict: Mapping[str, Any]) -> tuple[int, str]:
+    return verdict["valid"] // SECOND, verdict["x"].removeprefix(DYKNOW)
 
 
 # -- dyknow run ----------------------------------------------------------------------------------
@@ -97,6 +99,7 @@ def test_json(tmp_path: Path, heights: Path) -> None:
     assert [each["sequence"] for each in rest] == [2, 3, 4, 5]
     assert json.loads(done.stderr) == {
         "samples": 8,
+        "results": 5,
         "states": 8,
         "verdicts": {"true": 5, "false": 3, "unknown": 0},
         "late": 0,
@@ -114,7 +117,7 @@ def test_robustness(tmp_path: Path, heights: Path) -> None:
         for (t, id), margin in zip(VIOLATIONS, margins, strict=True)
     ]
     found = dyknow.run(text.read_text(), {"heights": ROWS}, ssl=SSL)
-    assert tuple(verdict.robustness for verdict in found) == margins
+    assert tuple(verdict["robustness"] for verdict in found) == margins
 
 
 def test_nothing_to_report(tmp_path: Path, heights: Path) -> None:
@@ -271,7 +274,9 @@ def test_a_domain_ontology(tmp_path: Path) -> None:
 def test_verdicts() -> None:
     checked = dyknow.run(LOW, {"heights": ROWS}, ssl=SSL)
     first = next(checked)
-    assert first == Verdict(SECOND, {"x": "b"}, False, SECOND, SECOND, witness=SECOND)
+    # The state leaves with the next sample.
+    times = {"available": 2 * SECOND, **dict.fromkeys(("valid", "decided", "witness"), SECOND)}
+    assert first == {**times, "x": f"{DYKNOW}b", "verdict": "false"}
     assert [start_and_object(each) for each in (first, *checked)] == VIOLATIONS
     assert checked.summary.verdicts == {"true": 5, "false": 3, "unknown": 0}
 
@@ -279,13 +284,11 @@ def test_verdicts() -> None:
 def test_runs_of_verdicts_and_unknown_ones() -> None:
     rows = [*ROWS, {"valid": "1970-01-01T00:00:04Z", "id": "a", "alt": None}]
     text = f"{LOW} with report changes, no approximation"
-    found = [
-        each for each in dyknow.run(text, {"heights": rows}, ssl=SSL) if each.objects["x"] == "a"
-    ]
-    assert [(each.start, each.verdict, each.last) for each in found] == [
-        (0, True, 2 * SECOND),
-        (3 * SECOND, False, 3 * SECOND),
-    ] + [(4 * SECOND, None, 4 * SECOND)] * (len(found) - 2)
+    rows = [each for each in dyknow.run(text, {"heights": rows}, ssl=SSL) if each["x"][-1] == "a"]
+    assert [(each["valid"], each["verdict"], each["last"]) for each in rows] == [
+        (0, "true", 2 * SECOND),
+        (3 * SECOND, "false", 3 * SECOND),
+    ] + [(4 * SECOND, "unknown", 4 * SECOND)] * (len(rows) - 2)
 
 
 def test_values_of_numpy() -> None:
@@ -308,7 +311,7 @@ def test_samples_that_came_late_are_in_time_without_a_max_delay() -> None:
 @pytest.mark.parametrize(
     ("change", "error", "part"),
     [
-        ({"text": "SELECT"}, BadArguments, "no monitor"),
+        ({"text": "SELECT"}, LanguageError, "line 1"),
         ({"text": "monitor"}, LanguageError, "line 1"),
         ({"text": LOW.replace("altitude", "speed")}, NoPlan, "speed"),
         ({"ssl": "stream"}, LanguageError, "line 1"),
@@ -329,7 +332,7 @@ def test_errors(change: dict[str, Any], error: type[Exception], part: str) -> No
 
 
 def test_a_failure_ends_the_iteration() -> None:
-    with pytest.raises(MonitorFailed, match="TooManyDue"):
+    with pytest.raises(RunFailed, match="TooManyDue"):
         list(dyknow.run(f"{LOW} with sample every 1ns", {"heights": ROWS}, ssl=SSL))
 
 
@@ -339,7 +342,7 @@ def test_recorded_flights() -> None:
     text = "monitor high(?x in Aircraft) = speed(?x) > 250 [kt] -> altitude(?x) > 5000 [ft]"
     ssl = (ROOT / "examples" / "adsb_speed.ssl").read_text()
     checked = dyknow.run(text, {"adsb": path}, ssl=ssl)
-    found = {(each.start // 1_000_000, each.objects["x"]) for each in checked}
+    found = {(each["valid"] // 1_000_000, each["x"].removeprefix(DYKNOW)) for each in checked}
     rows = [
         line.split(",") for line in gzip.decompress(path.read_bytes()).decode().splitlines()[1:]
     ]

@@ -311,7 +311,53 @@ def test_explain_every_kind(annotated: httpx.Client) -> None:
         as_json = annotated.get(
             "/explain", params={parameter: value}, headers={"Accept": "application/json"}
         )
-        assert as_json.json() == {"text": answer.text}
+        found = as_json.json()
+        assert found["text"] == answer.text
+        assert found["found"]
+        assert all(stage["text"] in answer.text or stage["title"] for stage in found["stages"])
+        posted = annotated.post(
+            "/explain", json={parameter: value}, headers=as_json.request.headers
+        )
+        assert posted.json() == found
+    for body in ({}, {"event": REQUEST, "query": query}):
+        assert annotated.post("/explain", json=body).status_code == 400
+
+
+def test_the_plan_of_an_explanation_is_a_tree(annotated: httpx.Client) -> None:
+    accept = {"Accept": "application/json"}
+    found = annotated.post("/explain", json={"event": REQUEST}, headers=accept).json()
+    assert [stage["title"] for stage in found["stages"]] == [
+        "request",
+        "template",
+        "features needed",
+        "semantic matching",
+        "query",
+        "evaluation",
+    ]
+    (speed,) = found["plan"]
+    assert speed["text"] == "speed of every dyknow:UAV [km.h-1]"
+    assert (speed["parts"][0]["verdict"], speed["parts"][0]["stream"]) == ("chosen", "s5")
+    lacking = REQUEST.replace("UAV", "Human")
+    missed = annotated.post("/explain", json={"event": lacking}, headers=accept).json()
+    assert not missed["found"]
+    verdicts = {part["verdict"] for part in missed["plan"][0]["parts"]}
+    assert verdicts == {"failed"}
+    (s5,) = [part for part in missed["plan"][0]["parts"] if part["stream"] == "s5"]
+    assert s5["reason"]
+    match = {"feature": "dyknow:speed", "sort": "dyknow:UAV"}
+    assert annotated.post("/match", json=match).json()["tree"]["parts"][0]["stream"] == "s5"
+
+
+def test_a_template_tells_what_its_parameters_stand_for(annotated: httpx.Client) -> None:
+    found = annotated.get("/templates/HighSpeedEvent").json()
+    assert found["window"] == "the last 5s, every 1s"
+    roles = {use["name"]: use["role"] for use in found["uses"]}
+    assert roles == {"?o": "object", "?type": "sort", "?threshold": "number"}
+    threshold = found["uses"][2]
+    assert threshold["feature"] == "dyknow:speed"
+    assert threshold["unit"] == "km.h-1"
+    assert threshold["comparison"] == ">"
+    assert threshold["aggregate"] == "AVG"
 
 
 NAMES = """PREFIX o: <http://www.dyknow.eu/ontology#>
@@ -408,7 +454,6 @@ def test_docs_are_served_without_any_outside_address(http: httpx.Client) -> None
         assert "https://" not in text.text
     assert "http" not in page.text.replace("http-equiv", "")
     assert http.get("/static/settings.py").status_code == 404
-    assert http.get("/").headers["location"] == "/docs"
 
 
 def test_too_many_bodies_at_once_are_asked_to_wait() -> None:

@@ -1,45 +1,45 @@
-"""`dyknow.run`: a monitor over recorded streams, without a server (SPEC §8).
+"""`dyknow.run`: a continuous query, monitor or pattern over recorded samples, without a server
+(SPEC §8).
 
-An engine of its own reads the recordings as streams, so a run gives the verdicts that the service
+An engine of its own reads the recordings as streams, so a run gives the results that the service
 gives of the same samples. `dyknow run` prints them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from ..converters.errors import WireError
+from ..converters.objects import object_iri
 from ..converters.recordings.given_samples import recording_of
 from ..converters.recordings.many_streams import in_order
 from ..converters.recordings.recording import Recording, open_recording
 from ..converters.recordings.time_order import TimeOrder, by_valid_time, in_time_order
 from ..converters.wire import Incoming
-from ..languages.mtl import is_monitor, parse_monitor
+from ..languages.mtl import Monitor
+from ..languages.mtl.checked import Kind
 from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import StreamAnnotation
 from ..ontology.errors import OntologyError
 from ..ontology.formats import FORMATS
-from ..reasoning.mtl.monitoring import (
-    DECIDED,
-    LAST,
-    RESULT_FIELDS,
-    ROBUSTNESS,
-    VERDICT,
-    WITNESS,
-    WORDS,
-)
+from ..rdf.namespaces import DYKNOW
+from ..reasoning.mtl.monitoring import DECIDED, LAST, WITNESS
+from ..reasoning.patterns.query import END, START
 from ..streams.generator import StreamGenerator
 from ..streams.history import Retention
 from ..streams.sample import SampleBatch
 from ..streams.time import FOREVER, SECOND, parse_time
 from .engine import Engine
-from .model.errors import BadArguments, NoPlan, NotAnnotated
+from .model.errors import NoPlan, NotAnnotated
 from .model.views import StreamDeclaration
+from .planning.registrations import parse_registered
 from .units.monitor import MonitorUnit
+from .units.pattern import PatternUnit
+from .units.shared_query import InstanceUnit
 
 Recorded: TypeAlias = Path | str | Iterable[Mapping[str, Any]]
 """The file of a table, or samples as dicts with ``valid``, optionally ``available``, and values."""
@@ -48,48 +48,28 @@ _SLICE: Final = 10 * SECOND
 """Several streams come in slices of time of this length."""
 _KEPT: Final = Retention(samples=1)
 """The units keep what they need, so the streams need no past."""
-_TRUTHS: Final = {word: None if value < 0 else bool(value) for value, word in WORDS.items()}
-
-
-class Verdict(NamedTuple):
-    """A verdict of a monitor, or a run of equal verdicts (``report changes``).
-
-    ``start``: the valid time (ns) of the state at which the formula was started; of a run that of
-    its first, and ``last`` that of its last. ``objects``: the objects of the monitor's parameters,
-    by their names. ``verdict``: None is unknown. ``decided``: the valid time (ns) of the state that
-    decided it. ``witness``: that of the state that bears witness, such as that at which `always`
-    fails; None if there is none. ``robustness``: how far the values are from another verdict, in
-    the units of the features; None without that option, for an unknown verdict, and where no number
-    changes it.
-    """
-
-    start: int
-    objects: Mapping[str, str]
-    verdict: bool | None
-    decided: int
-    last: int
-    witness: int | None = None
-    robustness: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a run has read by now, and the verdicts, whether reported or not.
+    """What a run has read and found by now.
 
-    ``samples``: read from all streams. ``states`` of the formula. ``verdicts``: how many are true,
-    false and unknown. ``late``: samples that came too late for their stream, or for the state of
-    their time. ``empty``: the reason why nothing has been reported; None if something has.
+    ``samples``: read from all streams. ``results``: samples of the query's stream. ``late``:
+    samples that came too late for their stream, or for the evaluation. ``states`` of a formula, and
+    its ``verdicts``, whether reported or not: how many are true, false and unknown; None for what
+    is no monitor. ``empty``: the reason why there is no result; None if there is one.
     """
 
     samples: int
-    states: int
-    verdicts: Mapping[str, int]
+    results: int
     late: int
+    states: int | None
+    verdicts: Mapping[str, int] | None
     empty: str | None
 
 
-class MonitorFailed(RuntimeError):
-    """A unit of the monitor failed. The message is its failure."""
+class RunFailed(RuntimeError):
+    """A unit of the query failed. The message is its failure."""
 
 
 def run(
@@ -99,34 +79,33 @@ def run(
     ssl: str,
     ontology: Iterable[Path | str] = (),
     sort: bool | None = None,
-) -> MonitorRun:
-    """Check recorded streams with a monitor, and yield its verdicts as they are decided.
+) -> RecordedRun:
+    """Evaluate a continuous query, monitor or pattern over recorded samples, and yield its results
+    as they are decided.
 
-    ``text``: the monitor; ``with report …`` in it says which verdicts are reported (by default
-    those that are false). ``streams``: for each name the path of a table (`open_recording`), or
+    ``text``: the query. ``streams``: for each name the path of a table (`open_recording`), or
     dicts with ``valid``, optionally ``available`` (integers in ns, or ISO-8601 texts), and values
     that are bool, int, float, str or None. ``ssl``: what the streams contain. ``ontology``: files
     of domain ontologies.
 
-    A monitor with ``max delay`` takes the samples in order of their available times. Another takes
-    them in order of valid time, each available when it is valid, so that none is late. ``sort``:
-    see `in_time_order`. A stream without further samples has ended.
+    Each result is a dict: ``valid`` and ``available`` (int, ns), then the fields of the query's
+    stream. Of monitors and patterns objects are IRIs, and the times of states and events int, in
+    ns. A monitor gives the verdicts that it reports.
 
-    Raises `LanguageError` for the text or the SSL, `BadArguments` for a text that is no monitor,
-    `NoPlan` if a feature is in no stream, `NotAnnotated` for a stream that the SSL does not
-    describe, `Conflict` or `ConversionError` for fields that do not fit it, `WireError` for bad
-    samples, `OntologyError`, and ``OSError`` for a file that cannot be read. Iteration raises
-    `MonitorFailed`.
+    A monitor with ``max delay`` takes the samples in order of their available times. Anything else
+    takes them in order of valid time, each available when it is valid, so that none is late.
+    ``sort``: see `in_time_order`. A stream without further samples has ended.
+
+    Raises `LanguageError` for the text or the SSL, `NoPlan` if a feature is in no stream,
+    `BadArguments`, `UnknownStream`, `NotAnnotated` for a stream that the SSL does not describe,
+    `Conflict` or `ConversionError` for fields that do not fit it, `WireError` for bad samples,
+    `OntologyError`, and ``OSError`` for a file that cannot be read. Iteration raises `RunFailed`.
 
     Cost: as in the service. Memory: a chunk of each table, and what the units keep; dicts, and
     tables in Arrow, are held whole.
     """
-    if not is_monitor(text):
-        raise BadArguments(
-            "the text is no monitor",
-            "it begins with `monitor NAME(?x in SORT) = …`; `dyknow.evaluate` takes queries",
-        )
-    has_delay = parse_monitor(text).policy.max_delay is not None
+    query = parse_registered(text)
+    has_delay = isinstance(query, Monitor) and query.policy.max_delay is not None
     engine = Engine()
     for path in ontology:
         _load_ontology(engine, Path(path))
@@ -148,14 +127,14 @@ def run(
         if others:
             hint += f"; it annotates {', '.join(others)}, of which there is no recording"
         raise NoPlan(error.detail, error.missing, hint) from None
-    return MonitorRun(engine, view.name, orders, others)
+    return RecordedRun(engine, view.name, orders, others)
 
 
-class MonitorRun(Iterator[Verdict]):
-    """A monitor over recordings: an iterator of its verdicts, which reads as far as it needs.
+class RecordedRun(Iterator[dict[str, Any]]):
+    """A query over recordings: an iterator of its results, which reads as far as it needs.
 
     ``orders``: each recording in the order in which it is read. ``unrecorded``: streams that the
-    SSL text describes and that have no recording. ``unread``: recordings that the monitor does not
+    SSL text describes and that have no recording. ``unread``: recordings that the query does not
     need.
     """
 
@@ -172,35 +151,38 @@ class MonitorRun(Iterator[Verdict]):
         self._engine = engine
         self._sources = {stream: engine.generator(stream) for stream in orders}
         self.unread = tuple(n for n, source in self._sources.items() if not source.subscribers)
-        self._unit = next(
-            unit
-            for unit in engine.units()
-            if isinstance(unit, MonitorUnit) and unit.output.name == name
-        )
+        self._unit = engine.queries.unit(name)
         self._reported = _Reported(self._unit.output)
         self._batches = self._play()
-        self._verdicts = chain.from_iterable(map(_verdicts, self._batches))
+        self._results = chain.from_iterable(map(self._rows, self._batches))
 
-    def __iter__(self) -> MonitorRun:
+    def __iter__(self) -> RecordedRun:
         return self
 
-    def __next__(self) -> Verdict:
-        return next(self._verdicts)
+    def __next__(self) -> dict[str, Any]:
+        return next(self._results)
 
     def batches(self) -> Iterator[SampleBatch]:
-        """Yield the further samples of the monitor's stream, as the service has them."""
+        """Yield the further samples of the query's stream, as the service has them."""
         return self._batches
 
     @property
     def summary(self) -> Summary:
-        """What was read and decided by now."""
-        run = self._unit.monitoring
-        late = sum(source.counters.late for source in self._sources.values()) + run.late
-        empty = self._engine.queries.view(self.name).empty
-        return Summary(self._unit.samples, run.states, dict(run.verdicts), late, empty)
+        """What was read and found by now."""
+        unit = self._unit
+        run = unit.monitoring if isinstance(unit, MonitorUnit) else None
+        evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
+        return Summary(
+            evaluating.samples,
+            unit.output.stream.last_number,
+            sum(source.counters.late for source in self._sources.values()) + unit.late,
+            None if run is None else run.states,
+            None if run is None else dict(run.verdicts),
+            self._engine.queries.view(self.name).empty,
+        )
 
     def explain(self) -> str:
-        """Describe the plan, and how the monitor was evaluated by now."""
+        """Describe the plan, and how the query was evaluated by now."""
         return self._engine.explain_running(self.name)
 
     def _play(self) -> Iterator[SampleBatch]:
@@ -217,16 +199,39 @@ class MonitorRun(Iterator[Verdict]):
             yield from self._reported.take()
             self._check()
             if self._unit.output.is_ended:
-                return  # `once`: the verdict is out
+                return  # a monitor of a single start has its verdict
+
+    def _rows(self, batch: SampleBatch) -> Iterator[dict[str, Any]]:
+        convert = self._conversions()
+        for available, valid, values in batch.rows():
+            told = {
+                name: value if value is None or name not in convert else convert[name](str(value))
+                for name, value in values.items()
+            }
+            yield {"valid": valid, "available": available, **told}
+
+    def _conversions(self) -> Mapping[str, Callable[[str], Any]]:
+        """What texts of the stream's fields mean, by field."""
+        unit = self._unit
+        if isinstance(unit, MonitorUnit):
+            objects = [name for name, _ in unit.monitoring.monitor.parameters]
+            times = [DECIDED, WITNESS, LAST]
+        elif isinstance(unit, PatternUnit):
+            objects = [each.name for each in unit.query.results if each.kind is Kind.OBJECT]
+            times = [START, END]
+        else:
+            return {}
+        iris = dict.fromkeys(objects, lambda name: object_iri(name, DYKNOW))
+        return {**iris, **dict.fromkeys(times, parse_time)}
 
     def _check(self) -> None:
         view = self._engine.queries.view(self.name) if self._engine.failures else None
         if view is not None and view.failure is not None:
-            raise MonitorFailed(view.failure)
+            raise RunFailed(view.failure)
 
 
 class _Reported:
-    """Collects the samples of the monitor's stream, which does not keep them."""
+    """Collects the samples of the query's stream, which does not keep them."""
 
     def __init__(self, output: StreamGenerator) -> None:
         self._batches: list[SampleBatch] = []
@@ -250,21 +255,6 @@ def _parts(recordings: Mapping[str, Recording]) -> Iterator[tuple[str, Incoming]
         ((name, recording),) = recordings.items()
         return ((name, incoming) for incoming in recording)
     return in_order(recordings, _SLICE)
-
-
-def _verdicts(batch: SampleBatch) -> Iterator[Verdict]:
-    for _, start, values in batch.rows():
-        objects = {name: str(value) for name, value in values.items() if name not in RESULT_FIELDS}
-        last, witness, robustness = (values.get(n) for n in (LAST, WITNESS, ROBUSTNESS))
-        yield Verdict(
-            start,
-            objects,
-            _TRUTHS[str(values[VERDICT])],
-            parse_time(str(values[DECIDED])),
-            start if last is None else parse_time(str(last)),
-            None if witness is None else parse_time(str(witness)),
-            None if robustness is None else float(robustness),
-        )
 
 
 def _open(name: str, given: Recorded, has_delay: bool, sort: bool | None) -> TimeOrder:

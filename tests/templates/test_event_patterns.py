@@ -10,7 +10,7 @@ from dyknow.languages.chronicle import parse_chronicle_template
 from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.plan import OWN, Condition, Constant, Key, Value
 from dyknow.reasoning.patterns.query import Argument
-from dyknow.templates.chronicles import bound_chronicle
+from dyknow.templates.event_patterns import bound_pattern_template
 from dyknow.templates.instantiate import ArgumentError
 
 TEMPLATE = parse_chronicle_template(
@@ -25,7 +25,7 @@ X = Variable("x")
 
 
 def test_values_stand_in_the_plan() -> None:
-    query = bound_chronicle(TEMPLATE, [X, LIMIT, WHO, NAME, IS], vocabulary())
+    query = bound_pattern_template(TEMPLATE, [X, LIMIT, WHO, NAME, IS], vocabulary()).query({})
     assert set(query.plans[0].conditions) == {
         Condition(">", Value(0, "number"), Constant(10.0)),
         Condition("=", Value(1, "truth"), Constant(1)),
@@ -37,7 +37,9 @@ def test_values_stand_in_the_plan() -> None:
 
 
 def test_an_object_is_that_of_the_sources() -> None:
-    query = bound_chronicle(TEMPLATE, [NamedNode(DYKNOW + "b"), LIMIT, WHO, NAME, IS], vocabulary())
+    query = bound_pattern_template(
+        TEMPLATE, [NamedNode(DYKNOW + "b"), LIMIT, WHO, NAME, IS], vocabulary()
+    ).query({})
     by_kind = {each.kind: each for each in query.sources}
     only = Argument(DYKNOW + "Car", DYKNOW + "b")
     assert by_kind["dyknow:speed"].arguments == (only,)
@@ -53,7 +55,7 @@ def test_an_object_among_others_is_a_condition() -> None:
         "REGISTER TEMPLATE N(?x) AS chronicle N(?x) "
         "{ event(speed[?x], t1); event(speed[?y], t2); t2 - t1 in [0s, 1s]; }"
     )
-    query = bound_chronicle(template, [NamedNode(DYKNOW + "b")], vocabulary())
+    query = bound_pattern_template(template, [NamedNode(DYKNOW + "b")], vocabulary()).query({})
     own = Condition("=", Value(OWN, "argument 1"), Key(f"<{DYKNOW}b>"))
     assert [each.conditions for each in query.plans[0].elements] == [(own,), ()]
 
@@ -73,6 +75,6 @@ def test_arguments_of_another_kind(place: int, argument: object, message: str) -
     arguments = [X, LIMIT, WHO, NAME, IS]
     arguments[place] = argument
     with pytest.raises(ArgumentError, match=message):
-        bound_chronicle(TEMPLATE, arguments, vocabulary())
+        bound_pattern_template(TEMPLATE, arguments, vocabulary()).query({})
     with pytest.raises(ArgumentError, match="takes 5 arguments, not 4"):
-        bound_chronicle(TEMPLATE, arguments[:4], vocabulary())
+        bound_pattern_template(TEMPLATE, arguments[:4], vocabulary()).query({})

@@ -1,0 +1,98 @@
+"""Answers about single verdicts and matches: why they are, and what may still come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from ...languages.mtl.checked import Kind
+from ...reasoning.mtl.evaluator import TooManyStates
+from ...reasoning.mtl.explanation import Explanation, NoStart
+from ...reasoning.patterns.explanation import ExplainedMatch, PartialMatches
+from ...reasoning.patterns.plan import PlanError
+from ...reasoning.states.state_maker import TooManyDue
+from ...streams.time import format_time
+from ..model.errors import BadArguments, NoResult, Refused
+from ..units.base import ComputationalUnit
+from ..units.monitor import MonitorUnit, RecalledSamples
+from ..units.pattern import PatternUnit, RecalledEvents
+
+
+def why(
+    name: str, unit: ComputationalUnit, objects: Sequence[str], start: int
+) -> Callable[[], Explanation | tuple[ExplainedMatch, ...]]:
+    """Return the work that explains one verdict of a monitor, or the matches of a pattern, for
+    another thread: see `RecalledSamples.explain`, `RecalledEvents.explain`. Raises `BadArguments`;
+    the work raises `NoResult`, `Refused` and `Forgotten`."""
+    if isinstance(unit, PatternUnit):
+        names = [each.name for each in unit.query.results if each.kind is Kind.OBJECT]
+        if len(objects) > len(names):
+            raise BadArguments(
+                f"{len(objects)} objects are given, and the matches of {name!r} have {len(names)}",
+                f"give `object` for {', '.join(names)}" if names else "give none",
+            )
+        recalled_events = unit.recall()
+        return lambda: _matches(name, recalled_events, objects, start)
+    if not isinstance(unit, MonitorUnit):
+        raise BadArguments(
+            f"{name!r} is a query, and only verdicts of monitors and matches of patterns are "
+            "explained",
+            f"GET /queries/{name}?explain=true shows its stages",
+        )
+    names = [f"?{parameter}" for parameter, _ in unit.monitoring.monitor.parameters]
+    if len(names) != len(objects):
+        raise BadArguments(
+            f"{len(objects)} objects are given for a monitor of {len(names)} parameters",
+            f"give `object` once for each of {', '.join(names)}" if names else "give none",
+        )
+    recalled = unit.recall()
+    return lambda: _verdict(name, recalled, objects, start)
+
+
+def partial(
+    name: str, unit: ComputationalUnit, objects: Sequence[str], limit: int
+) -> PartialMatches:
+    """Return the partial matches of a pattern that have all these ``objects``, at most ``limit``.
+    Raises `BadArguments`."""
+    if not isinstance(unit, PatternUnit):
+        raise BadArguments(
+            f"{name!r} is no pattern, and only patterns have partial matches",
+            f"GET /queries/{name} shows what it is",
+        )
+    try:
+        return unit.partial(objects, limit)
+    except PlanError as error:
+        raise BadArguments(error.message, error.hint) from error
+
+
+def _matches(
+    name: str, recalled: RecalledEvents, objects: Sequence[str], start: int
+) -> tuple[ExplainedMatch, ...]:
+    found = recalled.explain(objects, start)
+    if not found:
+        raise NoResult(
+            f"{name!r} has no match of these objects that starts at {format_time(start)}, or is "
+            "valid then",
+            f"GET /streams/{name}/samples lists the matches",
+        )
+    return found
+
+
+def _verdict(
+    name: str, recalled: RecalledSamples, objects: Sequence[str], start: int
+) -> Explanation:
+    try:
+        return recalled.explain(objects, start)
+    except NoStart as error:
+        around = " and ".join(map(format_time, error.near))
+        raise NoResult(
+            f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
+            f"there are states at {around}"
+            if around
+            else f"GET /streams/{name}/samples lists the verdicts that it reported",
+        ) from error
+    except (TooManyStates, TooManyDue) as error:
+        raise Refused(
+            f"the retained samples of the streams of {name!r} make more states than an "
+            "explanation may evaluate",
+            "keep fewer samples of these streams (`retention`)",
+        ) from error

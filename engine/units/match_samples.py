@@ -1,0 +1,98 @@
+"""The matches of a pattern as samples."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...converters.objects import object_name
+from ...languages.mtl.checked import Kind
+from ...rdf.namespaces import DYKNOW
+from ...reasoning.patterns.explanation import Told
+from ...reasoning.patterns.plan import NO_VALUE
+from ...reasoning.patterns.query import END, START, Keys, PatternQuery
+from ...reasoning.patterns.recognition import Recognized
+from ...streams.sample import Column, Field, FieldType, Schema, column_from_values
+from ...streams.string_pool import StringPool
+from ...streams.time import format_time
+
+_TYPES = {
+    Kind.NUMBER: FieldType.FLOAT,
+    Kind.TRUTH: FieldType.BOOLEAN,
+    Kind.TEXT: FieldType.STRING,
+    Kind.TIME: FieldType.STRING,
+    Kind.OBJECT: FieldType.STRING,
+}
+
+
+def match_schema(query: PatternQuery) -> Schema:
+    """Return the fields of a pattern's matches: the results, then the times of start and end."""
+    results = [
+        Field(each.name, FieldType.STRING if each.is_list else _TYPES[each.kind])
+        for each in query.results
+    ]
+    return Schema((*results, Field(START, FieldType.STRING), Field(END, FieldType.STRING)))
+
+
+class MatchWriter:
+    """Writes matches as samples: numbers and truths as they are, texts, names of objects, times in
+    ISO-8601, and lists in JSON."""
+
+    def __init__(self, query: PatternQuery, keys: Keys) -> None:
+        self._keys = keys
+        self._results = {each.name: each for each in query.results}
+        self._fields = match_schema(query).fields
+
+    def columns(self, found: Recognized, pools: Mapping[str, StringPool]) -> dict[str, Column]:
+        """Return the columns of a batch of matches."""
+        return {
+            field.name: self._column(field, found.outputs[field.name], pools.get(field.name))
+            for field in self._fields
+        }
+
+    def values(self, found: Recognized, match: int) -> dict[str, Told]:
+        """Return the results of one match."""
+        return {name: self._told(name, found.outputs[name][match]) for name in self._results}
+
+    def value(self, kind: Kind, value: Any) -> Told:
+        """Return a value of a column of the plans; None if it is missing."""
+        if value is None or value == NO_VALUE or value != value:
+            return None
+        match kind:
+            case Kind.TIME:
+                return format_time(int(value))
+            case Kind.TRUTH:
+                return bool(value)
+            case Kind.TEXT:
+                return self._keys.key(int(value))[1:]
+            case Kind.OBJECT:
+                return object_name(self._keys.key(int(value))[1:-1], DYKNOW)
+            case Kind.NUMBER:
+                return float(value)
+
+    def _told(self, name: str, value: Any) -> Told:
+        result = self._results[name]
+        if result.is_list:
+            told = [self.value(result.kind, each) for each in value.tolist()]
+            return json.dumps(told, ensure_ascii=False)
+        return self.value(result.kind, value)
+
+    def _column(self, field: Field, values: Any, pool: StringPool | None) -> Column:
+        convert: Callable[[Any], Told]
+        if field.name in (START, END):
+            convert = format_time
+        elif field.type is FieldType.FLOAT:
+            is_missing = np.isnan(values) if values.dtype == np.float64 else values == NO_VALUE
+            return Column(field.type, values.astype(np.float64), is_missing)
+        elif self._results[field.name].is_list:
+            lists = [self._told(field.name, each) for each in values]
+            return column_from_values(field, lists, pool)
+        else:
+            name = field.name
+            convert = lambda value: self._told(name, value)  # noqa: E731
+        listed = values.tolist()
+        known = {value: convert(value) for value in set(listed)}
+        return column_from_values(field, [known[value] for value in listed], pool)

@@ -1,0 +1,302 @@
+"""The unit of a pattern: its matches over the streams that matching found (SPEC §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ...continuous.operators.background import Background
+from ...converters.objects import object_iri
+from ...languages.mtl.checked import Kind
+from ...rdf.dictionary import TermDictionary
+from ...rdf.namespaces import DYKNOW
+from ...reasoning.patterns.explanation import (
+    ExplainedMatch,
+    MatchedEvent,
+    PartialMatch,
+    PartialMatches,
+    PendingEvent,
+)
+from ...reasoning.patterns.network import minimal_network
+from ...reasoning.patterns.partial import Partial, partial_matches
+from ...reasoning.patterns.plan import PlanError
+from ...reasoning.patterns.query import END, START, Keys, Part, PatternQuery, object_key
+from ...reasoning.patterns.recognition import SAMPLE, STREAM, Recognition, Recognized
+from ...streams.generator import StreamGenerator
+from ...streams.history import FluentStream
+from ...streams.past_queries import Forgotten
+from ...streams.sample import SampleBatch
+from ...streams.time import TIME_MAX
+from .base import ComputationalUnit
+from .match_samples import MatchWriter
+from .row_readers import SourceInput, row_readers
+from .static_solutions import StaticSolutions
+
+
+class PatternUnit(ComputationalUnit):
+    """Evaluates a pattern over its inputs; see `Recognition` for when a match is available.
+
+    ``lateness`` returns how far (ns) samples of a stream may be behind later ones. ``newest``
+    returns the greatest available time (ns) of the samples in streams and upstream of them; a later
+    watermark comes from the clock.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        query: PatternQuery,
+        inputs_of_sources: Sequence[SourceInput],
+        dictionary: TermDictionary,
+        lateness: Callable[[StreamGenerator], int],
+        newest: Callable[[*tuple[StreamGenerator, ...]], int],
+        background: Background,
+    ) -> None:
+        super().__init__(*args)
+        self._newest = newest
+        self._keys = Keys()
+        self._writer = MatchWriter(query, self._keys)
+        self._inputs_of_sources = tuple(inputs_of_sources)
+        self._lateness = [lateness(each) for each in self.sources]
+        self._first: dict[StreamGenerator, int] = {}
+        """The available time (ns) of the first sample read of each input."""
+        self._readers = row_readers(inputs_of_sources, dictionary, self._keys)
+        self.query = query
+        self.recognition = Recognition(
+            query,
+            len(self.sources),
+            self._keys,
+            lateness=self._lateness,
+            static=StaticSolutions(background, self._keys),
+        )
+        self._background = background
+        self.samples = self.matches = 0
+        """Samples read, and matches found by now."""
+
+    @property
+    def reads(self) -> Sequence[StreamGenerator]:
+        """The streams that it reads."""
+        return self.inputs
+
+    def explain(self) -> str:
+        """Describe the evaluation: the plans, and what has been done by now."""
+        run = self.recognition
+        pending = run.evaluator.pending
+        return "\n".join(
+            [
+                run.explain(),
+                f"read         {self.samples:,} samples; {run.late:,} came behind later ones, and "
+                "were left out",
+                f"matches      {self.matches:,} by now; {pending:,} wait for what may still come",
+                f"in memory    {run.retained:,} rows and matches",
+                *(f"left out     {count:,} {what}" for what, count in run.losses().items()),
+            ]
+        )
+
+    def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
+        """Return the partial matches of all these objects (as the matches name them, or IRIs).
+        Raises `PlanError` for a pattern whose partial matches are not known."""
+        evaluator = self.recognition.evaluator
+        rows = getattr(evaluator, "rows", None)
+        if rows is None or len(self.query.plans) > 1:
+            raise PlanError("partial matches are told of a single plan under skip_till_any_match")
+        (plan,) = self.recognition.plans
+        now = evaluator.watermark
+        wanted = [self._keys.find(object_key(_iri(each))) for each in objects]
+        if None in wanted:
+            return PartialMatches(now, (), more=False)
+        found = partial_matches(minimal_network(plan), rows(), now, limit, wanted)
+        names = [each.name for each in plan.elements]
+        told = tuple(self._partial(each, names) for each in found.found)
+        return PartialMatches(now, told, found.has_more)
+
+    def recall(self) -> RecalledEvents:
+        """Return the retained samples that it has read, for explanations."""
+        past, evicting = [], []
+        for place, source in enumerate(self.sources):
+            first, batch = self._first.get(source), self.past_of(source)
+            if first is None:
+                continue
+            batch = batch.take(batch.available >= first)
+            if not len(batch) or int(batch.available[0]) > first:
+                evicting.append(source.stream)
+            if len(batch):
+                past.append((place, source, batch))
+        return RecalledEvents(
+            self.query,
+            self._inputs_of_sources,
+            tuple(self._lateness),
+            tuple(past),
+            tuple(evicting),
+            self._background,
+            self._end + 1 if self.all_ended else self.least_watermark,
+            self._end if self.all_ended else None,
+        )
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        self.samples += len(batch)
+        self._first.setdefault(source, int(batch.available[0]))
+        place = self.sources.index(source)
+        self.recognition.came(place, batch.available, batch.valid)
+        for reader in self._readers[source]:
+            reader.read(batch, place, self.recognition)
+
+    def progress(self, source: StreamGenerator, watermark: int) -> None:
+        least = self.least_watermark
+        if least is None or self.output.is_ended:
+            return
+        self.recognition.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
+        # After a sample of time t the watermark of a stream is t or t + 1.
+        by_clock = least > self._newest(*self.sources) + 1
+        self._advance(least, by_clock=by_clock)
+        # The end is at the newest sample, and may follow.
+        self.output.advance(least if by_clock else min(least, self._newest(*self.sources)))
+
+    def resume(self, source: StreamGenerator) -> None:
+        if self.output.is_ended:
+            raise RuntimeError(f"{source.name} goes on after its end, and all matches are out")
+        super().resume(source)
+
+    def finish(self, source: StreamGenerator) -> None:
+        if self.output.is_ended:
+            return
+        self.recognition.ended(self.sources.index(source), self._newest(source))
+        if self.all_ended:
+            self._advance(self._end + 1)
+            self._emit(self.recognition.finish(self._end))
+        super().finish(source)
+
+    @property
+    def _end(self) -> int:
+        """The available time (ns) of the end of all inputs, whichever of them ended first."""
+        return min(self._newest(*self.sources), TIME_MAX - 1)
+
+    def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
+        before = self.recognition.late
+        self._emit(self.recognition.advance(watermark, by_clock=by_clock))
+        # Beside the samples that were late for the unit itself.
+        self.late += self.recognition.late - before
+
+    def _emit(self, found: Recognized) -> None:
+        if not len(found):
+            return
+        self.matches += len(found)
+        columns = self._writer.columns(found, self.output.stream.pools)
+        self.output.emit(SampleBatch(self.output.stamps_at(found.available), found.valid, columns))
+
+    def _partial(self, partial: Partial, names: Sequence[str]) -> PartialMatch:
+        kinds = self._kinds()
+        events = tuple(
+            (
+                names[element],
+                row.end,
+                {
+                    column: self._writer.value(kinds[column], value)
+                    for column, value in row.values.items()
+                    if value is not None
+                },
+            )
+            for element, row in sorted(partial.bound.items())
+        )
+        pending = tuple(
+            PendingEvent(names[each.element], each.earliest, each.latest)
+            for each in partial.pending
+        )
+        return PartialMatch(events, pending)
+
+    def _kinds(self) -> dict[str, Kind]:
+        """The kind of each column of the plans."""
+        columns = [column for source in self.query.sources for column in source.columns]
+        found = {
+            each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
+        }
+        return {column: kind or Kind.NUMBER for column, kind in found.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecalledEvents:
+    """The retained samples that a pattern has read.
+
+    It shares nothing with the unit that changes, so another thread may explain matches. ``past``:
+    the samples of a stream, with its place and itself; ``evicting``: streams that have evicted
+    some; ``end``: the available time (ns) at which all have ended.
+    """
+
+    query: PatternQuery
+    inputs: tuple[SourceInput, ...]
+    lateness: tuple[int, ...]
+    past: tuple[tuple[int, StreamGenerator, SampleBatch], ...]
+    evicting: tuple[FluentStream, ...]
+    background: Background
+    watermark: int | None
+    end: int | None
+
+    def explain(self, objects: Sequence[str], start: int) -> tuple[ExplainedMatch, ...]:
+        """Explain the matches of these objects (as the matches name them, or IRIs) that start at
+        ``start`` (ns), or are valid then.
+
+        Raises `Forgotten` if there is none and a stream has evicted samples. Cost: the evaluation
+        of all retained samples.
+        """
+        keys = Keys()
+        writer = MatchWriter(self.query, keys)
+        run = Recognition(
+            self.query,
+            len(self.lateness),
+            keys,
+            lateness=self.lateness,
+            keeps_places=True,
+            static=StaticSolutions(self.background, keys),
+        )
+        readers = row_readers(self.inputs, TermDictionary(), keys)
+        for place, source, batch in self.past:
+            run.came(place, batch.available, batch.valid)
+            for reader in readers.get(source, ()):
+                reader.read(batch, place, run)
+        found = [] if self.watermark is None else [run.advance(self.watermark)]
+        if self.end is not None:
+            found.append(run.finish(self.end))
+        names = [each.name for each in self.query.results if each.kind is Kind.OBJECT]
+        wanted = dict(zip(names, map(_iri, objects), strict=False))
+        explained = []
+        for part in found:
+            for match in range(len(part)):
+                values = writer.values(part, match)
+                of_objects = {name: _iri(str(values[name])) for name in wanted}
+                times = int(part.outputs[START][match]), int(part.valid[match])
+                if start in times and of_objects == wanted:
+                    explained.append(self._explained(run, part, match, values))
+        if not explained and self.evicting:
+            raise Forgotten(self.evicting[0])
+        return tuple(explained)
+
+    def _explained(
+        self, run: Recognition, part: Recognized, match: int, values: dict[str, Any]
+    ) -> ExplainedMatch:
+        samples = {place: (source, batch) for place, source, batch in self.past}
+        places = run.places()
+        events = []
+        for element, row in zip(run.plans[0].elements, part.rows[match].tolist(), strict=False):
+            source, batch = samples[int(places[row, STREAM])]
+            sample = int(places[row, SAMPLE])
+            events.append(
+                MatchedEvent(
+                    element.name,
+                    source.name,
+                    int(batch.available[sample]),
+                    int(batch.valid[sample]),
+                    batch.values_at(sample),
+                )
+            )
+        return ExplainedMatch(
+            int(part.available[match]),
+            int(part.valid[match]),
+            int(part.outputs[START][match]),
+            int(part.outputs[END][match]),
+            values,
+            tuple(events),
+        )
+
+
+def _iri(name: str) -> str:
+    return object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW)

@@ -1,0 +1,182 @@
+"""Checked EP-SPARQL: features told from static terms, kinds known, conditions without negation
+(SPEC §8).
+
+Everything is a frozen value. `reasoning.patterns.epsparql_plans` makes plans of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field as attribute
+from typing import Final, Literal, TypeAlias
+
+from ...sparql.ast import Form, Triple
+from ..errors import Span
+from ..mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
+from .ast import Operator
+
+DURATION: Final = "duration"
+ValueKind: TypeAlias = Kind | Literal["duration"]
+"""A duration is a value of a query, in ns, but of no feature."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable, or a blank node (`triples.BLANK`)."""
+
+    name: str
+    kind: ValueKind
+
+
+@dataclass(frozen=True, slots=True)
+class Duration:
+    """A constant duration in ns."""
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class TimeOf:
+    """``getDURATION()``, ``getSTARTTIME()`` or ``getENDTIME()`` of the enclosing group."""
+
+    function: str
+
+
+@dataclass(frozen=True, slots=True)
+class Calculation:
+    """``left + right``; the operator is one of ``+ - * /``. A division by 0 has no value."""
+
+    operator: str
+    left: Value
+    right: Value
+    kind: ValueKind
+
+
+Place: TypeAlias = Variable | ObjectConstant | Constant
+Value: TypeAlias = Place | Duration | TimeOf | Calculation
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """``left < right`` of one kind. It does not hold where a side has no value."""
+
+    operator: str
+    left: Value
+    right: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """``BOUND(?x)``; not ``is_bound``: ``!BOUND(?x)``."""
+
+    variable: str
+    is_bound: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    value: bool
+
+
+@dataclass(frozen=True, slots=True)
+class And:
+    operands: tuple[Condition, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Or:
+    operands: tuple[Condition, ...]
+
+
+Condition: TypeAlias = Comparison | Bound | Truth | And | Or
+"""A negation is moved to the comparisons: where a value is missing neither form holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One sample of a feature or event: ``?c dyknow:price ?p``. ``arguments`` are its objects, each
+    with the IRI of its sort. ``is_event``: of an event, whose samples may last."""
+
+    feature: str
+    arguments: tuple[tuple[Place, str], ...]
+    value: Place
+    kind: Kind
+    is_event: bool
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Static:
+    """A triple of static graphs; ``graph`` None: those of FROM, or the ontology."""
+
+    triple: Triple
+    graph: str | None
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    condition: Condition
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Bind:
+    variable: Variable
+    value: Value
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    operator: Operator
+    left: Operation | Group
+    right: Group
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    parts: tuple[Part, ...]
+    span: Span = attribute(compare=False)
+
+
+Part: TypeAlias = Sample | Static | Filter | Bind | Operation | Group
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A field of the results."""
+
+    name: str
+    value: Value
+    kind: ValueKind
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True)
+class CheckedPattern:
+    """An EP-SPARQL query. ``slots``: the parameters of a template in the order of requests; those
+    of objects may stay free. ``within`` in ns, from WITHIN or from the conditions of the whole."""
+
+    name: str
+    form: Form
+    slots: tuple[ObjectSlot | Parameter, ...]
+    items: tuple[Item, ...]
+    where: Group
+    within: int | None
+    graphs: tuple[tuple[str, ...], tuple[str, ...]]
+    source: str = attribute(compare=False)
+
+
+def kind_of(value: Value) -> ValueKind:
+    """Return the kind of a value."""
+    match value:
+        case Variable(_, kind) | Calculation(_, _, _, kind) | Constant(_, kind):
+            return kind
+        case ObjectConstant():
+            return Kind.OBJECT
+        case Duration():
+            return DURATION
+        case TimeOf(function):
+            return DURATION if function == "getDURATION" else Kind.TIME

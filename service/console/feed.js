@@ -1,0 +1,175 @@
+// The samples that arrive, kept outside of any page. Messages only fill these rings; drawing looks
+// at them four times a second, however many arrive.
+import { effect, signal } from "./vendor/preact.js";
+import { address, ask, follow } from "./http.js";
+import { byName, held, moment, objectField, place, requests, streams } from "./state.js";
+
+const EVENTS = 2_000, POINTS = 600, OBJECTS = 200, TRACKS = 5_000, TRACK_POINTS = 120;
+const TICK = 250, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
+const PLAYED_PAST = 120_000, FAST = 5_000;
+
+/** The newest samples in the shapes that pages draw. */
+export class Rings {
+  events = [];
+  /** Stream → its newest event. */
+  last = new Map();
+  /** Stream → object → its events, oldest first. */
+  series = new Map();
+  /** Object → {points: [longitude, latitude, time][], heading, values}. */
+  tracks = new Map();
+  /** Object → stream of a request → the time of its last event. */
+  hot = new Map();
+  total = 0;
+
+  note(name, valid, values) {
+    const stream = byName.value.get(name);
+    if (!stream) return;
+    const time = Date.parse(valid), id = objectField(stream), object = id ? values[id] : null;
+    const spot = place(stream);
+    if (spot && object != null && values[spot.latitude] != null) this.#track(object, spot, time, values);
+    const isAsked = requests.value.some((request) => request.stream === name);
+    if (!isAsked && extra.value !== name) return;
+    const event = { time, valid, name, object, values, number: this.total++ };
+    this.events.push(event);
+    if (this.events.length > 1.5 * EVENTS) this.events.splice(0, this.events.length - EVENTS);
+    this.last.set(name, event);
+    if (isAsked && object != null) within(this.hot, object, () => new Map()).set(name, time);
+    const lines = within(this.series, name, () => new Map());
+    if (!lines.has(object) && lines.size >= OBJECTS) return;
+    const line = within(lines, object, () => []);
+    line.push(event);
+    if (line.length > POINTS) line.splice(0, POINTS / 3);
+  }
+
+  gap(message) {
+    this.events.push({ time: Date.now(), name: message.stream, gap: message, number: this.total++ });
+  }
+
+  #track(object, spot, time, values) {
+    if (!this.tracks.has(object) && this.tracks.size >= TRACKS) return;
+    const track = within(this.tracks, object, () => ({ points: [] }));
+    track.points.push([values[spot.longitude], values[spot.latitude], time]);
+    if (track.points.length > TRACK_POINTS) track.points.splice(0, TRACK_POINTS / 3);
+    track.heading = spot.heading ? values[spot.heading] : null;
+    track.values = values;
+  }
+}
+
+function within(map, key, make) {
+  if (!map.has(key)) map.set(key, make());
+  return map.get(key);
+}
+
+const live = new Rings();
+/** A stream that a page shows beside those of requests. */
+export const extra = signal(null);
+/** The rings that are shown, live or played back; a new `tick` says that they have changed. */
+export const shown = signal(live);
+export const tick = signal(0);
+export const feedState = signal("connecting");
+/** Samples a second that have arrived, and all so far. */
+export const pace = signal({ rate: 0, total: 0 });
+
+let dirty = false, before = 0;
+setInterval(() => {
+  const rate = 0.7 * pace.value.rate + (0.3 * (live.total - before) * 1000) / TICK;
+  before = live.total;
+  if (document.hidden) return;
+  if (Math.abs(rate - pace.value.rate) > 0.05 || held.value) pace.value = { rate, total: live.total };
+  if (dirty && !held.value && moment.value === null) {
+    dirty = false;
+    tick.value++;
+  }
+}, TICK);
+
+/** Messages of streams whose past is being read: they are noted after it. */
+const early = new Map();
+
+function take(messages) {
+  for (const each of messages) {
+    if (each.event === "gap") live.gap(each);
+    else if (each.event !== "sample") continue;
+    else if (early.has(each.stream)) early.get(each.stream).push(each);
+    else live.note(each.stream, each.valid, each.values);
+  }
+  dirty = true;
+}
+
+/** Add kept samples of streams to `rings`, in the order of their valid times. Return the available
+    time of the last one of each. */
+async function fill(rings, names, parameters) {
+  const ends = new Map();
+  const lists = await Promise.all(names.map(async (name) => {
+    const limit = place(byName.value.get(name)) ? PAST_POSITIONS : PAST_EVENTS;
+    const path = address(`/streams/${encodeURIComponent(name)}/samples`, { limit, ...parameters });
+    const samples = await ask(path).catch(() => []);
+    if (samples.length) ends.set(name, samples.at(-1).available);
+    return samples.map(({ available, valid, ...values }) => [name, valid, values]);
+  }));
+  const samples = lists.flat().sort((a, b) => (a[1] < b[1] ? -1 : 1));
+  for (const sample of samples) rings.note(...sample);
+  return ends;
+}
+
+/** Show the past of streams that are followed from now on, each sample once. */
+async function begin(names) {
+  for (const name of names) early.set(name, []);
+  const ends = await fill(live, names, {});
+  // ISO times of different lengths compare as texts without their Z.
+  const isLater = (time, end) => !end || time.slice(0, -1) > end.slice(0, -1);
+  for (const name of names) {
+    const messages = early.get(name);
+    early.delete(name);
+    take(messages.filter((each) => isLater(each.available, ends.get(name))));
+  }
+  dirty = true;
+}
+
+// -- which streams are followed ----------------------------------------------------------------------
+
+let stop = null, followed = [];
+const filled = new Set();
+effect(() => {
+  if (!streams.value.length) return;
+  const names = new Set([...requests.value.map((request) => request.stream), extra.value]);
+  for (const stream of streams.value) {
+    if (!stream.producer && stream.rate < FAST && place(stream)) names.add(stream.name);
+  }
+  const wanted = [...names].filter((name) => byName.value.has(name)).sort().slice(0, MOST_STREAMS);
+  if (wanted.join() === followed.join()) return;
+  followed = wanted;
+  stop?.();
+  stop = null;
+  const fresh = wanted.filter((name) => !filled.has(name));
+  fresh.forEach((name) => filled.add(name));
+  if (fresh.length) begin(fresh);
+  if (wanted.length) {
+    stop = follow(address("/follow", { stream: wanted }), take, (state) => { feedState.value = state; });
+  }
+});
+
+// -- playback ----------------------------------------------------------------------------------------
+
+let wish = 0;
+/** The earliest time (ms) that all is kept since, of the streams that are followed. */
+export function oldest() {
+  const times = followed.map((name) => byName.value.get(name)?.first_available).filter(Boolean);
+  return times.length ? Math.min(...times.map((time) => Date.parse(time))) : Date.now();
+}
+
+/** Show how it was at `time` (ms), or the present again for null. */
+export async function play(time) {
+  moment.value = time;
+  const own = ++wish;
+  if (time === null) {
+    shown.value = live;
+    tick.value++;
+    return;
+  }
+  const rings = new Rings(), iso = (at) => new Date(at).toISOString();
+  const bounds = { valid_from: iso(time - PLAYED_PAST), valid_to: iso(time), limit: PAST_POSITIONS };
+  await fill(rings, followed, bounds);
+  if (own !== wish) return; // another time has been chosen since
+  shown.value = rings;
+  tick.value++;
+}

@@ -1,0 +1,76 @@
+// Numbers, times and names as people read them. Pure functions: node tests them without a browser.
+
+export function duration(seconds) {
+  if (seconds == null || Number.isNaN(seconds)) return "–";
+  if (seconds < 5e-4) return "0 ms";
+  if (seconds < 1) return `${Math.round(seconds * 1000)} ms`;
+  if (seconds < 120) return `${seconds < 10 ? seconds.toFixed(1) : Math.round(seconds)} s`;
+  if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
+  return `${(seconds / 3600).toFixed(1)} h`;
+}
+
+export const count = (value) => (value == null ? "–" : Math.round(value).toLocaleString("en-US"));
+
+export function rate(value) {
+  if (value == null) return "–";
+  if (value >= 1000) return `${(value / 1000).toFixed(1)} k/s`;
+  return `${value >= 9.95 ? Math.round(value) : value.toFixed(1)}/s`;
+}
+
+export function bytes(value) {
+  if (value == null) return "–";
+  if (value >= 2 ** 30) return `${(value / 2 ** 30).toFixed(1)} GiB`;
+  return value >= 2 ** 20 ? `${Math.round(value / 2 ** 20)} MiB` : `${Math.round(value / 1024)} KiB`;
+}
+
+export const clock = (time) => new Date(time).toLocaleTimeString("en-GB", { hour12: false });
+
+/** 1 unit, 2 units. */
+export const plural = (number, noun) => `${count(number)} ${noun}${number === 1 ? "" : "s"}`;
+
+/** A value of a sample: numbers with few digits, nothing as a dash. */
+export function value(of) {
+  if (of == null) return "–";
+  if (typeof of !== "number") return String(of);
+  const digits = Number.isInteger(of) ? 0 : Math.abs(of) < 10 ? 3 : 1;
+  return of.toLocaleString("en-US", { maximumFractionDigits: digits });
+}
+
+/** The last part of an IRI or prefixed name: dyknow:speed → speed. */
+export function local(name) {
+  const cut = Math.max(name.lastIndexOf("/"), name.lastIndexOf("#"), name.lastIndexOf(":"));
+  const part = name.slice(cut + 1);
+  return part.endsWith(">") ? part.slice(0, -1) : part;
+}
+
+/** HighSpeedEvent → High speed event. */
+export function words(name) {
+  let text = "";
+  for (const letter of local(name)) {
+    const begins = letter !== letter.toLowerCase() && text && !text.endsWith(" ");
+    text += begins ? ` ${letter.toLowerCase()}` : letter === "_" ? " " : letter;
+  }
+  return text.slice(0, 1).toUpperCase() + text.slice(1);
+}
+
+/** A unit of SSL as people write it: km.h-1 → km/h, m.s-2 → m/s². */
+export function unit(text) {
+  const powers = { 1: "", 2: "²", 3: "³" };
+  let above = "", below = "";
+  for (const part of (text ?? "").split(".")) {
+    const at = [...part].findIndex((letter) => letter === "-" || (letter >= "0" && letter <= "9"));
+    const name = at < 0 ? part : part.slice(0, at), power = at < 0 ? 1 : Number(part.slice(at));
+    if (!name || !(Math.abs(power) in powers)) return text ?? "";
+    if (power > 0) above += (above && "·") + name + powers[power];
+    else below += `/${name}${powers[-power]}`;
+  }
+  return (above || (below && "1")) + below;
+}
+
+/** An IRI with one of the prefixes of /vocabulary. */
+export function shorten(iri, prefixes) {
+  for (const [prefix, long] of Object.entries(prefixes)) {
+    if (iri.startsWith(long) && iri.length > long.length) return `${prefix}:${iri.slice(long.length)}`;
+  }
+  return iri;
+}

@@ -1,0 +1,188 @@
+// What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
+// chosen object follows through all three.
+import { html, useEffect, useRef, useState } from "../vendor/preact.js";
+import { byName, held, may, moment, numbers, objectField, requests, refresh, unitOf } from "../state.js";
+import { feedState, oldest, pace, play, shown, tick } from "../feed.js";
+import { clock, count, duration, rate, value } from "../format.js";
+import { ask } from "../http.js";
+import { TrackMap } from "../map.js";
+import { Why, question } from "../why.js";
+import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
+
+const SHOWN_FIELDS = 4, LINES = 24, PLOTTED = 90, RECENT = 10;
+const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
+
+/** The values of an event beside its object, with their units. */
+function Values({ of }) {
+  const stream = byName.value.get(of.name), id = stream && objectField(stream);
+  const fields = Object.entries(of.values).filter(([name, each]) => name !== id && each != null);
+  return fields.slice(0, SHOWN_FIELDS).map(([name, each]) => {
+    const unit = stream && unitOf(stream, name);
+    return html`<span class="faint">${name} </span><span class="num">${value(each)}</span>
+      ${unit && html`<span class="faint"> ${unit}</span>`} `;
+  });
+}
+
+function Request({ request, isChosen, choose }) {
+  const event = shown.value.last.get(request.stream), stream = byName.value.get(request.stream);
+  const now = moment.value ?? Date.now(), age = event ? (now - event.time) / 1000 : null;
+  const isBad = request.state === "failed", isRunning = request.state === "running";
+  const dot = isBad ? "bad" : !isRunning ? "warn" : age !== null && age < RECENT ? "on" : "";
+  return html`<button class="ask-row" aria-pressed=${isChosen} onClick=${choose}>
+    <span class="row"><i class=${`dot ${dot}`} title=${request.state}></i>
+      <span class="name cut grow">${request.name}</span><span class="faint small num">${rate(stream?.rate)}</span></span>
+    ${request.chips.length > 0 && html`<${Chips} of=${request.chips} />`}
+    <span class="said cut">${request.problem ? html`<span class=${isBad ? "bad" : "warn"}>${request.problem}</span>`
+      : event ? html`<span class="mono">${event.object}</span> <${Values} of=${event} />
+        <span class="faint">· ${age < 2 ? "now" : `${duration(age)} ago`}</span>`
+      : html`<span class="faint" title=${request.empty}>${request.empty ?? "no event yet"}</span>`}</span></button>`;
+}
+
+/** End a request, with five seconds to take it back. */
+async function end(request) {
+  await ask(request.address, { method: "DELETE" });
+  location.hash = "live";
+  refresh();
+  say(`${request.name} has ended`, request.kind === "subscription" ? null : async () => {
+    const again = request.kind === "query"
+      ? { path: "/queries", type: "text/plain", body: request.source }
+      : { path: "/events", type: "application/json", body: request.again };
+    await ask(again.path, { method: "POST", type: again.type, body: again.body });
+    refresh();
+  });
+}
+
+function Running({ chosen }) {
+  const [trouble, setTrouble] = useState(null);
+  const list = requests.value;
+  const go = (request) => {
+    location.hash = request === chosen ? "live" : `live/${encodeURIComponent(request.stream)}`;
+  };
+  return html`<section class="panel asks" aria-label="requests"><header><h2 class="grow">Running</h2>
+    <a class="small" href="#ask">Ask for more</a></header>
+    <div class="scroll">${list.map((request) => html`<${Request} key=${request.kind + request.id} request=${request}
+        isChosen=${request === chosen} choose=${() => go(request)} />`)}
+      ${!list.length && html`<${Empty} title="No requests run.">
+        <span>Say what you want to know; DyKnow finds or builds the streams that answer it.</span>
+        <a href="#ask">Ask for an event</a>
+        <code>dyknow events 'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, 800)'</code><//>`}</div>
+    <${Trouble} of=${trouble} />
+    ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>
+      ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
+}
+
+function Feed({ chosen, object, select, all, setAll, isWanted }) {
+  const [find, setFind] = useState(""), [asked, setAsked] = useState(null), frozen = useRef(null), byScroll = useRef(false);
+  if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: pace.value.total };
+  else frozen.current = null;
+  const text = find.toLowerCase();
+  const fits = (event) => isWanted(event.name) && (!object || event.object === object)
+    && (!text || String(event.object).toLowerCase().includes(text));
+  const events = (frozen.current?.events ?? shown.value.events).filter(fits).reverse();
+  const names = new Map(requests.value.map((request) => [request.stream, request.name]));
+  const scrolled = (isAway) => {
+    if (isAway && !held.value) held.value = byScroll.current = true;
+    else if (!isAway && byScroll.current) held.value = byScroll.current = false;
+  };
+  const row = (event, at) => event.gap
+    ? html`<div class="line gap" key=${event.number} style=${at}><time>${clock(event.time)}</time>
+        <span class="cut">${event.gap.detail ?? `samples ${event.gap.from} to ${event.gap.to ?? "?"} are not kept any more`}</span></div>`
+    : html`<div class=${`line ${object && event.object === object ? "on" : ""}`} key=${event.number} style=${at}>
+        <time>${clock(event.time)}</time><span class="cut of muted">${names.get(event.name) ?? event.name}</span>
+        <button class="cut who" onClick=${() => select(event.object)}>${event.object ?? "–"}</button>
+        <span class="cut">${question(event) && html`<button class="chip" onClick=${() => setAsked(question(event))}>why?</button> `}<${Values} of=${event} /></span></div>`;
+  return html`<section class="panel feed" aria-label="events"><header>
+    ${chosen ? html`<h2>Events</h2><a class="chip on" href="#live" title="show all">${chosen.name} ✕</a>`
+      : html`<div class="tabs" role="group" aria-label="which">
+          <button aria-pressed=${!all} onClick=${() => setAll(false)}>Events</button>
+          <button aria-pressed=${all} onClick=${() => setAll(true)}>All results</button></div>`}
+    ${object && html`<button class="chip on" onClick=${() => select(null)} title="show all objects">${object} ✕</button>`}
+    <span class="grow"></span>
+    ${held.value && html`<span class="small accent num">held, +${count(pace.value.total - frozen.current.total)}</span>`}
+    ${feedState.value === "waiting" && html`<span class="small warn">reconnecting</span>`}
+    <span class="small faint num wide">${rate(pace.value.rate)}</span>
+    <input type="search" class="short" placeholder="object" aria-label="filter by object" value=${find}
+      onInput=${(event) => setFind(event.target.value)} /></header>
+    ${events.length ? html`<${Rows} items=${events} draw=${row} label="events" scrolled=${scrolled} />`
+      : html`<${Empty} title="No events yet."><span>${requests.value.length
+          ? "They appear here as they arrive, newest first. A request that never fires may ask for too much: its plan is on the Graph page."
+          : "Events of all requests appear here as they arrive."}</span><//>`}
+    ${asked && html`<${Why} path=${asked} close=${() => setAsked(null)} />`}</section>`;
+}
+
+function LivePlot({ request, object }) {
+  const stream = byName.value.get(request?.stream), series = shown.value.series.get(request?.stream);
+  const field = stream && numbers(stream)[0];
+  if (!field || !series) {
+    return html`<section class="panel plot"><header><h2>Plot</h2></header>
+      <${Empty}><span>The first number of the chosen request, a line for each object.</span><//></section>`;
+  }
+  const from = (moment.value ?? Date.now()) - PLOTTED * 1000;
+  const lines = [...series].filter(([, events]) => events.at(-1).time > from)
+    .sort((a, b) => b[1].at(-1).time - a[1].at(-1).time).slice(0, LINES);
+  const focus = Math.max(0, lines.findIndex(([name]) => name === object));
+  const data = () => aligned(lines.map(([, events]) => events.filter((each) => each.time > from)
+    .map((each) => [each.time / 1000, each.values[field]])));
+  return html`<section class="panel plot" aria-label="plot"><header>
+    <h2 class="cut grow">${field} <span class="faint">${unitOf(stream, field)} · ${request.name}</span></h2>
+    <span class="small accent mono">${lines[focus]?.[0]}</span></header>
+    ${lines.length ? html`<${Plot} data=${data} focus=${focus + 1} tick=${`${tick.value}${request.stream}`}
+        label=${`${field} over time`} name=${`${request.name}-${field}`} />`
+      : html`<${Empty}><span>No values in the last ${PLOTTED} s.</span><//>`}</section>`;
+}
+
+/** The slider over kept history: how it was, or the present. */
+function Playback() {
+  const [isPlaying, setPlaying] = useState(false), [from, setFrom] = useState(null);
+  const now = Date.now(), time = moment.value;
+  useEffect(() => {
+    if (!isPlaying || time === null) return undefined;
+    const due = setTimeout(() => {
+      const next = time + 1_000;
+      if (next >= Date.now()) stop();
+      else play(next);
+    }, 500);
+    return () => clearTimeout(due);
+  }, [isPlaying, time, shown.value]);
+  const stop = () => {
+    setPlaying(false);
+    setFrom(null);
+    play(null);
+  };
+  const open = () => {
+    const first = Math.max(oldest(), now - LONGEST_PLAYED);
+    setFrom(first);
+    play(Math.max(first, now - PLAYED_FIRST));
+  };
+  if (time === null) return html`<div class="over beside"><button onClick=${open} title="show how it was">Playback</button></div>`;
+  return html`<div class="over playback">
+    <button onClick=${() => setPlaying(!isPlaying)} aria-label=${isPlaying ? "stop" : "play, twice as fast"}>${isPlaying ? "❚❚" : "▶"}</button>
+    <input type="range" aria-label="time" min=${from ?? time} max=${now} step="1000" value=${time}
+      onInput=${(event) => play(Number(event.target.value))} />
+    <time class="num small">${clock(time)}</time><button onClick=${stop}>Now</button></div>`;
+}
+
+export default function Live({ rest }) {
+  const [object, select] = useState(null), [all, setAll] = useState(false);
+  tick.value;
+  theme.value;
+  const list = requests.value, chosen = list.find((request) => request.stream === rest);
+  // Events are no results: 30 results a second of a query would hide two events a second.
+  const events = list.filter((request) => request.kind === "event");
+  const wanted = new Set((chosen ? [chosen] : all || !events.length ? list : events).map((each) => each.stream));
+  const isWanted = (stream) => wanted.has(stream);
+  const latest = (request) => shown.value.last.get(request.stream)?.time ?? 0;
+  const now = moment.value ?? Date.now(), candidates = [...events, ...list];
+  const plotted = chosen ?? candidates.find((each) => now - latest(each) < PLOTTED * 1000)
+    ?? candidates.find(latest);
+  return html`<main class="page fill"><div class="live">
+    <${Running} chosen=${chosen} />
+    <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
+    <section class="panel map" aria-label="map"><div class="sheet">
+      ${shown.value.tracks.size ? html`<${TrackMap} selected=${object} select=${select} isWanted=${isWanted} />`
+        : html`<${Empty} title="No positions."><span>Annotate a stream that has latitude and longitude; its objects appear here.</span>
+          <code>dyknow annotate 'stream gps contains latitude(Car) = lat, longitude(Car) = lon for every Car = id'</code><//>`}
+      <${Playback} /></div></section>
+    <${LivePlot} request=${plotted} object=${object} />
+  </div></main>`;
+}

@@ -1,0 +1,159 @@
+// Small parts that all pages use.
+import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "./vendor/preact.js";
+import uPlot from "./vendor/uplot.js";
+import { clock } from "./format.js";
+
+const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+export const theme = signal(localStorage.theme ?? (dark ? "dark" : "light"));
+export const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+/** A message that disappears: {text, undo}. */
+export const toast = signal(null);
+const SHOWN = 5_000;
+export function say(text, undo) {
+  const own = { text, undo };
+  toast.value = own;
+  setTimeout(() => { if (toast.value === own) toast.value = null; }, SHOWN);
+}
+
+export function download(name, content) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content instanceof Blob ? content : new Blob([content]));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+export const Empty = ({ title, children }) =>
+  html`<div class="empty">${title && html`<b>${title}</b>`}${children}</div>`;
+
+export const Chips = ({ of }) =>
+  html`<span class="chips">${of.map((each) => html`<span class="chip" key=${each}>${each}</span>`)}</span>`;
+
+/** A problem document as the service wrote it, with the place in the text where there is one. */
+export function Trouble({ of }) {
+  if (!of) return null;
+  return html`<div class="note bad" role="alert">
+    <b>${of.title ?? "Error"}</b> ${of.detail ?? of.message}
+    ${of.line && html` <span class="num">(line ${of.line}, column ${of.column})</span>`}
+    ${of.excerpt && html`<pre>${of.excerpt}</pre>`}
+    ${of.missing?.length > 0 && html`<ul>${of.missing.map((each) => html`<li>${each}</li>`)}</ul>`}
+    ${of.hint && html`<div class="muted">${of.hint}</div>`}</div>`;
+}
+
+export function Spark({ points, width = 120, height = 18 }) {
+  if (points.length < 2) return html`<svg width=${width} height=${height} aria-hidden="true" />`;
+  const top = Math.max(...points, 1e-9);
+  const path = points.map((y, i) => {
+    const at = [(i / (points.length - 1)) * width, height - 1 - (y / top) * (height - 2)];
+    return `${i ? "L" : "M"}${at[0].toFixed(1)} ${at[1].toFixed(1)}`;
+  });
+  return html`<svg class="spark" width=${width} height=${height} viewBox=${`0 0 ${width} ${height}`}
+    aria-hidden="true"><path d=${path.join("")} /></svg>`;
+}
+
+/** Lines over time. `data()` returns [times in s, ...lines]; line number `focus` has the accent, all
+    others are grey. A changed `tick` draws it again. */
+export function Plot({ data, focus = 1, tick, label, zero = false, name = "plot" }) {
+  const box = useRef(), plot = useRef(), lines = useRef(0);
+  const size = () => ({ width: box.current.clientWidth, height: box.current.clientHeight });
+  const build = () => {
+    plot.current?.destroy();
+    plot.current = null;
+    const found = data();
+    if (!box.current?.clientWidth || !found[0].length) return;
+    lines.current = found.length;
+    plot.current = new uPlot({ ...size(), ...options(found.length, focus, zero) }, found, box.current);
+  };
+  useEffect(() => {
+    build();
+    const watch = new ResizeObserver(() => {
+      if (!box.current) return;
+      if (plot.current) plot.current.setSize(size());
+      else build();
+    });
+    watch.observe(box.current);
+    return () => {
+      watch.disconnect();
+      plot.current?.destroy();
+    };
+  }, [theme.value, focus]);
+  useEffect(() => {
+    const found = data();
+    if (!plot.current || !found[0].length || found.length !== lines.current) build();
+    else plot.current.setData(found);
+  }, [tick]);
+  const save = () => plot.current?.ctx.canvas.toBlob((blob) => download(`${name}.png`, blob));
+  return html`<div class="plotted"><div ref=${box} class="plotbox" role="img" aria-label=${label} />
+    <button class="plain save" onClick=${save} aria-label="save the plot as PNG" title="save as PNG">PNG</button></div>`;
+}
+
+function options(number, focus, zero) {
+  const font = `11px ${style("--sans")}`;
+  const axis = {
+    stroke: style("--faint"), font, grid: { stroke: style("--line"), width: 1 },
+    ticks: { show: false }, gap: 6,
+  };
+  const line = (i) => ({
+    stroke: i === focus ? style("--accent") : style("--ghost"),
+    width: i === focus ? 1.75 : 1, points: { show: false },
+  });
+  const fromZero = { range: (_, low, high) => [0, Math.max(1, high * 1.1)] };
+  return {
+    legend: { show: false }, padding: [10, 12, 0, 0], cursor: { y: false, points: { size: 5 } },
+    scales: { x: { time: true }, ...(zero ? { y: fromZero } : {}) },
+    axes: [
+      { ...axis, size: 28, space: 70, values: (_, ticks) => ticks.map((t) => clock(t * 1000)) },
+      { ...axis, size: 52, values: (_, ticks) => ticks.map((v) => v.toLocaleString("en-US")) },
+    ],
+    series: [{}, ...Array.from({ length: number - 1 }, (_, i) => line(i + 1))],
+  };
+}
+
+/** The arrays that uPlot draws: the values of each line at all times. Nothing at a time that a line
+    lacks, and null (a gap) where it has nothing for longer than `gap` seconds. */
+export function aligned(lines, gap = 5) {
+  const times = [...new Set(lines.flatMap((line) => line.map(([time]) => time)))].sort((a, b) => a - b);
+  const index = new Map(times.map((time, i) => [time, i]));
+  return [times, ...lines.map((line) => {
+    const row = new Array(times.length);
+    let last = null;
+    for (const [time, value] of line) {
+      const i = index.get(time);
+      if (last !== null && time - times[last] > gap && i - last > 1) row[last + 1] = null;
+      row[i] = value;
+      last = i;
+    }
+    return row;
+  })];
+}
+
+const ROW = 26, BEYOND = 4;
+
+/** A list of which only the visible rows are in the document. `scrolled(isAway)` is called when the
+    reader leaves the top, and when they return. */
+export function Rows({ items, draw, label, scrolled = () => {} }) {
+  const box = useRef(), away = useRef(false);
+  const [view, setView] = useState({ top: 0, room: 600 });
+  useLayoutEffect(() => {
+    const element = box.current;
+    const read = () => {
+      setView({ top: element.scrollTop, room: element.clientHeight });
+      const isAway = element.scrollTop > ROW;
+      if (isAway !== away.current) scrolled((away.current = isAway));
+    };
+    const watch = new ResizeObserver(read);
+    watch.observe(element);
+    element.addEventListener("scroll", read, { passive: true });
+    return () => {
+      watch.disconnect();
+      element.removeEventListener("scroll", read);
+    };
+  }, []);
+  const from = Math.max(0, Math.floor(view.top / ROW) - BEYOND);
+  const until = Math.min(items.length, from + Math.ceil(view.room / ROW) + 2 * BEYOND);
+  return html`<div class="scroll" ref=${box} tabindex="0" role="log" aria-label=${label} aria-live="off">
+    <div class="rows" style=${{ height: `${items.length * ROW}px` }}>
+      ${items.slice(from, until).map((item, i) => draw(item, { top: `${(from + i) * ROW}px` }))}
+    </div></div>`;
+}

@@ -1,0 +1,50 @@
+"""Patterns have the matches that Esper 9 finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from esper import ANY, ENDING_WITHOUT_D, WITHOUT_D, Esper, NoEsper
+from pattern_data import ANY_MATCHES, batches, data, sequence
+from pattern_data import WITHOUT_D as MATCHES_WITHOUT_D
+
+from dyknow.reasoning.patterns.all_rows import AllRows
+from dyknow.reasoning.patterns.plan import PatternPlan
+from dyknow.reasoning.patterns.rows import Rows
+
+
+@pytest.fixture(scope="module")
+def esper(tmp_path_factory: pytest.TempPathFactory) -> Esper:
+    try:
+        return Esper(tmp_path_factory.mktemp("esper"))
+    except NoEsper as error:
+        pytest.skip(str(error))
+
+
+def found(plan: PatternPlan, rows: Rows) -> np.ndarray:
+    running = AllRows(plan)
+    parts = [running.push(part).rows for part in batches(rows, 1000)]
+    matches = np.concatenate(parts)
+    return matches[np.lexsort(matches.T[::-1])]
+
+
+@pytest.mark.parametrize("keys", ANY_MATCHES)
+def test_any_match(esper: Esper, keys: int) -> None:
+    rows = data(100_000, keys)
+    theirs = esper.run(ANY, rows, 3).rows
+    assert len(theirs) == ANY_MATCHES[keys]
+    assert np.array_equal(found(sequence("ABC"), rows), theirs)
+
+
+def test_negation(esper: Esper) -> None:
+    rows = data(100_000, 100)
+    theirs = esper.run(WITHOUT_D, rows, 2).rows
+    assert len(theirs) == MATCHES_WITHOUT_D
+    assert np.array_equal(found(sequence("A~DC"), rows), theirs)
+
+
+def test_negation_at_the_end(esper: Esper) -> None:
+    rows = data(100_000, 100)
+    theirs = esper.run(ENDING_WITHOUT_D, rows, 1).rows
+    assert len(theirs) > 1000
+    assert np.array_equal(found(sequence("A~D"), rows), theirs)

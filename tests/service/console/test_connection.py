@@ -1,0 +1,202 @@
+"""The console while the service stops, starts anew, requires tokens, or sends much."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import httpx
+import pytest
+from chromium import Page
+from pydantic import SecretStr
+
+from dyknow.engine.engine import Engine
+from dyknow.service.app import create_app
+from dyknow.service.config.settings import Settings
+from dyknow.service.server import running
+from dyknow.service.turns.window_turns import WindowTurns
+
+OPEN = Callable[..., Page]
+READ, ADMIN = "read-0123456789-0123456789", "admin-0123456789-0123456789"
+LINES = {"Content-Type": "application/x-ndjson"}
+
+
+@contextmanager
+def service(port: int = 0, epoch: str = "e1", tokens: str = "") -> Iterator[str]:
+    settings = Settings(port=port, sse_ping=0, tokens=SecretStr(tokens))
+    engine = Engine(epoch=epoch, turns=WindowTurns(5, 60))
+    with running(create_app(engine, settings, time.time_ns), settings) as url:
+        yield url
+
+
+def declare(http: httpx.Client) -> None:
+    """A stream of numbers, and a subscription to it."""
+    fields = {"fields": {"id": "string", "v": "integer"}, "retention": 1_000_000}
+    assert http.put("/streams/numbers", json=fields).status_code == 201
+    assert http.post("/subscriptions", json={"stream": "numbers"}).status_code == 201
+
+
+def publish(http: httpx.Client, first: int, count: int) -> None:
+    now = time.time_ns()
+    lines = (
+        json.dumps({"valid": now + i, "id": f"o{i % 20}", "v": i})
+        for i in range(first, first + count)
+    )
+    answer = http.post("/streams/numbers/samples", content="\n".join(lines), headers=LINES)
+    assert answer.status_code == 202, answer.text
+
+
+class CuttingProxy:
+    """Passes bytes on to a port, and can cut all connections for a while."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._sockets: list[socket.socket] = []
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        self.is_cut = False
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listening.accept()
+            except OSError:
+                return
+            if self.is_cut:
+                client.close()
+                continue
+            server = socket.create_connection(("127.0.0.1", self._port))
+            self._sockets += [client, server]
+            for one, other in ((client, server), (server, client)):
+                threading.Thread(target=self._pass, args=(one, other), daemon=True).start()
+
+    def _pass(self, one: socket.socket, other: socket.socket) -> None:
+        try:
+            while data := one.recv(1 << 16):
+                other.sendall(data)
+        except OSError:
+            return
+        finally:
+            other.close()
+
+    def cut(self) -> None:
+        self.is_cut = True
+        for each in self._sockets:
+            # Closing alone would not wake the thread that reads from it.
+            try:
+                each.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                continue
+        self._sockets.clear()
+
+    def close(self) -> None:
+        self.cut()
+        self._listening.close()
+
+
+OPEN_FEED = "import('/console/feed.js').then((m) => m.feedState.value === 'open')"
+SEEN = """(async () => { const { shown } = await import('/console/feed.js');
+  return shown.value.events.filter((each) => !each.gap).map((each) => each.values.v); })()"""
+
+
+def test_a_cut_connection_loses_no_sample(open_page: OPEN) -> None:
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        declare(http)
+        proxy = CuttingProxy(int(url.rpartition(":")[2]))
+        # The browser's requests name the proxy's port, as those of a page behind a proxy do.
+        page = open_page(f"http://127.0.0.1:{proxy.port}/#live")
+        page.wait(OPEN_FEED)
+        publish(http, 0, 100)
+        page.wait(f"{SEEN}.then((each) => each.length === 100)")
+        proxy.cut()
+        page.wait_text("waiting")
+        publish(http, 100, 300)
+        proxy.is_cut = False
+        page.wait(f"{SEEN}.then((each) => each.length >= 400)")
+        publish(http, 400, 50)
+        page.wait(f"{SEEN}.then((each) => each.length >= 450)")
+        assert page.run(SEEN) == list(range(450))
+        proxy.close()
+
+
+def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN) -> None:
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        port = int(url.rpartition(":")[2])
+        declare(http)
+        page = open_page(f"{url}/#live")
+        page.wait(OPEN_FEED)
+        publish(http, 0, 10)
+        page.wait(f"{SEEN}.then((each) => each.length === 10)")
+        page.run("import('/console/pages/system.js').then(() => true)")
+    page.wait_text("waiting")
+    page.run("location.hash = 'system'")
+    page.wait_text("No connection")
+    page.wait("document.title.startsWith('(1) ')")
+    with service(port, "e2") as url, httpx.Client(base_url=url, trust_env=False) as http:
+        declare(http)
+        page.wait_text("Nothing is wrong")
+        page.run("location.hash = 'live'")
+        until = time.monotonic() + 30
+        while page.run(SEEN)[-1] < 1_000:
+            assert time.monotonic() < until
+            publish(http, 1_000, 5)
+            time.sleep(0.2)
+        page.wait("document.querySelector('.line.gap') !== null")
+
+
+def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> None:
+    with service(tokens=f"read r {READ};admin a {ADMIN}") as url:
+        page = open_page(f"{url}/#ask")
+        page.wait_text("This service requires a token")
+        page.choose("#token", "wrong")
+        page.click("button.main", "Log in")
+        page.wait("document.querySelector('.note.bad') !== null")
+        page.choose("#token", READ)
+        page.click("button.main", "Log in")
+        page.wait_text("What would answer")
+        page.wait_text("connected")
+        page.wait_text("Your token may read only")
+        starts = "[...document.querySelectorAll('button')].some((e) => e.innerText === 'Start')"
+        assert not page.run(starts)
+        page.click("button", "Log out")
+        page.wait_text("This service requires a token")
+        page.choose("#token", ADMIN)
+        page.click("button.main", "Log in")
+        page.wait(starts)
+
+
+@pytest.mark.parametrize("rate", [5_000])
+def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) -> None:
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        declare(http)
+        page = open_page(f"{url}/#live")
+        page.wait(OPEN_FEED)
+        stopped = threading.Event()
+
+        def send() -> None:
+            for i in range(60):
+                if stopped.wait(0.1):
+                    return
+                publish(http, i * rate // 10, rate // 10)
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        frames = page.run(
+            """new Promise((done) => { const begun = performance.now(); let frames = 0;
+              const step = () => { frames++;
+                if (performance.now() - begun < 4000) requestAnimationFrame(step);
+                else done(frames / 4); };
+              requestAnimationFrame(step); })"""
+        )
+        shown = page.run("document.querySelectorAll('.line').length")
+        total = page.run("import('/console/feed.js').then((m) => m.pace.value.total)")
+        stopped.set()
+        sender.join()
+        assert total > rate  # they have arrived
+        assert 10 < shown <= 60
+        assert frames > 20  # 60 on an idle machine; a shared one may be slow
