@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Final
 
-from ...languages.errors import LanguageError
+from ...languages.errors import LanguageError, Span
 from ...languages.mtl.ast import Symbol, Variable
 from ...languages.mtl.checked import Kind
 from ...languages.sase import ast
@@ -119,7 +119,7 @@ class _Compiler:
             raise self._error(error.message, places[0], error.hint) from None
         return PatternQuery(text.name, self._attributes.sources(), (plan,), results)
 
-    def _error(self, message: str, span: Any, hint: str) -> LanguageError:
+    def _error(self, message: str, span: Span, hint: str) -> LanguageError:
         return self._attributes.error(message, span, hint)
 
     # -- parts -------------------------------------------------------------------------------
