@@ -82,6 +82,7 @@ class PatternUnit(ComputationalUnit):
         """Describe the evaluation: the plans, and what has been done by now."""
         run = self.recognition
         pending = run.evaluator.pending
+        rounded = run.evaluator.counters.rounded
         return "\n".join(
             [
                 run.explain(),
@@ -90,6 +91,7 @@ class PatternUnit(ComputationalUnit):
                 f"matches      {self.matches:,} by now; {pending:,} wait for what may still come",
                 f"in memory    {run.retained:,} rows and matches",
                 *(f"left out     {count:,} {what}" for what, count in run.losses().items()),
+                *([f"rounded      {rounded:,} numbers of matches or samples"] if rounded else []),
             ]
         )
 

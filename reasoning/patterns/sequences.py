@@ -57,6 +57,11 @@ class Sequences(Evaluator):
         return int(self._runs.counts[LIVE])
 
     @property
+    def kept(self) -> int:
+        """The number of rows in the table, of which some may be of no use any more."""
+        return super().kept - 1
+
+    @property
     def size(self) -> int:
         """The bytes of rows, candidates and runs."""
         return self._store.size + self._runs.size

@@ -51,6 +51,11 @@ class TrendProducts(Trends):
         return np.zeros((count, self._integers), np.int64), np.zeros((count, self._floats))
 
     @property
+    def kept(self) -> int:
+        """The number of rows in the table, and of times of keys in windows."""
+        return super().kept + int(self._counts[LIVE])
+
+    @property
     def size(self) -> int:
         """The bytes of all arrays."""
         return self._store.size + sum(each.nbytes for each in self._arrays())

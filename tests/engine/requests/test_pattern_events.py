@@ -141,6 +141,22 @@ def test_sase(flying):
     ]
 
 
+def test_rounded_numbers_are_told(flying):
+    """Of 70 speeds each subset but the empty one ends with the height: 2^70 - 1 matches."""
+    flying.queries.register(
+        "REGISTER STREAM many AS PATTERN SEQ(speed+ a[], altitude b) WHERE [id] "
+        "WITHIN 2 minutes RETURN COUNT(*) AS n, b.id AS id"
+    )
+    for t in range(1, 71):
+        feed(flying, "speeds", [(t, {"id": "uav1", "spd": 80.0})])
+    feed(flying, "heights", [(71, {"id": "uav1", "alt": 50.0})])
+    for name in ("speeds", "heights"):
+        flying.end(name)
+    ((_, found),) = samples(flying, "many")
+    assert found["n"] == float(2**70)
+    assert "rounded      1 numbers" in flying.queries.explain_running("many")
+
+
 def test_why_and_partial(flying):
     flying.queries.register(DESCENT.split(" AS ", 1)[1].replace("?low", "100 [m]"))
     fly(flying, end=False)
