@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ...engine.model.stream_statistics import rate_of
+from ...engine.units.pattern import PatternUnit
 from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND, format_duration
 from ..models import FindingModel
@@ -78,6 +79,19 @@ def _units(service: Service) -> Iterator[FindingModel]:
             name=failure.unit,
             stream=failure.stream,
         )
+    for unit in service.engine.units():
+        losses = unit.recognition.losses() if isinstance(unit, PatternUnit) else {}
+        if losses:
+            lost = "; ".join(f"{count:,} {what}" for what, count in losses.items())
+            yield FindingModel(
+                level="warn",
+                what=f"Pattern {unit.output.name} leaves matches out",
+                detail=f"Left out: {lost}.",
+                hint="Narrow its times or conditions, so that less has to be kept.",
+                kind="unit",
+                name=unit.name,
+                stream=unit.output.name,
+            )
     behind = {each.name for each in service.engine.backlog.units}
     for unit in service.engine.units() if behind else ():
         if unit.name not in behind:
