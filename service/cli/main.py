@@ -69,7 +69,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "run": (
         "recordings.run",
-        "Evaluate a continuous query over recorded streams, or check them with a monitor.",
+        "Evaluate a query over recorded streams, check a monitor, or find a pattern in them.",
     ),
     "check": (
         "data.commands",
@@ -97,7 +97,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "query": (
         "queries",
-        "Continuous queries and monitors: add, list, show, results, why, remove.",
+        "Queries, monitors and patterns: add, list, show, results, why, partial, remove.",
     ),
     "transformation": (
         "transformations",

@@ -71,8 +71,7 @@ def run(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Evaluate a continuous query over recorded streams, check them with a monitor, or find a
-    pattern in them.
+    """Evaluate a query over recorded streams, check a monitor, or find a pattern in them.
 
     A query prints each window's result. A FILE has timed triples (.ndjson or .csv of time,s,p,o;
     .nq or .trig whose graphs have a prov:generatedAtTime), or with --ssl a table of samples.

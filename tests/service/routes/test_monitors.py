@@ -339,7 +339,7 @@ def test_on_the_command_line(dyknow: Any, flying: httpx.Client, tmp_path: Path) 
     assert CALM in shown
     assert "0 unknown" in shown
     results = dyknow("query", "results", "calm", status=1).stderr
-    assert "its verdicts are the samples of stream calm" in results
+    assert "its results are the samples of stream calm" in results
     followed = dyknow("follow", "calm", "--since", "start").stdout
     assert followed.count("false") == 3
     assert "runs on for 1" in dyknow("query", "remove", "calm").stdout
