@@ -13,7 +13,7 @@ from ..admission.scopes import scope_of_operation
 from ..http import problems
 from ..models import READ_BY_ROUTES
 
-ASKING = ("/match", "/session", "/sparql")
+ASKING = ("/explain", "/match", "/session", "/sparql")
 """Paths whose POST changes nothing that the log keeps."""
 MADE = {
     "/streams": "name",
