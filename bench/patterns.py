@@ -24,9 +24,8 @@ sys.path[:0] = [str(ROOT / "tests" / "support")]
 
 from pattern_data import KINDS, WITHIN, S, batches, chronicle, data, rising, sequence  # noqa: E402
 
-from dyknow.reasoning.patterns.all_rows import AllRows  # noqa: E402
-from dyknow.reasoning.patterns.evaluation import evaluator_of  # noqa: E402
-from dyknow.reasoning.patterns.plan import (  # noqa: E402
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows  # noqa: E402
+from dyknow.reasoning.patterns.plans.plan import (  # noqa: E402
     Aggregate,
     Condition,
     Function,
@@ -37,7 +36,8 @@ from dyknow.reasoning.patterns.plan import (  # noqa: E402
     Trend,
     Value,
 )
-from dyknow.reasoning.patterns.rows import Rows  # noqa: E402
+from dyknow.reasoning.patterns.plans.rows import Rows  # noqa: E402
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of  # noqa: E402
 
 RUNS = 3
 

@@ -21,8 +21,8 @@ sys.path[:0] = [str(ROOT / "tests" / "support")]
 from esper import ANY, ENDING_WITHOUT_D, WITHOUT_D, Esper  # noqa: E402
 from pattern_data import batches, data, sequence  # noqa: E402
 
-from dyknow.reasoning.patterns.all_rows import AllRows  # noqa: E402
-from dyknow.reasoning.patterns.plan import PatternPlan  # noqa: E402
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows  # noqa: E402
+from dyknow.reasoning.patterns.plans.plan import PatternPlan  # noqa: E402
 
 RUNS = 3
 

@@ -28,7 +28,7 @@ from ..ontology.errors import OntologyError
 from ..ontology.formats import FORMATS
 from ..rdf.namespaces import DYKNOW
 from ..reasoning.mtl.monitoring import DECIDED, LAST, WITNESS
-from ..reasoning.patterns.query import END, START
+from ..reasoning.patterns.plans.query import END, START
 from ..streams.generator import StreamGenerator
 from ..streams.history import Retention
 from ..streams.sample import SampleBatch

@@ -6,7 +6,9 @@ With ``NUMBA_DISABLE_JIT=1`` or ``DYKNOW_JIT=off`` each caller takes another way
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from threading import RLock
 from typing import Any
 
@@ -25,14 +27,21 @@ class Kernel:
     cache; ``py_func`` is the same in plain Python, where integers do not overflow.
 
     ``allocates`` False: the function makes no arrays, and numba does not count references to those
-    it has. A call within compiled code then costs 10 ns and not 50.
+    it has. A call within compiled code then costs 10 ns and not 50. ``calls``: the plain functions
+    that it calls, those of other modules, too.
     """
 
     def __init__(
-        self, py_func: Callable[..., Any], signature: Callable[[], Any], *, allocates: bool = True
+        self,
+        py_func: Callable[..., Any],
+        signature: Callable[[], Any],
+        *,
+        allocates: bool = True,
+        calls: Sequence[Callable[..., Any]] = (),
     ) -> None:
         self.py_func = py_func
         self.signature = signature
+        self._calls = calls
         self._options: dict[str, Any] = {"nogil": True} | ({} if allocates else {"_nrt": False})
         self._compiled: Callable[..., Any] | None = None
         _KERNELS.append(self)
@@ -47,7 +56,12 @@ class Kernel:
             if self._compiled is None:
                 # Imported here: it takes half a second, which many commands never need.
                 from numba import njit
+                from numba.extending import register_jitable
 
+                for function in self._calls:
+                    register_jitable(function)
+                if self._calls:
+                    _renew(Path(self.py_func.__code__.co_filename))
                 try:
                     self._compiled = njit(self.signature(), cache=True, **self._options)(
                         self.py_func
@@ -56,6 +70,16 @@ class Kernel:
                     # No directory for the cache (a read-only root, no home): compile at each start.
                     self._compiled = njit(self.signature(), **self._options)(self.py_func)
             return self._compiled
+
+
+def _renew(source: Path) -> None:
+    """Give a module the time of the newest one in its folder and the folders beside it: numba's
+    cache compares the time of the module only, and its loops have code of others in them."""
+    newest = max(each.stat().st_mtime_ns for each in source.parents[1].rglob("*.py"))
+    if newest > source.stat().st_mtime_ns:
+        # Where nothing can be written, nobody changes modules one by one.
+        with suppress(OSError):
+            os.utime(source, ns=(newest, newest))
 
 
 def _ignore(_done: int, _count: int) -> None:

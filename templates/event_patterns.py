@@ -13,14 +13,14 @@ from ..matching.want import Want
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import shorten
-from ..reasoning.patterns.compilation import (
+from ..reasoning.patterns.compilation.texts import (
     CheckedPattern,
     check_pattern,
     check_pattern_template,
     template_sources,
     with_arguments,
 )
-from ..reasoning.patterns.query import END, START, Kinds, Part, PatternQuery, Source
+from ..reasoning.patterns.plans.query import END, START, Kinds, Part, PatternQuery, Source
 from ..streams.sample import TIME_FIELDS
 from .needs import Needs, NeedsError
 from .slots import Slot, given_arguments

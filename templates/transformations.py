@@ -29,7 +29,7 @@ from ..matching.want import Want
 from ..ontology.vocabulary import THING, Vocabulary
 from ..rdf.namespaces import shorten
 from ..reasoning.mtl.monitoring import VERDICT
-from ..reasoning.patterns.query import START
+from ..reasoning.patterns.plans.query import START
 from .instantiate import ArgumentError, instantiate
 from .needs import Needs, NeedsError
 from .patterns import head_subjects, patterns

@@ -10,9 +10,9 @@ from ...languages.ssl.annotation_text import with_ssl_source
 from ...matching.plan import Node, Supply
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
-from ...reasoning.patterns.plan import PlanError
-from ...reasoning.patterns.query import END, START, Keys, Kinds, Part, PatternQuery, Source
-from ...reasoning.patterns.recognition import Recognition
+from ...reasoning.patterns.plans.plan import PlanError
+from ...reasoning.patterns.plans.query import END, START, Keys, Kinds, Part, PatternQuery, Source
+from ...reasoning.patterns.recognition.recognition import Recognition
 from ...streams.generator import StreamGenerator
 from ...streams.sample import FieldType
 from ...templates.event_patterns import BoundPattern

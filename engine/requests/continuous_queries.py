@@ -22,7 +22,7 @@ from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import local_name
 from ...reasoning.mtl.explanation import Explanation
-from ...reasoning.patterns.explanation import ExplainedMatch, PartialMatches
+from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.name_resolution import checked_strategy, did_you_mean

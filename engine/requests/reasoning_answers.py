@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from ...languages.mtl.checked import Kind
 from ...reasoning.mtl.evaluator import TooManyStates
 from ...reasoning.mtl.explanation import Explanation, NoStart
-from ...reasoning.patterns.explanation import ExplainedMatch, PartialMatches
-from ...reasoning.patterns.plan import PlanError
+from ...reasoning.patterns.plans.plan import PlanError
+from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ...reasoning.states.state_maker import TooManyDue
 from ...streams.time import format_time
 from ..model.errors import BadArguments, NoResult, Refused

@@ -11,10 +11,10 @@ import numpy as np
 from ...converters.objects import object_name
 from ...languages.mtl.checked import Kind
 from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.explanation import Told
-from ...reasoning.patterns.plan import NO_VALUE
-from ...reasoning.patterns.query import END, START, Keys, PatternQuery, integers_of, lists_of
-from ...reasoning.patterns.recognition import Recognized
+from ...reasoning.patterns.plans.plan import NO_VALUE
+from ...reasoning.patterns.plans.query import END, START, Keys, PatternQuery, integers_of, lists_of
+from ...reasoning.patterns.recognition.explanation import Told
+from ...reasoning.patterns.recognition.recognition import Recognized
 from ...streams.sample import Column, Field, FieldType, Schema, column_from_values
 from ...streams.string_pool import StringPool
 from ...streams.time import format_time

@@ -11,19 +11,19 @@ from ...converters.objects import object_iri
 from ...languages.mtl.checked import Kind
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.explanation import (
+from ...reasoning.patterns.plans.network import minimal_network
+from ...reasoning.patterns.plans.plan import PlanError
+from ...reasoning.patterns.plans.query import END, START, Keys, Part, PatternQuery, object_key
+from ...reasoning.patterns.recognition.explanation import (
     ExplainedMatch,
     MatchedEvent,
     PartialMatch,
     PartialMatches,
     PendingEvent,
 )
-from ...reasoning.patterns.network import minimal_network
-from ...reasoning.patterns.partial import Partial, partial_matches
-from ...reasoning.patterns.plan import PlanError
-from ...reasoning.patterns.query import END, START, Keys, Part, PatternQuery, object_key
-from ...reasoning.patterns.recognition import SAMPLE, STREAM, Recognition, Recognized
-from ...reasoning.patterns.static_tables import StaticTables
+from ...reasoning.patterns.recognition.partial import Partial, partial_matches
+from ...reasoning.patterns.recognition.recognition import SAMPLE, STREAM, Recognition, Recognized
+from ...reasoning.patterns.recognition.static_tables import StaticTables
 from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten

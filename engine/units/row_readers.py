@@ -13,8 +13,8 @@ from ...converters.objects import object_iri
 from ...languages.mtl.checked import Kind
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plan import NO_VALUE
-from ...reasoning.patterns.query import (
+from ...reasoning.patterns.plans.plan import NO_VALUE
+from ...reasoning.patterns.plans.query import (
     END,
     START,
     Keys,
@@ -24,8 +24,8 @@ from ...reasoning.patterns.query import (
     object_key,
     text_key,
 )
-from ...reasoning.patterns.recognition import Recognition
-from ...reasoning.patterns.rows import Values
+from ...reasoning.patterns.plans.rows import Values
+from ...reasoning.patterns.recognition.recognition import Recognition
 from ...streams.generator import StreamGenerator
 from ...streams.sample import Column, FieldType, SampleBatch
 from ...streams.time import parse_time

@@ -1,7 +1,7 @@
 """Checked chronicles: names resolved, kinds of values known, units converted (SPEC §8).
 
-Everything is a frozen value. `reasoning.patterns.chronicle_plans` makes plans of these. Spans take
-no part in comparisons.
+Everything is a frozen value. `reasoning.patterns.compilation` makes plans of these. Spans take no
+part in comparisons.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Checked EP-SPARQL: features told from static terms, kinds known, conditions without negation
 (SPEC §8).
 
-Everything is a frozen value. `reasoning.patterns.epsparql_plans` makes plans of these.
+Everything is a frozen value. `reasoning.patterns.compilation.epsparql_plans` makes plans of these.
 """
 
 from __future__ import annotations

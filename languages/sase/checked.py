@@ -1,7 +1,7 @@
 """Checked SASE+ patterns: types are concepts of the ontology, parts and results fit (SPEC §8).
 
 Everything is a frozen value. What the attributes of a type are, is known once streams are found;
-`reasoning.patterns.sase_plans` makes plans then.
+`reasoning.patterns.compilation.sase_plans` makes plans then.
 """
 
 from __future__ import annotations

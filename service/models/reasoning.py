@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 from pydantic import BaseModel, Field
 
 from ...reasoning.mtl.explanation import Explanation, Shown
-from ...reasoning.patterns.explanation import ExplainedMatch, PartialMatches
+from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ...streams.time import TIME_MIN, format_time
 
 Values: TypeAlias = dict[str, float | int | bool | str | None]

@@ -8,9 +8,9 @@ from esper import ANY, ENDING_WITHOUT_D, WITHOUT_D, Esper, NoEsper
 from pattern_data import ANY_MATCHES, batches, data, sequence
 from pattern_data import WITHOUT_D as MATCHES_WITHOUT_D
 
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.plan import PatternPlan
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.plans.plan import PatternPlan
+from dyknow.reasoning.patterns.plans.rows import Rows
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.plans.plan import (
     NO_VALUE,
     OWN,
     Arithmetic,
@@ -30,7 +30,7 @@ from dyknow.reasoning.patterns.plan import (
     Time,
     Value,
 )
-from dyknow.reasoning.patterns.plan import Bound as TimeBound
+from dyknow.reasoning.patterns.plans.plan import Bound as TimeBound
 
 COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt,

@@ -70,10 +70,10 @@ from dyknow.languages.ssl import (
 from dyknow.ontology.units import format_unit
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES, shorten
-from dyknow.reasoning.patterns.printer import print_plan
-from dyknow.reasoning.patterns.query import Source
-from dyknow.reasoning.patterns.sase_plans import sase_query
-from dyknow.reasoning.patterns.sase_sources import sase_sources
+from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
+from dyknow.reasoning.patterns.compilation.sase_sources import sase_sources
+from dyknow.reasoning.patterns.plans.printer import print_plan
+from dyknow.reasoning.patterns.plans.query import Source
 
 CASES = TESTS / "cases"
 

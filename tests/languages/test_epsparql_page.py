@@ -20,8 +20,8 @@ from dyknow.languages.epsparql import (
 from dyknow.languages.epsparql.ast import TIME_FUNCTIONS, Operator
 from dyknow.languages.errors import LanguageError
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.reasoning.patterns.epsparql_plans import epsparql_query
-from dyknow.reasoning.patterns.query import PatternQuery
+from dyknow.reasoning.patterns.compilation.epsparql_plans import epsparql_query
+from dyknow.reasoning.patterns.plans.query import PatternQuery
 from dyknow.streams.time import SECOND, TIME_MAX
 
 PAGE = (ROOT / "docs" / "reference" / "ep-sparql.md").read_text(encoding="utf-8")

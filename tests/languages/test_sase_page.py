@@ -23,10 +23,10 @@ from dyknow.languages.sase import (
 from dyknow.languages.sase.ast import Index, Strategy
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import PREFIXES
-from dyknow.reasoning.patterns.evaluation import evaluator_of
-from dyknow.reasoning.patterns.query import Keys, text_key, with_numbers
-from dyknow.reasoning.patterns.rows import Rows
-from dyknow.reasoning.patterns.sase_plans import sase_query
+from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
+from dyknow.reasoning.patterns.plans.query import Keys, text_key, with_numbers
+from dyknow.reasoning.patterns.plans.rows import Rows
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
 
 PAGE = (ROOT / "docs" / "reference" / "sase.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```sase\n(.*?)```", PAGE, re.S)

@@ -12,9 +12,8 @@ from pyoxigraph import RdfFormat, parse
 from dyknow.languages.mtl.checked import Kind
 from dyknow.ontology.vocabulary import THING, Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.changes import Changes
-from dyknow.reasoning.patterns.query import (
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.plans.query import (
     Argument,
     Keys,
     Part,
@@ -25,7 +24,8 @@ from dyknow.reasoning.patterns.query import (
     text_key,
     with_numbers,
 )
-from dyknow.reasoning.patterns.rows import Matches, Rows
+from dyknow.reasoning.patterns.plans.rows import Matches, Rows
+from dyknow.reasoning.patterns.recognition.changes import Changes
 
 ONTOLOGY = """
 dyknow:Thing a owl:Class .

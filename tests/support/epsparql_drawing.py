@@ -13,8 +13,8 @@ from dyknow.continuous.operators.background import Background
 from dyknow.languages.mtl.checked import Kind
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.plan import NO_VALUE, ColumnType
-from dyknow.reasoning.patterns.query import (
+from dyknow.reasoning.patterns.plans.plan import NO_VALUE, ColumnType
+from dyknow.reasoning.patterns.plans.query import (
     Keys,
     Part,
     PatternQuery,
@@ -23,7 +23,7 @@ from dyknow.reasoning.patterns.query import (
     object_key,
     text_key,
 )
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.plans.rows import Rows
 
 ONTOLOGY = """
 dyknow:Thing a owl:Class .

@@ -7,9 +7,9 @@ import pickle
 from epsparql_definition import Sample, Value
 from epsparql_drawing import background, rows_of, value_of
 
-from dyknow.reasoning.patterns.combined import NO_ROW, CombinedMatches, CombinedRows
-from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
-from dyknow.reasoning.patterns.static_tables import StaticTables
+from dyknow.reasoning.patterns.plans.query import Keys, PatternQuery, with_numbers
+from dyknow.reasoning.patterns.recognition.combined import NO_ROW, CombinedMatches, CombinedRows
+from dyknow.reasoning.patterns.recognition.static_tables import StaticTables
 
 Result = tuple[tuple[int, ...], tuple[tuple[str, Value | None], ...], int]
 """The samples, the values of the head, and the time of decision."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.plans.rows import Rows
 
 PROJECT = Path(__file__).parents[1] / "conformance" / "esper"
 JAVA = ("java", "-XX:ActiveProcessorCount=1", "-XX:+UseSerialGC", "-Xmx3g")

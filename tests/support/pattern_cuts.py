@@ -12,9 +12,9 @@ import numpy as np
 from pattern_definition import Match, Row, Step, Watermark
 from pattern_drawing import rows_of
 
-from dyknow.reasoning.patterns.evaluator import Evaluator
-from dyknow.reasoning.patterns.plan import NO_VALUE
-from dyknow.reasoning.patterns.rows import Matches
+from dyknow.reasoning.patterns.evaluation.evaluator import Evaluator
+from dyknow.reasoning.patterns.plans.plan import NO_VALUE
+from dyknow.reasoning.patterns.plans.rows import Matches
 
 Found = list[tuple[tuple[int, ...], int, tuple[Any, ...]]]
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.plans.plan import (
     OWN,
     Between,
     Bound,
@@ -26,7 +26,7 @@ from dyknow.reasoning.patterns.plan import (
     Trend,
     Value,
 )
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.plans.rows import Rows
 
 S = 10**9
 KINDS = ("A", "B", "C", "D", "E")

@@ -7,7 +7,7 @@ from random import Random
 import numpy as np
 from pattern_definition import Row, Step, Watermark, column_value
 
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.plans.plan import (
     ARITHMETIC,
     OPERATORS,
     OWN,
@@ -31,7 +31,7 @@ from dyknow.reasoning.patterns.plan import (
     Time,
     Value,
 )
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.plans.rows import Rows
 
 KINDS = ("A", "B", "C")
 COLUMNS = (

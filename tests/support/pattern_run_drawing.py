@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pattern_drawing import COLUMNS, PatternDrawing
 
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.plans.plan import (
     ARITHMETIC,
     OPERATORS,
     OWN,

@@ -10,9 +10,9 @@ from sase_definition import Event
 
 from dyknow.languages.mtl.checked import Kind
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.reasoning.patterns.plan import NO_VALUE
-from dyknow.reasoning.patterns.query import Keys, Part, PatternQuery, text_key
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.plans.plan import NO_VALUE
+from dyknow.reasoning.patterns.plans.query import Keys, Part, PatternQuery, text_key
+from dyknow.reasoning.patterns.plans.rows import Rows
 
 TYPES = ("A", "B", "C")
 FIELDS = {"tag": Kind.TEXT, "n": Kind.NUMBER, "m": Kind.NUMBER, "at": Kind.TIME, "ok": Kind.TRUTH}

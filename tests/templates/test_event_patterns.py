@@ -8,8 +8,8 @@ from pyoxigraph import Literal, NamedNode, Variable
 
 from dyknow.languages.chronicle import parse_chronicle_template
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.reasoning.patterns.plan import OWN, Condition, Constant, Key, Value
-from dyknow.reasoning.patterns.query import Argument
+from dyknow.reasoning.patterns.plans.plan import OWN, Condition, Constant, Key, Value
+from dyknow.reasoning.patterns.plans.query import Argument
 from dyknow.templates.event_patterns import bound_pattern_template
 from dyknow.templates.instantiate import ArgumentError
 

@@ -24,9 +24,9 @@ from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.chronicle_plans import chronicle_query
-from dyknow.reasoning.patterns.plan import MOST_ELEMENTS, MOST_PROBES
-from dyknow.reasoning.patterns.query import PatternQuery
+from dyknow.reasoning.patterns.compilation.chronicle_plans import chronicle_query
+from dyknow.reasoning.patterns.plans.plan import MOST_ELEMENTS, MOST_PROBES
+from dyknow.reasoning.patterns.plans.query import PatternQuery
 
 PAGE = (ROOT / "docs" / "reference" / "chronicles.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```chronicle\n(.*?)```", PAGE, re.S)

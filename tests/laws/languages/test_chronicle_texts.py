@@ -17,7 +17,7 @@ from dyknow.languages.chronicle import (
     parse_chronicle_template,
 )
 from dyknow.languages.errors import LanguageError
-from dyknow.reasoning.patterns.chronicle_plans import chronicle_query
+from dyknow.reasoning.patterns.compilation.chronicle_plans import chronicle_query
 
 VOCABULARY = vocabulary()
 PIECES = """?x ?v ? t0 t1 t9 event noevent hold occurs when emit in oo true 3 3s 1e9 40000d a uav1

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dyknow.languages.mtl.checked import Kind
-from dyknow.reasoning.patterns.changes import Changes
-from dyknow.reasoning.patterns.plan import NO_VALUE
-from dyknow.reasoning.patterns.query import Argument, Part, Source, SourceColumn
-from dyknow.reasoning.patterns.rows import Rows
+from dyknow.reasoning.patterns.plans.plan import NO_VALUE
+from dyknow.reasoning.patterns.plans.query import Argument, Part, Source, SourceColumn
+from dyknow.reasoning.patterns.plans.rows import Rows
+from dyknow.reasoning.patterns.recognition.changes import Changes
 
 KINDS = ("P", "Q", "R", "E")
 OBJECTS = {"P": 1, "Q": 2, "R": 0, "E": 1}

@@ -20,7 +20,7 @@ from dyknow.languages.chronicle import (
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Kind
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.reasoning.patterns.chronicle_plans import chronicle_query
+from dyknow.reasoning.patterns.compilation.chronicle_plans import chronicle_query
 
 VOCABULARY = vocabulary()
 EVERYTHING = {DYKNOW + each for each in OBJECTS}

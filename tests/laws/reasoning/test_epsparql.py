@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 
 from dyknow.languages.epsparql import check_epsparql, parse_epsparql
 from dyknow.languages.errors import LanguageError
-from dyknow.reasoning.patterns.epsparql_plans import epsparql_query
-from dyknow.reasoning.patterns.plan import PlanError
-from dyknow.reasoning.patterns.query import PatternQuery
+from dyknow.reasoning.patterns.compilation.epsparql_plans import epsparql_query
+from dyknow.reasoning.patterns.plans.plan import PlanError
+from dyknow.reasoning.patterns.plans.query import PatternQuery
 from dyknow.streams.time import TIME_MAX
 
 SEEDS = st.integers(0, 2**32)

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from pattern_definition import Row, Watermark, matches
 from pattern_drawing import PatternDrawing, rows_of
 
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.network import (
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.plans.network import (
     ContradictoryTimes,
     UnboundedRetention,
     minimal_network,
 )
-from dyknow.reasoning.patterns.partial import partial_matches
+from dyknow.reasoning.patterns.recognition.partial import partial_matches
 
 
 @settings(deadline=None, max_examples=400)

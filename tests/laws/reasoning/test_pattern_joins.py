@@ -12,10 +12,10 @@ from pattern_cuts import check_parts, found_in, parts_of
 from pattern_definition import Row, Step, matches
 from pattern_drawing import PatternDrawing, rows_of
 
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.limits import Limits
-from dyknow.reasoning.patterns.network import ContradictoryTimes, UnboundedRetention
-from dyknow.reasoning.patterns.plan import PatternPlan
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.plans.limits import Limits
+from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
+from dyknow.reasoning.patterns.plans.plan import PatternPlan
 
 SEEDS = st.integers(0, 2**32)
 

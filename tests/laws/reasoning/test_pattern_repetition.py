@@ -15,8 +15,8 @@ from pattern_drawing import rows_of
 from pattern_run_definition import any_matches
 from pattern_run_drawing import RunDrawing
 
-from dyknow.reasoning.patterns.network import ContradictoryTimes
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.plans.network import ContradictoryTimes
+from dyknow.reasoning.patterns.plans.plan import (
     Aggregate,
     Condition,
     Constant,
@@ -24,9 +24,9 @@ from dyknow.reasoning.patterns.plan import (
     PatternPlan,
     Selection,
 )
-from dyknow.reasoning.patterns.repeated_rows import RepeatedRows
-from dyknow.reasoning.patterns.rows import Rows
-from dyknow.reasoning.patterns.search_loop import SEARCHED
+from dyknow.reasoning.patterns.plans.rows import Rows
+from dyknow.reasoning.patterns.sequences.repeated_rows import RepeatedRows
+from dyknow.reasoning.patterns.sequences.search_loop import SEARCHED
 
 SEEDS = st.integers(0, 2**32)
 ANY = (Selection.ANY_MATCH,)

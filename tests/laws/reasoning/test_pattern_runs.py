@@ -14,10 +14,10 @@ from pattern_drawing import rows_of
 from pattern_run_definition import run_matches
 from pattern_run_drawing import RunDrawing
 
-from dyknow.reasoning.patterns.limits import Limits
-from dyknow.reasoning.patterns.network import ContradictoryTimes
-from dyknow.reasoning.patterns.next_rows import NextRows
-from dyknow.reasoning.patterns.plan import PatternPlan
+from dyknow.reasoning.patterns.plans.limits import Limits
+from dyknow.reasoning.patterns.plans.network import ContradictoryTimes
+from dyknow.reasoning.patterns.plans.plan import PatternPlan
+from dyknow.reasoning.patterns.sequences.next_rows import NextRows
 
 SEEDS = st.integers(0, 2**32)
 

@@ -17,14 +17,14 @@ from pattern_definition import Step
 from pattern_run_drawing import TrendDrawing
 from trend_definition import trends
 
-from dyknow.reasoning.patterns.evaluation import evaluator_of
-from dyknow.reasoning.patterns.evaluator import Evaluator
-from dyknow.reasoning.patterns.network import ContradictoryTimes
-from dyknow.reasoning.patterns.plan import Function, PatternPlan, Trend
-from dyknow.reasoning.patterns.rows import Matches, Rows
-from dyknow.reasoning.patterns.trend_products import TrendProducts
-from dyknow.reasoning.patterns.trend_sums import TrendSums
-from dyknow.reasoning.patterns.trends import Trends
+from dyknow.reasoning.patterns.evaluation.evaluator import Evaluator
+from dyknow.reasoning.patterns.plans.network import ContradictoryTimes
+from dyknow.reasoning.patterns.plans.plan import Function, PatternPlan, Trend
+from dyknow.reasoning.patterns.plans.rows import Matches, Rows
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
+from dyknow.reasoning.patterns.sequences.trend_products import TrendProducts
+from dyknow.reasoning.patterns.sequences.trend_sums import TrendSums
+from dyknow.reasoning.patterns.sequences.trends import Trends
 
 SEEDS = st.integers(0, 2**32)
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from pattern_definition import Row, Step, Watermark, matches
 from pattern_drawing import KINDS, PatternDrawing, rows_of
 
-from dyknow.reasoning.patterns.network import ContradictoryTimes, UnboundedRetention
-from dyknow.reasoning.patterns.plan import NO_VALUE, Output, PatternPlan, Time
-from dyknow.reasoning.patterns.query import Argument, Keys, PatternQuery, Source
-from dyknow.reasoning.patterns.recognition import Recognition, Recognized, needs_order
+from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
+from dyknow.reasoning.patterns.plans.plan import NO_VALUE, Output, PatternPlan, Time
+from dyknow.reasoning.patterns.plans.query import Argument, Keys, PatternQuery, Source
+from dyknow.reasoning.patterns.recognition.recognition import Recognition, Recognized, needs_order
 from dyknow.streams.time import TIME_MAX, TIME_MIN
 
 STREAMS = 2

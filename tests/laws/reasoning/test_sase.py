@@ -30,11 +30,11 @@ from dyknow.languages.sase import (
 from dyknow.languages.sase.binding import rewritten
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.evaluation import evaluator_of
-from dyknow.reasoning.patterns.plan import NO_VALUE
-from dyknow.reasoning.patterns.query import Keys, PatternQuery, with_numbers
-from dyknow.reasoning.patterns.rows import Matches
-from dyknow.reasoning.patterns.sase_plans import sase_query
+from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
+from dyknow.reasoning.patterns.plans.plan import NO_VALUE
+from dyknow.reasoning.patterns.plans.query import Keys, PatternQuery, with_numbers
+from dyknow.reasoning.patterns.plans.rows import Matches
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
 
 SEEDS = st.integers(0, 2**32)
 ONTOLOGY = "".join(f"dyknow:{each} a owl:Class .\n" for each in TYPES)

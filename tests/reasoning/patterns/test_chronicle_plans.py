@@ -18,9 +18,9 @@ from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.chronicle_plans import chronicle_query
-from dyknow.reasoning.patterns.chronicle_sources import chronicle_sources
-from dyknow.reasoning.patterns.query import Argument, PatternQuery
+from dyknow.reasoning.patterns.compilation.chronicle_plans import chronicle_query
+from dyknow.reasoning.patterns.compilation.chronicle_sources import chronicle_sources
+from dyknow.reasoning.patterns.plans.query import Argument, PatternQuery
 
 ONTOLOGY = """
 dyknow:Thing a owl:Class .

@@ -18,9 +18,9 @@ from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind, ObjectConstant
 from dyknow.ontology.vocabulary import THING, Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.epsparql_plans import epsparql_query
-from dyknow.reasoning.patterns.printer import print_plan
-from dyknow.reasoning.patterns.query import Argument, PatternQuery, Result
+from dyknow.reasoning.patterns.compilation.epsparql_plans import epsparql_query
+from dyknow.reasoning.patterns.plans.printer import print_plan
+from dyknow.reasoning.patterns.plans.query import Argument, PatternQuery, Result
 from dyknow.streams.time import DAY
 
 STOCKS = """

@@ -7,11 +7,9 @@ from dataclasses import replace
 import pytest
 from pattern_data import S, batches, data, sequence
 
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.evaluation import evaluator_of
-from dyknow.reasoning.patterns.network import UnboundedRetention
-from dyknow.reasoning.patterns.next_rows import NextRows
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.plans.network import UnboundedRetention
+from dyknow.reasoning.patterns.plans.plan import (
     OWN,
     Aggregate,
     Bound,
@@ -32,9 +30,11 @@ from dyknow.reasoning.patterns.plan import (
     Trend,
     Value,
 )
-from dyknow.reasoning.patterns.repeated_rows import RepeatedRows
-from dyknow.reasoning.patterns.trend_products import TrendProducts
-from dyknow.reasoning.patterns.trend_sums import TrendSums
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
+from dyknow.reasoning.patterns.sequences.next_rows import NextRows
+from dyknow.reasoning.patterns.sequences.repeated_rows import RepeatedRows
+from dyknow.reasoning.patterns.sequences.trend_products import TrendProducts
+from dyknow.reasoning.patterns.sequences.trend_sums import TrendSums
 
 COUNT = (Trend("n", Function.COUNT),)
 NEXT = Selection.NEXT_MATCH

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pattern_data import ANY_MATCHES, NEXT_MATCHES, WITHOUT_D, batches, data, sequence
 
-from dyknow.reasoning.patterns.all_rows import AllRows
-from dyknow.reasoning.patterns.next_rows import NextRows
-from dyknow.reasoning.patterns.plan import Selection
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.plans.plan import Selection
+from dyknow.reasoning.patterns.sequences.next_rows import NextRows
 
 
 @pytest.mark.parametrize("keys", ANY_MATCHES)

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from dyknow.reasoning.patterns.network import (
+from dyknow.reasoning.patterns.plans.network import (
     INFINITE,
     ContradictoryTimes,
     UnboundedRetention,
     minimal_network,
 )
-from dyknow.reasoning.patterns.plan import (
+from dyknow.reasoning.patterns.plans.plan import (
     OWN,
     Aggregate,
     Arithmetic,
@@ -39,7 +39,7 @@ from dyknow.reasoning.patterns.plan import (
     Trend,
     Value,
 )
-from dyknow.reasoning.patterns.printer import print_network, print_plan
+from dyknow.reasoning.patterns.plans.printer import print_network, print_plan
 
 S = 10**9
 COLUMNS = (Column("tag", ColumnType.KEY), Column("price", ColumnType.NUMBER))

@@ -14,10 +14,10 @@ from dyknow.languages.mtl.checked import Kind
 from dyknow.languages.sase import check_sase, parse_sase
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.reasoning.patterns.evaluation import evaluator_of
-from dyknow.reasoning.patterns.query import Argument, Keys, Part, with_numbers
-from dyknow.reasoning.patterns.sase_plans import sase_query
-from dyknow.reasoning.patterns.sase_sources import sase_sources
+from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
+from dyknow.reasoning.patterns.compilation.sase_sources import sase_sources
+from dyknow.reasoning.patterns.plans.query import Argument, Keys, Part, with_numbers
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
 
 ONTOLOGY = "".join(f"dyknow:{kind} a owl:Class .\n" for kind in KINDS)
 NEXT = "skip_till_next_match"

@@ -7,8 +7,8 @@ from pyoxigraph import Literal, NamedNode, Quad, Store
 
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.mtl.checked import Kind
-from dyknow.reasoning.patterns.query import Keys, StaticJoin, object_key, text_key
-from dyknow.reasoning.patterns.static_tables import StaticTables
+from dyknow.reasoning.patterns.plans.query import Keys, StaticJoin, object_key, text_key
+from dyknow.reasoning.patterns.recognition.static_tables import StaticTables
 from dyknow.sparql import ast, parse_sparql
 
 A, B, C = (NamedNode(f"urn:{name}") for name in "abc")

@@ -1,0 +1,1 @@
+"""The matches of a plan without repetition, and what all evaluations share."""

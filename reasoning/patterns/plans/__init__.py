@@ -1,0 +1,1 @@
+"""Plans of patterns as data, and what their times imply."""

@@ -1,0 +1,1 @@
+"""Patterns over samples: rows in order, plans put together, answers about matches."""

@@ -1,0 +1,70 @@
+"""Tests of the outputs of matches (`query.Test`), in columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..plans.plan import NO_VALUE
+from ..plans.query import AllOf, AnyOf, OutputComparison, Test
+
+Flags = NDArray[np.bool_]
+
+
+def hold(test: Test, outputs: Mapping[str, NDArray[Any]], count: int) -> Flags:
+    """For which of ``count`` matches a test holds; shape ``(count,)``."""
+    match test:
+        case OutputComparison(left, operator, right):
+            return _compared(outputs[left], operator, outputs[right])
+        case AllOf(tests):
+            found = np.ones(count, np.bool_)
+            for each in tests:
+                found &= hold(each, outputs, count)
+            return found
+        case AnyOf(tests):
+            found = np.zeros(count, np.bool_)
+            for each in tests:
+                found |= hold(each, outputs, count)
+            return found
+        case _:
+            assert_never(test)
+
+
+def _compared(left: NDArray[Any], operator: str, right: NDArray[Any]) -> Flags:
+    known = ~(_is_missing(left) | _is_missing(right))
+    match operator:
+        case "<":
+            found = left < right
+        case "<=":
+            found = left <= right
+        case ">":
+            found = left > right
+        case ">=":
+            found = left >= right
+        case "=":
+            found = left == right
+        case _:
+            found = left != right
+    return np.asarray(found & known, np.bool_)
+
+
+def _is_missing(values: NDArray[Any]) -> Flags:
+    if values.dtype == np.float64:
+        return np.asarray(np.isnan(values), np.bool_)
+    return np.asarray(values == NO_VALUE, np.bool_)
+
+
+def print_test(test: Test) -> str:
+    """Return a test as text."""
+    match test:
+        case OutputComparison(left, operator, right):
+            return f"{left} {operator} {right}"
+        case AllOf(tests):
+            return f"({' and '.join(map(print_test, tests))})"
+        case AnyOf(tests):
+            return f"({' or '.join(map(print_test, tests))})"
+        case _:
+            assert_never(test)

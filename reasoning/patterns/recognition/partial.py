@@ -1,0 +1,179 @@
+"""Partial matches: which events have come, and when each of the others may still come (SPEC §8).
+
+They are not kept: they are enumerated from the rows of an evaluator when somebody asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from ....streams.time import TIME_MAX, TIME_MIN
+from ..plans.network import INFINITE, Network
+from ..plans.plan import OWN, ColumnType, CountProbe, PatternPlan, Point, elements_of
+from ..plans.row_values import Bound, Number, Row, are_same, holds, time_of
+
+MOST_STEPS: Final = 100_000
+"""Rows tried for one answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """An event that has not come, and the times (ns) between which it may; None: no bound."""
+
+    element: int
+    earliest: int
+    latest: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Partial:
+    """A partial match: the rows of the events that have come, by element, and the others."""
+
+    bound: Mapping[int, Row]
+    pending: tuple[Pending, ...]
+
+    @property
+    def last(self) -> int:
+        """The time (ns) of the last event."""
+        return max(row.end for row in self.bound.values())
+
+    def keys(self, columns: Collection[str]) -> set[Number | None]:
+        """The keys in these columns of its rows."""
+        return {row.values.get(column) for row in self.bound.values() for column in columns}
+
+
+@dataclass(frozen=True, slots=True)
+class Partials:
+    """Partial matches, the newest first. ``has_more``: there are or may be others."""
+
+    found: tuple[Partial, ...]
+    has_more: bool
+
+
+def partial_matches(
+    network: Network,
+    rows: Sequence[Sequence[Row]],
+    now: int,
+    limit: int,
+    wanted: Collection[int | None] = (),
+) -> Partials:
+    """Return the partial matches of a plan without repetition at the watermark ``now`` (ns).
+
+    A set of rows for some of its elements is one if they meet what the plan says of them, and if
+    each of the others may still come: not before ``now``. ``rows`` are those of each element, then
+    of each probe. ``wanted``: only matches with these keys, by column, in one of their rows.
+
+    Cost: exponential in the elements, at most `MOST_STEPS` rows.
+    """
+    search = _Search(network, rows, now)
+    columns = [each.name for each in network.plan.columns if each.type is ColumnType.KEY]
+    found = [each for each in search.partials() if each.keys(columns) >= set(wanted)]
+    found.sort(key=lambda each: (-each.last, -len(each.bound)))
+    return Partials(tuple(found[:limit]), len(found) > limit or search.is_over)
+
+
+class _Search:
+    def __init__(self, network: Network, rows: Sequence[Sequence[Row]], now: int) -> None:
+        self._network = network
+        self._plan: PatternPlan = network.plan
+        self._rows = [sorted(each, key=lambda row: (-row.end, -row.number)) for each in rows]
+        self._now = now
+        self._steps = 0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the search ended for want of steps."""
+        return self._steps >= MOST_STEPS
+
+    def partials(self) -> Iterator[Partial]:
+        return self._from(0, {})
+
+    def _from(self, element: int, bound: Bound) -> Iterator[Partial]:
+        """The partial matches with these rows for the elements before ``element``."""
+        if element == len(self._plan.elements):
+            if 0 < len(bound) < element and (pending := self._pending(bound)) is not None:
+                yield Partial(dict(bound), pending)
+            return
+        yield from self._from(element + 1, bound)
+        for row in self._rows[element]:
+            if self.is_over:
+                return
+            self._steps += 1
+            extended = {**bound, element: row}
+            if self._fits(element, extended):
+                yield from self._from(element + 1, extended)
+
+    def _fits(self, element: int, bound: Bound) -> bool:
+        """Whether the row of an element fits the others."""
+        plan, row = self._plan, bound[element]
+        if plan.is_distinct and any(
+            e != element and other.number == row.number for e, other in bound.items()
+        ):
+            return False
+        low, high = self._window(Point(element), bound)
+        first, last = self._window(Point(element, True), bound)
+        start = time_of(plan, Point(element, True), bound)
+        if not (low <= row.end <= high and first <= start <= last):
+            return False
+        return all(
+            are_same(each, bound)
+            for each in plan.same
+            if {each.first, each.second} <= bound.keys() and element in (each.first, each.second)
+        ) and all(
+            holds(plan, each, bound)
+            for each in plan.conditions
+            if element in elements_of(each) <= bound.keys()
+        )
+
+    def _window(self, point: Point, bound: Bound) -> tuple[int, int]:
+        """The least and the greatest time of a point by those of the bound rows."""
+        greatest, own = self._network.greatest, self._network.variable(point)
+        low, high = TIME_MIN, TIME_MAX
+        for element in bound:
+            for other in (Point(element), Point(element, True)):
+                time, number = time_of(self._plan, other, bound), self._network.variable(other)
+                if greatest[own][number] < INFINITE:
+                    low = max(low, time - greatest[own][number])
+                if greatest[number][own] < INFINITE:
+                    high = min(high, time + greatest[number][own])
+        return low, high
+
+    def _pending(self, bound: Bound) -> tuple[Pending, ...] | None:
+        """The windows of the other elements; None if one of them cannot come any more, or a probe
+        is violated whatever comes."""
+        found = []
+        for element in range(len(self._plan.elements)):
+            if element in bound:
+                continue
+            low, high = self._window(Point(element), bound)
+            if high < self._now:
+                return None
+            found.append(Pending(element, max(low, self._now), None if high == TIME_MAX else high))
+        for number, probe in enumerate(self._plan.probes, len(self._plan.elements)):
+            if isinstance(probe, CountProbe) and self._is_exceeded(number, probe, bound):
+                return None
+        return tuple(found)
+
+    def _is_exceeded(self, number: int, probe: CountProbe, bound: Bound) -> bool:
+        """Whether more rows have come than a probe allows, whatever else comes."""
+        if probe.most is None or probe.low.point.element not in bound:
+            return False
+        low = time_of(self._plan, probe.low.point, bound) + probe.low.offset
+        least, _ = self._window(probe.high.point, bound)
+        if probe.high.point.element not in bound:
+            least = max(least, self._now)
+        high = least + probe.high.offset
+        count = 0
+        for row in self._rows[number]:
+            whole = {**bound, OWN: row}
+            count += (
+                low <= row.end <= high
+                and all(each.second in bound and are_same(each, whole) for each in probe.same)
+                and all(
+                    elements_of(each) <= whole.keys() and holds(self._plan, each, whole)
+                    for each in probe.conditions
+                )
+            )
+        return count > probe.most

@@ -1,0 +1,1 @@
+"""The matches of plans whose events follow each other: runs, repetition, trends."""
