@@ -12,19 +12,20 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "support")]
 
-from esper import ANY, ENDING_WITHOUT_D, WITHOUT_D, Esper  # noqa: E402
+from esper import ANY, ENDING_WITHOUT_D, NEXT, WITHOUT_D, Esper  # noqa: E402
 from pattern_data import batches, data, sequence  # noqa: E402
 
-from dyknow.reasoning.patterns.evaluation.all_rows import AllRows  # noqa: E402
-from dyknow.reasoning.patterns.plans.plan import PatternPlan  # noqa: E402
+from dyknow.reasoning.patterns.plans.plan import PatternPlan, Selection  # noqa: E402
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of  # noqa: E402
 
 RUNS = 3
+NEXT_MATCH = Selection.NEXT_MATCH
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,10 @@ CASES = (
     Case("any A;B;C", sequence("ABC"), ANY, 3, 10, 15),
     Case("any A;B;C", sequence("ABC"), ANY, 3, 100, 10),
     Case("any A;B;C", sequence("ABC"), ANY, 3, 10_000, 10),
+    *(
+        Case("next A;B;C", replace(sequence("ABC"), selection=NEXT_MATCH), NEXT, 3, keys, 25)
+        for keys in (10, 100, 10_000)
+    ),
     Case("any A;~D;C", sequence("A~DC"), WITHOUT_D, 2, 100, 5),
     Case("any A;~D", sequence("A~D"), ENDING_WITHOUT_D, 1, 100, 3),
 )
@@ -56,7 +61,7 @@ def main() -> None:
             seconds, found = float("inf"), 0
             for _ in range(RUNS):
                 begun = time.process_time()
-                running = AllRows(case.plan)
+                running = evaluator_of(case.plan)
                 found = sum(len(running.push(part)) for part in parts)
                 seconds = min(seconds, time.process_time() - begun)
             same = "" if found == len(theirs.rows) else f", and Esper finds {len(theirs.rows):,}"

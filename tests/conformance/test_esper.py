@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from esper import ANY, ENDING_WITHOUT_D, WITHOUT_D, Esper, NoEsper
-from pattern_data import ANY_MATCHES, batches, data, sequence
+from esper import ANY, ENDING_WITHOUT_D, NEXT, WITHOUT_D, Esper, NoEsper
+from pattern_data import ANY_MATCHES, NEXT_MATCHES, batches, data, sequence
 from pattern_data import WITHOUT_D as MATCHES_WITHOUT_D
 
-from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
-from dyknow.reasoning.patterns.plans.plan import PatternPlan
+from dyknow.reasoning.patterns.plans.plan import PatternPlan, Selection
 from dyknow.reasoning.patterns.plans.rows import Rows
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def esper(tmp_path_factory: pytest.TempPathFactory) -> Esper:
 
 
 def found(plan: PatternPlan, rows: Rows) -> np.ndarray:
-    running = AllRows(plan)
+    running = evaluator_of(plan)
     parts = [running.push(part).rows for part in batches(rows, 1000)]
     matches = np.concatenate(parts)
     return matches[np.lexsort(matches.T[::-1])]
@@ -34,6 +36,15 @@ def test_any_match(esper: Esper, keys: int) -> None:
     theirs = esper.run(ANY, rows, 3).rows
     assert len(theirs) == ANY_MATCHES[keys]
     assert np.array_equal(found(sequence("ABC"), rows), theirs)
+
+
+@pytest.mark.parametrize("keys", NEXT_MATCHES)
+def test_next_match(esper: Esper, keys: int) -> None:
+    rows = data(100_000, keys)
+    theirs = esper.run(NEXT, rows, 3).rows
+    assert len(theirs) == NEXT_MATCHES[keys]
+    plan = replace(sequence("ABC"), selection=Selection.NEXT_MATCH)
+    assert np.array_equal(found(plan, rows), theirs)
 
 
 def test_negation(esper: Esper) -> None:

@@ -54,6 +54,7 @@ class AllRows(Evaluator):
         count = len(plan.elements)
         super().__init__(plan, network, packed, count, limits, capacity)
         self._is_ordered = is_ordered
+        self._has_one_last = is_ordered and len(packed.triggers) == 1
         distinct, intervals = int(plan.is_distinct), int(plan.has_intervals)
         most = self._most_matches
         settings = [count, intervals, distinct, int(is_ordered), most, limits.candidates]
@@ -105,14 +106,17 @@ class AllRows(Evaluator):
 
     def _ends(self, rows: Integers) -> Integers:
         ends = self._store.table[:, END]
-        if len(self._packed.triggers) == 1 and self._is_ordered:
-            return ends[rows[:, self._packed.triggers[0]]]
+        if self._has_one_last:
+            return ends[self._last(rows)]
         found = ends[rows[:, 0]]
         for element in range(1, rows.shape[1]):
             np.maximum(found, ends[rows[:, element]], out=found)
         return found
 
     def _last(self, records: Integers) -> Integers:
+        if self._has_one_last:
+            return records[:, self._packed.triggers[0]]
+        # Rows arrive in the order of their places in the table.
         last: Integers = records.max(axis=1)
         return last
 
