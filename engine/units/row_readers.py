@@ -85,6 +85,8 @@ class RowReader:
     def read(self, batch: SampleBatch, place: int, recognition: Recognition) -> None:
         """Add the samples with a value and wanted objects."""
         present = batch.columns[self._input.field].present
+        if not present.any():
+            return
         objects = []
         for encoder in self._objects:
             numbers, is_wanted = encoder.encode(batch)

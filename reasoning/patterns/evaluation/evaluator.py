@@ -83,6 +83,7 @@ class Evaluator(ABC):
         self._due = np.zeros(capacity, np.int64)
         self._rows = self._unawaited = 0
         self._next_try = TIME_MIN
+        self._nothing: Matches | None = None
 
     @property
     def _most_matches(self) -> int:
@@ -285,6 +286,11 @@ class Evaluator(ABC):
         records, due = self._out[: int(marks[OUT])], self._due[: int(marks[OUT])]
         watermark = int(marks[WATERMARK])
         marks[OUT], marks[DECIDED] = 0, watermark
+        due_next = self._waiting.next_due
+        if not len(records) and (due_next is None or due_next > watermark):
+            if self._nothing is None:
+                self._nothing = self._matches(records, due)
+            return self._nothing
         decided = self._ends(records)
         if self.plan.probes and len(records):
             is_open = due > decided
@@ -297,10 +303,16 @@ class Evaluator(ABC):
             decided = np.concatenate([late_due, decided])
             order = np.argsort(decided, kind="stable")
             records, decided = np.concatenate([late_records, records])[order], decided[order]
+        return self._matches(records, decided)
+
+    def _matches(self, records: Integers, decided: Integers) -> Matches:
         outputs = self._outputs(records)
-        numbers = store.table[: int(marks[ROWS]), NUMBER].copy()
-        rows = numbers.take(records[:, : self._rows_given])
-        return Matches(rows, decided, outputs, numbers.take(self._last(records)))
+        numbers = self._store.table[: int(self._store.marks[ROWS]), NUMBER]
+        if len(numbers) < len(records):
+            # Neighbours in memory are read faster, again and again.
+            numbers = numbers.copy()
+        rows = numbers[records[:, : self._rows_given]]
+        return Matches(rows, decided.copy(), outputs, numbers[self._last(records)])
 
     def _wait(self, records: Integers, due: Integers) -> None:
         room = max(0, self._limits.waiting - len(self._waiting))

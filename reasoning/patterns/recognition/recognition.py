@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....streams.sample import Times
+from ....streams.time import TIME_MIN
 from ...states.departures import Departures, Steps
 from ..evaluation.evaluator import Evaluator
 from ..plans.limits import DEFAULT_LIMITS, Limits
@@ -164,11 +165,9 @@ class Recognition:
         steps = self._departures.advance(watermark, by_clock=by_clock)
         new = _joined([self._new, *self._parts])
         self._parts = []
-        is_due = new.available < watermark
-        self._new, new = new.take(~is_due), new.take(is_due)
-        is_late = new.end < steps.reached_before(new.available)
-        self.late += int(np.count_nonzero(is_late))
-        new = new.take(~is_late)
+        self._new, new = new.split(new.available >= watermark)
+        late, new = new.split(new.end < steps.reached_before(new.available))
+        self.late += len(late)
         return self._in_order(new, steps) if self.is_ordered else self._as_they_come(new, steps)
 
     def finish(self, moment: int) -> Recognized:
@@ -192,7 +191,8 @@ class Recognition:
         return evaluator_of(plan, is_ordered=self.is_ordered, limits=limits)
 
     def _as_they_come(self, new: _Batch, steps: Steps) -> Recognized:
-        new = new.take(new.order(new.available))
+        if len(new) > 1:
+            new = new.take(new.order(new.available))
         first = self._number
         found = self._pushed(new)
         self.evaluator.advance(steps.latest)
@@ -213,6 +213,8 @@ class Recognition:
         return self._results(found, available)
 
     def _pushed(self, batch: _Batch) -> Matches:
+        if not len(batch):
+            return self.evaluator.advance(TIME_MIN)
         self._number += len(batch)
         if self._places is not None:
             self._places.append(batch.place)
@@ -267,6 +269,12 @@ class _Batch:
             self.available[rows], self.place[rows], self.start[rows], self.end[rows], columns
         )
 
+    def split(self, chosen: NDArray[np.bool_]) -> tuple[_Batch, _Batch]:
+        """The rows that are chosen, and the others."""
+        if not chosen.any():
+            return self.take(slice(0, 0)), self
+        return self.take(chosen), self.take(~chosen)
+
     def order(self, *times: Times) -> NDArray[np.int64]:
         """The order of the rows by the last of these times, then by those before it, by stream, and
         by sample."""
@@ -274,6 +282,8 @@ class _Batch:
 
     def in_order(self) -> _Batch:
         """The rows in order of end, then of arrival."""
+        if len(self) < 2:
+            return self
         return self.take(self.order(self.available, self.end))
 
 
