@@ -34,8 +34,8 @@ from ...streams.sample import (
     Schema,
     column_from_values,
 )
-from ...streams.time import TIME_MAX, TIME_MIN, format_time
-from .base import ComputationalUnit
+from ...streams.time import TIME_MIN, format_time
+from .sample_reasoner import SampleReasoner
 from .term_readers import TermInput, term_readers
 
 
@@ -51,7 +51,7 @@ def verdict_schema(monitor: CheckedMonitor) -> Schema:
     return Schema(tuple(fields))
 
 
-class MonitorUnit(ComputationalUnit):
+class MonitorUnit(SampleReasoner):
     """Evaluates a monitor over its inputs.
 
     A verdict is valid at its start, and available when the state that decides it leaves: under
@@ -61,6 +61,8 @@ class MonitorUnit(ComputationalUnit):
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: see `Monitoring`.
     """
+
+    results = "verdicts"
 
     def __init__(
         self,
@@ -73,23 +75,13 @@ class MonitorUnit(ComputationalUnit):
         explanation: str,
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
     ) -> None:
-        super().__init__(*args)
-        self._newest = newest
+        super().__init__(*args, newest=newest)
         self.text = text
         self.monitoring = Monitoring(monitor, len(self.sources), wider)
-        self.samples = 0
-        """Samples read by now."""
         self._explanation = explanation
-        self._first: dict[StreamGenerator, int] = {}
-        """The available time (ns) of the first sample read of each input."""
         self._wider = wider
         self._terms = terms
         self._readers = term_readers(terms, dictionary)
-
-    @property
-    def reads(self) -> Sequence[StreamGenerator]:
-        """The streams that it reads."""
-        return self.inputs
 
     def explain(self) -> str:
         """Describe the evaluation: the formula, its states by now, and the verdicts."""
@@ -105,16 +97,7 @@ class MonitorUnit(ComputationalUnit):
 
     def recall(self) -> RecalledSamples:
         """Return the retained samples that it has read, for explanations."""
-        past, evicting = [], []
-        for place, source in enumerate(self.sources):
-            first, batch = self._first.get(source), self.past_of(source)
-            if first is None:
-                continue
-            batch = batch.take(batch.available >= first)
-            if not len(batch) or int(batch.available[0]) > first:
-                evicting.append(source.stream)
-            if len(batch):
-                past.append((place, source, batch))
+        past, evicting = self._past()
         watermark = self._end + 1 if self.all_ended else self.least_watermark
         return RecalledSamples(
             self.monitoring.monitor,
@@ -123,64 +106,21 @@ class MonitorUnit(ComputationalUnit):
             self._wider,
             self.monitoring.grid,
             len(self.sources),
-            tuple(past),
-            tuple(evicting),
+            past,
+            evicting,
             {self.sources.index(source): self._newest(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
             watermark is not None and not self.all_ended and self._is_by_clock(watermark),
         )
 
-    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self.samples += len(batch)
-        self._first.setdefault(source, int(batch.available[0]))
-        place = self.sources.index(source)
-        self.monitoring.came(place, batch.available, batch.valid)
-        for reader in self._readers[source]:
-            reader.read(batch, place, self.monitoring)
-
-    def progress(self, source: StreamGenerator, watermark: int) -> None:
-        least = self.least_watermark
-        if least is None or self.output.is_ended:
-            return
-        self.monitoring.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
-        by_clock = self._is_by_clock(least)
-        self._advance(least, by_clock=by_clock)
-        if self.monitoring.is_over:
-            self._leave_inputs()
-            self.output.end()
-        else:
-            # The end is at the newest sample, and may follow.
-            self.output.advance(least if by_clock else min(least, self._newest(*self.sources)))
-
-    def resume(self, source: StreamGenerator) -> None:
-        if self.output.is_ended:
-            raise RuntimeError(f"{source.name} goes on after its end, and all verdicts are out")
-        super().resume(source)
-
-    def finish(self, source: StreamGenerator) -> None:
-        if self.output.is_ended:
-            return
-        self.monitoring.ended(self.sources.index(source), self._newest(source))
-        if self.all_ended:
-            self._advance(self._end + 1)
-            self._emit(self.monitoring.finish(self._end))
-        super().finish(source)
+    @property
+    def reasoning(self) -> Monitoring:
+        return self.monitoring
 
     @property
-    def _end(self) -> int:
-        """The available time (ns) of the end of all inputs, whichever of them ended first."""
-        return min(self._newest(*self.sources), TIME_MAX - 1)
-
-    def _is_by_clock(self, watermark: int) -> bool:
-        # After a sample of time t the watermark of a stream is t or t + 1.
-        return watermark > self._newest(*self.sources) + 1
-
-    def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
-        before = self.monitoring.late
-        self._emit(self.monitoring.advance(watermark, by_clock=by_clock))
-        # Beside the samples that were late for the unit itself.
-        self.late += self.monitoring.late - before
+    def _is_over(self) -> bool:
+        return self.monitoring.is_over
 
     def _emit(self, found: Reported) -> None:
         if not len(found):

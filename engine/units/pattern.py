@@ -28,19 +28,20 @@ from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
 from ...streams.sample import SampleBatch
-from ...streams.time import TIME_MAX
-from .base import ComputationalUnit
 from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
+from .sample_reasoner import SampleReasoner
 
 
-class PatternUnit(ComputationalUnit):
+class PatternUnit(SampleReasoner):
     """Evaluates a pattern over its inputs; see `Recognition` for when a match is available.
 
     ``lateness`` returns how far (ns) samples of a stream may be behind later ones. ``newest``
     returns the greatest available time (ns) of the samples in streams and upstream of them; a later
     watermark comes from the clock.
     """
+
+    results = "matches"
 
     def __init__(
         self,
@@ -52,14 +53,11 @@ class PatternUnit(ComputationalUnit):
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
         background: Background,
     ) -> None:
-        super().__init__(*args)
-        self._newest = newest
+        super().__init__(*args, newest=newest)
         self._keys = Keys()
         self._writer = MatchWriter(query, self._keys)
         self._inputs_of_sources = tuple(inputs_of_sources)
         self._lateness = [lateness(each) for each in self.sources]
-        self._first: dict[StreamGenerator, int] = {}
-        """The available time (ns) of the first sample read of each input."""
         self._readers = row_readers(inputs_of_sources, dictionary, self._keys)
         self.query = query
         self.recognition = Recognition(
@@ -70,13 +68,8 @@ class PatternUnit(ComputationalUnit):
             static=StaticTables(background, self._keys, query.graphs[1]),
         )
         self._background = background
-        self.samples = self.matches = 0
-        """Samples read, and matches found by now."""
-
-    @property
-    def reads(self) -> Sequence[StreamGenerator]:
-        """The streams that it reads."""
-        return self.inputs
+        self.matches = 0
+        """Matches found by now."""
 
     def explain(self) -> str:
         """Describe the evaluation: the plans, and what has been done by now."""
@@ -114,70 +107,21 @@ class PatternUnit(ComputationalUnit):
 
     def recall(self) -> RecalledEvents:
         """Return the retained samples that it has read, for explanations."""
-        past, evicting = [], []
-        for place, source in enumerate(self.sources):
-            first, batch = self._first.get(source), self.past_of(source)
-            if first is None:
-                continue
-            batch = batch.take(batch.available >= first)
-            if not len(batch) or int(batch.available[0]) > first:
-                evicting.append(source.stream)
-            if len(batch):
-                past.append((place, source, batch))
+        past, evicting = self._past()
         return RecalledEvents(
             self.query,
             self._inputs_of_sources,
             tuple(self._lateness),
-            tuple(past),
-            tuple(evicting),
+            past,
+            evicting,
             self._background,
             self._end + 1 if self.all_ended else self.least_watermark,
             self._end if self.all_ended else None,
         )
 
-    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self.samples += len(batch)
-        self._first.setdefault(source, int(batch.available[0]))
-        place = self.sources.index(source)
-        self.recognition.came(place, batch.available, batch.valid)
-        for reader in self._readers[source]:
-            reader.read(batch, place, self.recognition)
-
-    def progress(self, source: StreamGenerator, watermark: int) -> None:
-        least = self.least_watermark
-        if least is None or self.output.is_ended:
-            return
-        self.recognition.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
-        # After a sample of time t the watermark of a stream is t or t + 1.
-        by_clock = least > self._newest(*self.sources) + 1
-        self._advance(least, by_clock=by_clock)
-        # The end is at the newest sample, and may follow.
-        self.output.advance(least if by_clock else min(least, self._newest(*self.sources)))
-
-    def resume(self, source: StreamGenerator) -> None:
-        if self.output.is_ended:
-            raise RuntimeError(f"{source.name} goes on after its end, and all matches are out")
-        super().resume(source)
-
-    def finish(self, source: StreamGenerator) -> None:
-        if self.output.is_ended:
-            return
-        self.recognition.ended(self.sources.index(source), self._newest(source))
-        if self.all_ended:
-            self._advance(self._end + 1)
-            self._emit(self.recognition.finish(self._end))
-        super().finish(source)
-
     @property
-    def _end(self) -> int:
-        """The available time (ns) of the end of all inputs, whichever of them ended first."""
-        return min(self._newest(*self.sources), TIME_MAX - 1)
-
-    def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
-        before = self.recognition.late
-        self._emit(self.recognition.advance(watermark, by_clock=by_clock))
-        # Beside the samples that were late for the unit itself.
-        self.late += self.recognition.late - before
+    def reasoning(self) -> Recognition:
+        return self.recognition
 
     def _emit(self, found: Recognized) -> None:
         if not len(found):

@@ -1,0 +1,135 @@
+"""What the units of formulas and patterns share: samples in, decided results out."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Protocol
+
+from ...streams.generator import StreamGenerator
+from ...streams.history import FluentStream
+from ...streams.sample import SampleBatch, Times
+from ...streams.time import TIME_MAX
+from .base import ComputationalUnit
+
+
+class Reasoning(Protocol):
+    """An evaluation over the samples of several streams, numbered from 0."""
+
+    @property
+    def late(self) -> int: ...
+    def came(self, source: int, available: Times, valid: Times, /) -> None: ...
+    def ended(self, source: int, moment: int, /) -> None: ...
+    def set_idle(self, sources: Iterable[int], /) -> None: ...
+    def advance(self, watermark: int, *, by_clock: bool = False) -> Any: ...
+    def finish(self, moment: int, /) -> Any: ...
+
+
+class SampleReasoner(ComputationalUnit):
+    """Gives the samples of its inputs to an evaluation, and emits what that decides.
+
+    ``newest`` returns the greatest available time (ns) of the samples in streams and upstream of
+    them; a later watermark comes from the clock.
+    """
+
+    results = "results"
+    """What it emits, in words."""
+
+    def __init__(self, *args: Any, newest: Callable[[*tuple[StreamGenerator, ...]], int]) -> None:
+        super().__init__(*args)
+        self._newest = newest
+        self.samples = 0
+        """Samples read by now."""
+        self._first: dict[StreamGenerator, int] = {}
+        """The available time (ns) of the first sample read of each input."""
+        self._readers: Mapping[StreamGenerator, Sequence[Any]] = {}
+        """Readers of each input's samples, for the evaluation."""
+
+    @property
+    @abstractmethod
+    def reasoning(self) -> Reasoning:
+        """The evaluation."""
+
+    @abstractmethod
+    def _emit(self, found: Any) -> None:
+        """Emit what was decided."""
+
+    @property
+    def reads(self) -> Sequence[StreamGenerator]:
+        """The streams that it reads."""
+        return self.inputs
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        self.samples += len(batch)
+        self._first.setdefault(source, int(batch.available[0]))
+        place = self.sources.index(source)
+        self.reasoning.came(place, batch.available, batch.valid)
+        for reader in self._readers[source]:
+            reader.read(batch, place, self.reasoning)
+
+    def progress(self, source: StreamGenerator, watermark: int) -> None:
+        least = self.least_watermark
+        if least is None or self.output.is_ended:
+            return
+        self.reasoning.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
+        by_clock = self._is_by_clock(least)
+        self._advance(least, by_clock=by_clock)
+        if self._is_over:
+            self._leave_inputs()
+            self.output.end()
+        else:
+            # The end is at the newest sample, and may follow.
+            self.output.advance(least if by_clock else min(least, self._newest(*self.sources)))
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether no result can follow, so that the output ends before its inputs."""
+        return False
+
+    def resume(self, source: StreamGenerator) -> None:
+        if self.output.is_ended:
+            raise RuntimeError(
+                f"{source.name} goes on after its end, and all {self.results} are out"
+            )
+        super().resume(source)
+
+    def finish(self, source: StreamGenerator) -> None:
+        if self.output.is_ended:
+            return
+        self.reasoning.ended(self.sources.index(source), self._newest(source))
+        if self.all_ended:
+            self._advance(self._end + 1)
+            self._emit(self.reasoning.finish(self._end))
+        super().finish(source)
+
+    def _past(
+        self,
+    ) -> tuple[tuple[tuple[int, StreamGenerator, SampleBatch], ...], tuple[FluentStream, ...]]:
+        """The retained samples that it has read, each with its place and stream; and the streams
+        that have evicted some."""
+        past, evicting = [], []
+        for place, source in enumerate(self.sources):
+            first, batch = self._first.get(source), self.past_of(source)
+            if first is None:
+                continue
+            batch = batch.take(batch.available >= first)
+            if not len(batch) or int(batch.available[0]) > first:
+                evicting.append(source.stream)
+            if len(batch):
+                past.append((place, source, batch))
+        return tuple(past), tuple(evicting)
+
+    @property
+    def _end(self) -> int:
+        """The available time (ns) of the end of all inputs, whichever of them ended first."""
+        return min(self._newest(*self.sources), TIME_MAX - 1)
+
+    def _is_by_clock(self, watermark: int) -> bool:
+        # After a sample of time t the watermark of a stream is t or t + 1.
+        return watermark > self._newest(*self.sources) + 1
+
+    def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
+        before = self.reasoning.late
+        self._emit(self.reasoning.advance(watermark, by_clock=by_clock))
+        # Beside the samples that were late for the unit itself.
+        self.late += self.reasoning.late - before
