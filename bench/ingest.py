@@ -25,7 +25,7 @@ from dyknow.continuous.operators.background import Background
 from dyknow.converters import SampleConverter
 from dyknow.converters.arrow.stream import decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
-from dyknow.converters.ntriples import GENERATED, TripleReader
+from dyknow.converters.rdf.ntriples import GENERATED, TripleReader
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import StreamDeclaration

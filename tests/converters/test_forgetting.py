@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pyoxigraph import Literal, NamedNode
 
-from dyknow.converters.ntriples import TripleReader
 from dyknow.converters.objects import ObjectTable
+from dyknow.converters.rdf.ntriples import TripleReader
 from dyknow.converters.term_tables import PoolTable, TextTable
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.sample import Column, FieldType

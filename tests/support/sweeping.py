@@ -18,7 +18,7 @@ import numpy as np
 from dyknow.continuous.columns.relation import TermValues
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.sharing.template_instances import TemplateEvaluator
-from dyknow.converters.ntriples import TripleReader
+from dyknow.converters.rdf.ntriples import TripleReader
 from dyknow.rdf.dictionary import ForgottenTerm, TermDictionary
 from dyknow.rdf.timed import Kind
 from dyknow.streams import history

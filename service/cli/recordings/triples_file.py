@@ -8,7 +8,7 @@ A time is ISO-8601 or integer nanoseconds. A term is written as in a request: ``
 ``<iri>``, ``31.5``, ``"text"@en``; an absolute IRI may stand without brackets, ``_:b`` is a blank
 node. In NDJSON a number or boolean stands for itself.
 
-N-Quads and TriG (``.nq``, ``.trig``) hold timestamped graphs, see `converters.ntriples`:
+N-Quads and TriG (``.nq``, ``.trig``) hold timestamped graphs, see `converters.rdf.ntriples`:
 
     <urn:g1> <http://www.w3.org/ns/prov#generatedAtTime> "2021-10-07T19:12:53Z"^^xsd:dateTime .
 """
@@ -29,7 +29,7 @@ import msgspec
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Variable
 
 from ....converters.errors import WireError
-from ....converters.ntriples import TripleReader
+from ....converters.rdf.ntriples import TripleReader
 from ....converters.wire import BOM, not_json
 from ....languages.csparql import parse_argument
 from ....languages.errors import LanguageError

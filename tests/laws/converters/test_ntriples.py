@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
 
 from dyknow.converters import WireError
-from dyknow.converters.ntriples import (
+from dyknow.converters.rdf.ntriples import (
     TripleReader,
     decode_nquads,
     decode_ntriples,

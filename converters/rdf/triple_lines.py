@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.timed import Kind
-from ..streams.jit import Kernel
-from .cells import (
+from ...rdf.timed import Kind
+from ...streams.jit import Kernel
+from ..cells import (
     AT,
     BACKSLASH,
     CARET,

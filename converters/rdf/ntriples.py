@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, RdfFormat, parse
 
-from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
-from ..rdf.namespaces import XSD
-from ..rdf.timed import (
+from ...rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
+from ...rdf.namespaces import XSD
+from ...rdf.timed import (
     Kind,
     ObjectColumn,
     TimedTriples,
@@ -30,12 +30,12 @@ from ..rdf.timed import (
     number_text,
     split_term,
 )
-from ..streams.jit import JIT
-from ..streams.sample import Times
-from ..streams.time import TIME_MAX, TIME_MIN, parse_time
-from . import cells
-from .decimals import floats
-from .errors import WireError
+from ...streams.jit import JIT
+from ...streams.sample import Times
+from ...streams.time import TIME_MAX, TIME_MIN, parse_time
+from .. import cells
+from ..decimals import floats
+from ..errors import WireError
 from .triple_lines import DATATYPES, LOOK, numbers, statements
 
 GENERATED = NamedNode("http://www.w3.org/ns/prov#generatedAtTime")

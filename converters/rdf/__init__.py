@@ -1,0 +1,1 @@
+"""RDF as it is: texts of statements, and streams that hold statements."""
