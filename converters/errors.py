@@ -46,7 +46,7 @@ class AheadOfClock(WireError):
     """A sample, the first of its batch, is stamped further ahead of the clock than its stream
     allows; ``latest`` (ns) is the greatest available time that the stream takes now."""
 
-    def __init__(self, line: int, message: str, hint: str, latest: int) -> None:
+    def __init__(self, line: int | None, message: str, hint: str, latest: int) -> None:
         super().__init__(line, message, hint)
         self.latest = latest
 

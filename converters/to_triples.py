@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,16 @@ from .objects import ObjectTable, object_iri
 from .values import ToObjects, object_column
 
 VALUE: Final = RDF + "value"
+
+
+class ToTriples(Protocol):
+    """Samples of one stream to timed triples, by ``annotation``; see `SampleConverter`."""
+
+    annotation: StreamAnnotation
+
+    @property
+    def makes_nodes(self) -> bool: ...
+    def convert(self, batch: SampleBatch, names: Sequence[str] | None = None) -> TimedTriples: ...
 
 
 class SampleConverter:

@@ -39,11 +39,15 @@ class Rounded:
 @dataclass(frozen=True, slots=True)
 class Incoming:
     """A decoded batch. ``stamped``: it has no available times, the generator must stamp it
-    (``batch.available`` then repeats the valid times). ``rounded`` is None if no number was."""
+    (``batch.available`` then repeats the valid times). ``rounded`` is None if no number was.
+    ``valid_on_arrival``: the stamps are its valid times, too. ``has_nodes``: it is RDF with blank
+    nodes, which the stream names (`rdf.statements.with_named_nodes`)."""
 
     batch: SampleBatch
     stamped: bool
     rounded: Rounded | None = None
+    valid_on_arrival: bool = False
+    has_nodes: bool = False
 
 
 @dataclass(frozen=True, slots=True)

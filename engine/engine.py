@@ -220,6 +220,12 @@ class Engine:
         for a stream that the system makes."""
         return self.intake.accepting(name)
 
+    def time_property(self, name: str) -> str | None:
+        """The property (IRI) that gives the times of the statements of stream ``name``, a stream
+        of RDF; empty for none, and None for a stream of samples. Raises `UnknownStream`."""
+        generator = self._parts.configuration.stream(name)
+        return self._parts.configuration.statements.get(generator.name)
+
     def on_opened(self, listener: Callable[[str], None]) -> None:
         """Call ``listener`` with the name of each stream that is created on demand (late samples,
         violations)."""
@@ -707,4 +713,5 @@ class Engine:
             self._parts.configuration.namespaces[name],
             self._parts.application.producer_of(name),
             self._parts.manager.annotations.get(name),
+            self._parts.configuration.statements.get(name),
         )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..continuous.columns.budget import Budget
-from ..converters.to_triples import SampleConverter
+from ..converters.to_triples import ToTriples
 from ..languages.ssl.annotation import StreamAnnotation
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
@@ -263,5 +263,5 @@ class Parts:
             return self.requests.rdf_of(name)
         return found.rdf(self.ontology.vocabulary)
 
-    def _query_converter(self, name: str) -> SampleConverter | None:
+    def _query_converter(self, name: str) -> ToTriples | None:
         return self.queries.converter(name)

@@ -260,24 +260,29 @@ class StreamGenerator:
             self._pending = batch.take(slice(count, None))
             self._greatest = int(self._pending.available[-1])
 
-    def offer(self, batch: SampleBatch, now: int | None = None) -> int:
+    def offer(
+        self, batch: SampleBatch, now: int | None = None, *, stamps_valid: bool = False
+    ) -> int:
         """Take a sender's samples; returns how many were accepted (all of them).
 
         With ``now`` (ns) the samples are stamped with it on arrival, all with one instant, which is
-        later than that of every earlier batch. Otherwise they bring their own available times, in
+        later than that of every earlier batch; with ``stamps_valid`` it is their valid time, too.
+        Otherwise they bring their own available times, in
         any order within the lateness; what comes later than that, or before a watermark, is counted
         as late and not used; `late_stream` gets it. A row equal to one already taken is counted as
         a duplicate and not used, as long as its available time is not late. Raises `SampleError`,
         taking nothing, when stamping would pass the end of 64-bit time.
         """
-        return self._offer(batch, now, distinct=True)
+        return self._offer(batch, now, distinct=True, stamps_valid=stamps_valid)
 
     def emit(self, batch: SampleBatch) -> None:
         """Take what a unit has made, with the available times that it gives. Two equal samples are
         two samples (SPEC §4: bag, not set)."""
         self._offer(batch, None, distinct=self.rules.gap > 0)
 
-    def _offer(self, batch: SampleBatch, now: int | None, *, distinct: bool) -> int:
+    def _offer(
+        self, batch: SampleBatch, now: int | None, *, distinct: bool, stamps_valid: bool = False
+    ) -> int:
         if not len(batch):
             return 0
         stamps = None if now is None else self._stamps(len(batch), now)
@@ -289,7 +294,8 @@ class StreamGenerator:
         self.wake()
         self.counters.accepted += len(batch)
         if stamps is not None:
-            self._release(batch.with_available(stamps))
+            valid = stamps if stamps_valid else batch.valid
+            self._release(SampleBatch(stamps, valid, batch.columns))
             if not self.rules.gap:
                 self._announce(min(int(stamps[-1]), TIME_MAX - 1) + 1)
             return len(batch)

@@ -1,4 +1,4 @@
-"""N-Triples and N-Quads as timed triples in columns.
+"""Texts of RDF as timed triples in columns; N-Triples and N-Quads quickly.
 
 N-Triples have no times: the caller gives one time for all triples of a text. N-Quads are a stream
 of *timestamped graphs* as the W3C RDF Stream Processing group defines them: the default graph gives
@@ -6,7 +6,8 @@ the time of each graph's triples,
 
     <urn:g1> <http://www.w3.org/ns/prov#generatedAtTime> "2021-10-07T19:12:53Z"^^xsd:dateTime .
 
-anywhere in the text. Called by ``dyknow run`` and by programs; see docs/reference/formats.md.
+anywhere in the text. Called by ``dyknow run``, by programs, and for streams of statements; see
+docs/reference/formats.md.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, RdfFormat, parse
 
+from ...ontology.document_guard import check_document
+from ...ontology.errors import OntologyError
 from ...rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
 from ...rdf.namespaces import XSD
 from ...rdf.timed import (
@@ -44,9 +47,10 @@ _TIME_HINT = f"a graph has one {GENERATED}, in the default graph"
 
 
 @dataclass(frozen=True, slots=True)
-class _Statements:
+class Statements:
     """Triples in columns, shape ``(n,)``: ids, and for objects `Kind` and value: an id, an integer,
-    a boolean, or the bits of a float64. ``line`` is None if the parser gives no lines."""
+    a boolean, or the bits of a float64. ``graph`` is `NO_TERM` for the default graph. ``line`` is
+    None if the parser gives no lines."""
 
     subject: Ids
     predicate: Ids
@@ -55,10 +59,14 @@ class _Statements:
     graph: Ids
     line: NDArray[np.int32] | None
 
-    def take(self, rows: NDArray[np.int64]) -> _Statements:
+    def __len__(self) -> int:
+        return len(self.subject)
+
+    def take(self, rows: NDArray[np.int64]) -> Statements:
+        """Return the statements at ``rows``, in that order."""
         line = None if self.line is None else self.line[rows]
         subject, predicate, graph = self.subject[rows], self.predicate[rows], self.graph[rows]
-        return _Statements(subject, predicate, self.kind[rows], self.object[rows], graph, line)
+        return Statements(subject, predicate, self.kind[rows], self.object[rows], graph, line)
 
 
 class TripleReader(TermTable):
@@ -85,12 +93,19 @@ class TripleReader(TermTable):
 
     def triples(self, data: bytes, time: int) -> TimedTriples:
         """N-Triples, all at ``time`` (ns), which is their valid time too."""
-        found = self._read(data, RdfFormat.N_TRIPLES)
-        return self._tables(found, np.full(len(found.subject), time, np.int64))
+        found = self.statements(data, RdfFormat.N_TRIPLES)
+        times = np.full(len(found), time, np.int64)
+        return timed_tables(found, times, times, self.dictionary)
 
     def graphs(self, data: bytes, format: RdfFormat = RdfFormat.N_QUADS) -> TimedTriples:
         """Timestamped graphs, in N-Quads or (slowly) TriG."""
-        found = self._read(data, format)
+        told, times = self.with_times(self.statements(data, format))
+        return timed_tables(told, times, times, self.dictionary)
+
+    def with_times(self, found: Statements) -> tuple[Statements, Times]:
+        """Timestamped graphs: the statements in graphs, and the time of each. Those of the default
+        graph give the times. Raises `WireError` for a graph without a time, and for any other
+        statement of the default graph."""
         telling = found.graph == NO_TERM
         times = self._times(found.take(np.flatnonzero(telling)))
         told = found.take(np.flatnonzero(~telling))
@@ -99,11 +114,18 @@ class TripleReader(TermTable):
         if lacking:
             row = int(np.flatnonzero(np.isin(place, lacking))[0])
             graph = self.dictionary.term(int(told.graph[row]))
-            raise WireError(_line(told, row), f"graph {graph} has no time", _TIME_HINT)
+            raise WireError(line_of(told, row), f"graph {graph} has no time", _TIME_HINT)
         known = np.array([times[graph] for graph in graphs.tolist()], np.int64)
-        return self._tables(told, known[place])
+        return told, known[place]
 
-    def _read(self, data: bytes, format: RdfFormat) -> _Statements:
+    def time_at(self, found: Statements, row: int) -> int:
+        """The object of a statement as a time (ns). Raises `WireError`."""
+        kind = Kind(found.kind[row])
+        value = object_value(kind, found.object[row])
+        return _time(make_term(kind, value, self.dictionary), line_of(found, row))
+
+    def statements(self, data: bytes, format: RdfFormat) -> Statements:
+        """All statements of a text, in order; blank nodes keep their labels."""
         if JIT and format in _LINES and self._least <= len(data) < 2**31:
             try:
                 return self._quickly(data, quads=format == RdfFormat.N_QUADS)
@@ -111,11 +133,12 @@ class TripleReader(TermTable):
                 pass
         return self._exactly(data, format)
 
-    def _exactly(self, data: bytes, format: RdfFormat) -> _Statements:
+    def _exactly(self, data: bytes, format: RdfFormat) -> Statements:
+        _check(data, format)
         try:
             quads = list(parse(data, format=format))
         except SyntaxError as error:
-            raise WireError(error.lineno, f"column {error.offset}: {_cause(error)}") from None
+            raise _refusal(error) from None
         rows = []
         for quad in quads:
             parts = (quad.subject, quad.object)
@@ -130,15 +153,15 @@ class TripleReader(TermTable):
                     id(quad.subject),
                     id(quad.predicate),
                     int(kind),
-                    _bits(kind, value),
+                    object_bits(kind, value),
                     NO_TERM if isinstance(graph, DefaultGraph) else id(graph),
                 )
             )
         columns = np.array(rows, np.int64).reshape(len(rows), 5).T
         ids = columns.astype(np.int32)
-        return _Statements(ids[0], ids[1], ids[2].astype(np.int8), columns[3], ids[4], None)
+        return Statements(ids[0], ids[1], ids[2].astype(np.int8), columns[3], ids[4], None)
 
-    def _quickly(self, raw: bytes, *, quads: bool) -> _Statements:
+    def _quickly(self, raw: bytes, *, quads: bool) -> Statements:
         data = np.frombuffer(raw, np.uint8)
         most = raw.count(b"\n") + raw.count(b"\r") + 1
         starts, ends, lines = statements(data, most, quads=quads)
@@ -153,7 +176,7 @@ class TripleReader(TermTable):
         object[terms] = values[of_term[2][terms]]
         ids = values.astype(np.int32)
         graph = np.where(ends[3] > 0, ids[of_term[3]], np.int32(NO_TERM))
-        return _Statements(ids[of_term[0]], ids[of_term[1]], kind, object, graph, lines)
+        return Statements(ids[of_term[0]], ids[of_term[1]], kind, object, graph, lines)
 
     def _numbers(
         self, raw: bytes, data: cells.Bytes, starts: cells.Positions, ends: cells.Positions
@@ -205,7 +228,7 @@ class TripleReader(TermTable):
                 if kind is Kind.TERM:
                     known[text] = value
                 else:
-                    numbers[text] = int(kind), _bits(kind, value)
+                    numbers[text] = int(kind), object_bits(kind, value)
         if not numbers:
             ids = [known[text] for text in spelled] or [0]
             return np.full(len(ids), int(Kind.TERM), np.int8), np.array(ids, np.int64)
@@ -213,38 +236,39 @@ class TripleReader(TermTable):
         kinds, values = np.array(pairs, np.int64).T
         return kinds.astype(np.int8), values
 
-    def _times(self, told: _Statements) -> dict[int, int]:
+    def _times(self, told: Statements) -> dict[int, int]:
         """The time of each graph, from the triples of the default graph."""
         times: dict[int, int] = {}
         generated = self.dictionary.find(GENERATED)
         for row in range(len(told.subject)):
-            line = _line(told, row)
+            line = line_of(told, row)
             if told.predicate[row] != generated:
                 raise WireError(line, "a triple in no graph has no time", _TIME_HINT)
-            kind = Kind(told.kind[row])
-            value = _values(kind, told.object[row : row + 1])[0]
             graph = int(told.subject[row])
-            time = _time(make_term(kind, value, self.dictionary), line)
+            time = self.time_at(told, row)
             if times.setdefault(graph, time) != time:
                 name = self.dictionary.term(graph)
                 raise WireError(line, f"graph {name} has two times", _TIME_HINT)
         return times
 
-    def _tables(self, found: _Statements, time: Times) -> TimedTriples:
-        """One table per predicate and kind of object, in order of appearance."""
-        groups, first, place = np.unique(
-            found.predicate.astype(np.int64) * len(Kind) + found.kind,
-            return_index=True,
-            return_inverse=True,
-        )
-        tables = []
-        for group in np.argsort(first).tolist():
-            rows = np.flatnonzero(place == group)
-            predicate, kind = divmod(int(groups[group]), len(Kind))
-            column = ObjectColumn(Kind(kind), _values(Kind(kind), found.object[rows]))
-            at = time[rows]
-            tables.append(TripleRows(at, at, found.subject[rows], {predicate: column}))
-        return TimedTriples(self.dictionary, tuple(tables))
+
+def timed_tables(
+    found: Statements, time: Times, valid: Times, dictionary: TermDictionary
+) -> TimedTriples:
+    """The statements as timed triples: a table per predicate and kind of object, in order of
+    appearance."""
+    groups, first, place = np.unique(
+        found.predicate.astype(np.int64) * len(Kind) + found.kind,
+        return_index=True,
+        return_inverse=True,
+    )
+    tables = []
+    for group in np.argsort(first).tolist():
+        rows = np.flatnonzero(place == group)
+        predicate, kind = divmod(int(groups[group]), len(Kind))
+        column = ObjectColumn(Kind(kind), _values(Kind(kind), found.object[rows]))
+        tables.append(TripleRows(time[rows], valid[rows], found.subject[rows], {predicate: column}))
+    return TimedTriples(dictionary, tuple(tables))
 
 
 def decode_ntriples(data: bytes, time: int, dictionary: TermDictionary) -> TimedTriples:
@@ -258,14 +282,32 @@ def decode_nquads(data: bytes, dictionary: TermDictionary) -> TimedTriples:
 
 
 _LINES = (RdfFormat.N_TRIPLES, RdfFormat.N_QUADS)
+_GUARDS = {RdfFormat.JSON_LD: "jsonld"}
 
 
-def _line(found: _Statements, row: int) -> int | None:
+def line_of(found: Statements, row: int) -> int | None:
+    """The line of a statement, counted from 1; None if the parser gives none."""
     return None if found.line is None else int(found.line[row])
 
 
-def _cause(error: SyntaxError) -> str:
-    return error.msg.partition(": ")[2] or error.msg
+def _check(data: bytes, format: RdfFormat) -> None:
+    """Refuse a text that nests too deeply for the parser, which recurses."""
+    try:
+        check_document(data.decode(errors="replace"), _GUARDS.get(format, "turtle"))
+    except OntologyError as error:
+        place = "" if error.column is None else f"column {error.column}: "
+        raise WireError(error.line, f"{place}{error.message}", error.hint) from None
+
+
+def _refusal(error: SyntaxError) -> WireError:
+    if "LoadDocumentCallback" in str(error):
+        return WireError(
+            None,
+            "the document names a remote JSON-LD context, and contexts are never fetched",
+            "put the context into the document itself",
+        )
+    cause = error.msg.partition(": ")[2] or error.msg
+    return WireError(error.lineno, f"column {error.offset}: {cause}")
 
 
 def _time(term: Term, line: int | None) -> int:
@@ -280,7 +322,8 @@ def _time(term: Term, line: int | None) -> int:
     raise WireError(line, f"{term} is no time", "write an xsd:dateTime, or an xsd:integer in ns")
 
 
-def _bits(kind: Kind, value: Any) -> int:
+def object_bits(kind: Kind, value: Any) -> int:
+    """The value of an object as an integer of 64 bits, for `Statements`."""
     if kind.dtype == np.float64:
         return int(np.float64(value).view(np.int64))
     return int(value)
@@ -297,6 +340,11 @@ def _canonical(kind: Kind, values: NDArray[np.float64], spelled: list[bytes]) ->
         ],
         np.bool_,
     )
+
+
+def object_value(kind: Kind, bits: np.int64) -> Any:
+    """The value of an object of `Statements`; the inverse of `object_bits`."""
+    return _values(kind, np.array([bits]))[0]
 
 
 def _values(kind: Kind, bits: NDArray[np.int64]) -> NDArray[Any]:

@@ -123,6 +123,8 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
             elif byte == UNDERSCORE and place != 1:
                 # A label may contain dots but not end in one: a blank must follow.
                 while i < size and data[i] > SPACE:
+                    if data[i] == HASH:
+                        return -1  # the statement ends before a comment
                     i += 1
             else:
                 return -1

@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterator, Mapping
 
 from pyoxigraph import NamedNode
 
+from ...converters.rdf.statement_converter import StatementConverter
 from ...converters.to_triples import SampleConverter
 from ...converters.values import field_type
+from ...languages.csparql.body import stream_iri
 from ...languages.ssl.annotation import Role, StreamAnnotation
 from ...ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ...ontology.ontology import Ontology
@@ -106,6 +108,8 @@ class DeclaredStreams:
             declaration.name in self._configuration.late
         ):
             raise Refused(f"the system makes stream {declaration.name!r}", "choose another name")
+        if declaration.time_property:
+            self._check_time_property(declaration.time_property)
         existing = self._configuration.streams.get(declaration.name)
         if existing is None:
             existing = self._add(declaration)
@@ -118,6 +122,15 @@ class DeclaredStreams:
         self._ontology.registered.streams[declaration.name] = _declaration_json(declaration)
         return existing
 
+    def _check_time_property(self, property: str) -> None:
+        try:
+            NamedNode(property)
+        except ValueError as error:
+            raise BadArguments(
+                f"the time property {property!r} is not an IRI: {error}",
+                "write it out, for example http://www.w3.org/ns/sosa/resultTime",
+            ) from error
+
     def can_extend(self, declaration: StreamDeclaration) -> bool:
         """Whether the stream of that name can change to ``declaration`` while it is in use. False
         if there is none. An open stream counts as one without fields."""
@@ -125,6 +138,7 @@ class DeclaredStreams:
         return (
             existing is not None
             and self._configuration.namespaces[existing.name] == declaration.namespace
+            and self._configuration.statements.get(existing.name) == declaration.time_property
             and set(existing.schema.fields) <= set(declaration.fields)
         )
 
@@ -231,6 +245,10 @@ class DeclaredStreams:
             annotation, schema, vocabulary, self._dictionary, namespace=namespace, units=units
         )
 
+    def statements(self, stream: str) -> StatementConverter:
+        """Make the converter of a stream of RDF."""
+        return StatementConverter(stream, self._dictionary)
+
     def restore_streams(self) -> None:
         """Make the registered streams of an earlier run.
 
@@ -255,6 +273,7 @@ class DeclaredStreams:
             namespace=declaration.namespace,
             idle=declaration.idle,
             ahead=declaration.ahead,
+            time_property=declaration.time_property,
         )
 
     def check_stream_name(self, name: str) -> None:
@@ -309,6 +328,12 @@ class DeclaredStreams:
     ) -> tuple[str, str]:
         """Return why a stream in use cannot change to ``declaration``, and a hint."""
         schema = Schema(declaration.fields)
+        property = self._configuration.statements.get(generator.name)
+        if property != declaration.time_property:
+            told = "it takes samples" if property is None else "it takes RDF"
+            if property is not None and declaration.time_property is not None:
+                told = f"its times come from {property or 'no property'}"
+            return told, "choose another stream name"
         for field in generator.schema.fields:
             other = schema.get(field.name)
             if other is None:
@@ -337,6 +362,7 @@ class DeclaredStreams:
             self._configuration.namespaces[generator.name],
             generator.idle,
             generator.ahead,
+            self._configuration.statements.get(generator.name),
         )
 
     def check_annotation(self, annotation: StreamAnnotation) -> None:
@@ -350,6 +376,11 @@ class DeclaredStreams:
             raise Refused(
                 f"a specification made stream {name!r}",
                 "annotate its transformation, which describes the contents of its streams",
+            )
+        if name in self._configuration.statements:
+            raise Refused(
+                f"stream {name!r} holds RDF, which says itself what it means",
+                f"query it: FROM STREAM <{stream_iri(name)}>",
             )
         existing = self._configuration.streams.get(name)
         if existing is not None and existing.is_open and name in self._configuration.units:
@@ -420,6 +451,7 @@ def _declaration_json(declaration: StreamDeclaration) -> str:
             "idle": declaration.idle,
             "ahead": declaration.ahead,
         }
+        | ({} if declaration.time_property is None else {"time": declaration.time_property})
     )
 
 
@@ -428,6 +460,7 @@ def _declaration_of(name: str, text: str) -> StreamDeclaration:
     fields, retention = stored["fields"], stored["retention"]
     # Declarations of earlier versions have neither.
     idle, ahead = stored.get("idle"), stored.get("ahead", HOUR)
+    property = stored.get("time")
     assert isinstance(fields, list)
     assert isinstance(retention, list)
     return StreamDeclaration(
@@ -438,4 +471,5 @@ def _declaration_of(name: str, text: str) -> StreamDeclaration:
         str(stored["namespace"]),
         None if idle is None else int(str(idle)),
         int(str(ahead)),
+        None if property is None else str(property),
     )

@@ -89,6 +89,8 @@ class Configuration:
 
     ``aliases`` maps further names to streams. ``annotations`` are those of the semantics manager.
     ``namespaces`` has for each stream the namespace of the objects that its id fields name.
+    ``statements`` has the streams of RDF, each with the property (IRI) that gives the times of its
+    statements; an empty text for none.
     ``system`` are the streams that the system makes without a unit, ``named`` those that have
     their name from a specification.
     """
@@ -108,6 +110,7 @@ class Configuration:
         self.aliases: dict[str, str] = {}
         self.annotations: Mapping[str, StreamAnnotation] = {}
         self.namespaces: dict[str, str] = {}
+        self.statements: dict[str, str] = {}
         self.system: set[str] = set()
         self.reports: list[tuple[str, Report]] = []
         """Pending reports of processes, with the names of their streams."""
@@ -199,9 +202,11 @@ class Configuration:
         namespace: str = DYKNOW,
         pools: dict[str, StringPool] | None = None,
         specification: str = "",
+        time_property: str | None = None,
     ) -> StreamGenerator:
         """Add a stream. Raises `AlreadyExists`. String fields without a pool in ``pools`` get a new
         one. A schema without fields makes an *open* stream, whose first samples decide its fields.
+        ``time_property``: it is a stream of RDF (see `statements`).
         """
         if self.has(name):
             raise AlreadyExists(f"there is a stream called {name!r}", "choose another name")
@@ -222,6 +227,8 @@ class Configuration:
         )
         self.streams[name] = generator
         self.namespaces[name] = namespace
+        if time_property is not None:
+            self.statements[name] = time_property
         self._on_change(Change(ChangeKind.STREAM_ADDED, name, specification=specification))
         return generator
 
@@ -235,6 +242,7 @@ class Configuration:
         generator = self.streams.pop(name)
         self.named.discard(name)
         del self.namespaces[name]
+        self.statements.pop(name, None)
         if not generator.is_ended:
             generator.end()  # tells its followers that there are no more samples
         generator.close()

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from ...converters.rdf.statements import with_named_nodes
 from ...converters.wire import Incoming
 from ...streams.generator import StreamGenerator
 from ..model.errors import Conflict, Refused
@@ -46,7 +47,7 @@ class Intake:
         return key is not None and (self.accepting(name).name, key) in self._keys
 
     def count_ahead(self, name: str) -> None:
-        """Count a batch for stream ``name`` that `Publish.check_ahead` has refused, and drop its
+        """Count a batch for stream ``name`` that `Publish.check` has refused, and drop its
         texts from the string pools."""
         generator = self.accepting(name)
         generator.counters.ahead += 1
@@ -91,7 +92,14 @@ class Intake:
                 f"the earlier samples of stream {name!r} {earlier}; these {these}",
                 "the first sample decides for the whole stream: send all like it",
             )
-        accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
+        batch = incoming.batch
+        if incoming.has_nodes:
+            batch = with_named_nodes(batch, generator.counters.accepted + 1)
+        accepted = generator.offer(
+            batch,
+            now if incoming.stamped else None,
+            stamps_valid=incoming.valid_on_arrival,
+        )
         if idempotency_key is not None:
             self._keys[key] = (digest, accepted)
             self._keyed.add(name)

@@ -17,13 +17,15 @@ from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 import numpy as np
+from pyoxigraph import RdfFormat
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...converters.arrow.sizes import declares_more
 from ...converters.arrow.stream import decode_arrow
-from ...converters.errors import AheadOfClock, ConversionError
+from ...converters.errors import AheadOfClock, ConversionError, WireError
 from ...converters.ndjson import decode_ndjson
 from ...converters.ndjson_lines import sample_lines
+from ...converters.rdf.statements import check_statements, decode_statements
 from ...converters.wire import BatchLimits, Incoming
 from ...languages.errors import LanguageError
 from ...languages.specification import Specification
@@ -40,7 +42,7 @@ from ...streams.time import SECOND, TIME_MAX, format_duration, format_time
 from ..catalog.iri_annotations import DescribedStream, DescribedTransformation
 from ..catalog.registered_transformations import TransformationView
 from ..engine import Engine
-from ..model.errors import DyknowError
+from ..model.errors import Conflict, DyknowError
 from ..model.views import (
     DeclarationView,
     EventView,
@@ -55,8 +57,15 @@ from ..model.views import (
 from ..processes.external_io import Outcome, Reading
 from ..units.backlog import TurnRecord
 
-BatchKind: TypeAlias = Literal["ndjson", "arrow"]
-
+BatchKind: TypeAlias = Literal["ndjson", "arrow", "ntriples", "nquads", "turtle", "trig", "jsonld"]
+RDF_FORMATS: Final[dict[BatchKind, RdfFormat]] = {
+    "ntriples": RdfFormat.N_TRIPLES,
+    "nquads": RdfFormat.N_QUADS,
+    "turtle": RdfFormat.TURTLE,
+    "trig": RdfFormat.TRIG,
+    "jsonld": RdfFormat.JSON_LD,
+}
+"""The kinds of batches for streams of RDF."""
 
 REFUSALS = (
     DyknowError,
@@ -114,15 +123,29 @@ class Publish(Command, frozen=True, tag="publish"):
         """Decode the batch by the present fields of the stream. Raises `WireError`, also for a
         batch beyond ``limits``. A replay passes no limits, since the batch was accepted."""
         generator = engine.accepting(self.stream)
-        return self._decode(generator.schema, generator.stream.pools, limits)
+        property = self.time_property(engine)
+        return self._decode(generator.schema, generator.stream.pools, limits, property)
 
-    def decode_beside(self, stream: FluentStream, schema: Schema, limits: BatchLimits) -> Incoming:
+    def time_property(self, engine: Engine) -> str:
+        """Return the property that gives the times of statements; empty where none does. Raises
+        `Conflict` for a text of RDF to a stream of samples."""
+        property = engine.time_property(self.stream)
+        if property is None and self.kind in RDF_FORMATS:
+            raise Conflict(
+                f"stream {self.stream!r} takes samples, and this is RDF",
+                'declare a stream of RDF: PUT /streams/NAME {"kind": "rdf"}',
+            )
+        return property or ""
+
+    def decode_beside(
+        self, stream: FluentStream, schema: Schema, limits: BatchLimits, time_property: str = ""
+    ) -> Incoming:
         """Decode the batch by ``schema`` in another thread than the engine's.
 
         It changes nothing that the engine's thread reads: texts get codes of pools of their own.
         The stream gives them its codes when it takes the batch, so a replay gives the same codes.
         """
-        incoming = self._decode(schema, {}, limits)
+        incoming = self._decode(schema, {}, limits, time_property)
         stream.find_places(incoming.batch)
         return incoming
 
@@ -131,17 +154,29 @@ class Publish(Command, frozen=True, tag="publish"):
         schema: Schema,
         pools: dict[str, StringPool],
         limits: BatchLimits | None,
+        time_property: str,
     ) -> Incoming:
+        format = RDF_FORMATS.get(self.kind)
+        if format is not None:
+            return decode_statements(self.body, format, pools, limits, time_property)
         decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
         return decode(self.body, schema, pools, limits)
 
-    def check_ahead(self, engine: Engine, incoming: Incoming) -> None:
+    def check(self, engine: Engine, incoming: Incoming) -> None:
         """Raise `AheadOfClock` where a sample is stamped further ahead of the clock, ``now``, than
-        its stream allows (SPEC §5, "Time of windows").
+        its stream allows (SPEC §5, "Time of windows"), and `WireError` for samples that are no
+        statements in a stream of RDF.
 
         Contract: call it once for a batch from a client, before execution, and never in a replay.
         """
         generator = engine.accepting(self.stream)
+        if self.kind not in RDF_FORMATS and engine.time_property(self.stream) is not None:
+            try:
+                check_statements(incoming.batch)
+            except WireError:
+                # Decoding has put its texts into the stream's pools.
+                generator.forget_texts()
+                raise
         if incoming.stamped or engine.intake.is_used(self.stream, self.key):
             return
         latest = min(self.now + generator.ahead, TIME_MAX)
@@ -150,12 +185,15 @@ class Publish(Command, frozen=True, tag="publish"):
             return
         row = int(np.argmax(available > latest))
         time = int(available[row])
-        line = row + 1
+        line: int | None = row + 1
+        what = "'available'"
         if self.kind == "ndjson":
             line, _ = next(islice(sample_lines(self.body), row, None))
+        elif self.kind in RDF_FORMATS:
+            line, what = None, "the time of a statement"
         raise AheadOfClock(
             line,
-            f"'available' is {format_time(time)}, {format_duration(time - self.now)} ahead of the "
+            f"{what} is {format_time(time)}, {format_duration(time - self.now)} ahead of the "
             f"clock; stream {self.stream!r} takes {format_duration(generator.ahead)} at most",
             'correct the time; declare the stream of a simulation with "ahead": "oo"',
             latest,

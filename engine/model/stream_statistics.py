@@ -20,9 +20,10 @@ def stream_view(
     namespace: str,
     producer: str | None,
     annotation: StreamAnnotation | None,
+    time_property: str | None,
 ) -> StreamView:
     """Return the stream's present state; ``producer`` is the name of the process that makes it,
-    if the system does.
+    if the system does. ``time_property``: as in `StreamDeclaration`.
 
     Cost: O(1), and a look at the last few batches for rate and lag.
     """
@@ -55,6 +56,7 @@ def stream_view(
         contents=() if annotation is None else annotation.contents,
         producer=producer,
         subscribers=generator.subscribers + generator.listeners,
+        time_property=time_property,
     )
 
 

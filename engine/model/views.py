@@ -43,7 +43,8 @@ class StreamDeclaration:
     """The declaration of a stream. ``lateness``: how late (ns) a sample may arrive. ``namespace``:
     that of the objects that id fields name. ``idle``: the time (ns) without samples after which
     readers no longer wait for the stream (None: they always wait). ``ahead``: how far (ns) ahead of
-    the clock samples may be stamped (`FOREVER`: any time)."""
+    the clock samples may be stamped (`FOREVER`: any time). ``time_property``: it is a stream of
+    RDF, and this property (IRI; empty for none) gives the times of its statements."""
 
     name: str
     fields: tuple[Field, ...]
@@ -52,6 +53,7 @@ class StreamDeclaration:
     namespace: str = DYKNOW
     idle: int | None = None
     ahead: int = HOUR
+    time_property: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,8 @@ class StreamView:
     """The present state of a stream. Times in ns; ``rate`` in samples per second of available time
     (over at least a second). ``first_available`` is the oldest retained available time.
     ``is_idle``: it had no samples for ``idle``, so readers do not wait for it. ``contents`` are the
-    features that the annotation gives to fields; ``annotation`` is its text."""
+    features that the annotation gives to fields; ``annotation`` is its text. ``time_property``: as
+    in `StreamDeclaration`."""
 
     name: str
     fields: tuple[Field, ...]
@@ -85,6 +88,7 @@ class StreamView:
     contents: tuple[Content, ...]
     producer: str | None
     subscribers: int
+    time_property: str | None
 
 
 @dataclass(frozen=True, slots=True)

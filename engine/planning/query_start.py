@@ -13,7 +13,7 @@ from typing import TypeAlias
 from ...continuous.algebra.constant_lifting import Pattern
 from ...continuous.estimation.input_rates import Flow
 from ...continuous.sharing.similar_queries import Unshared, form_of
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import SampleConverter, ToTriples
 from ...languages.csparql import with_streams
 from ...languages.csparql.ast import ContinuousQuery
 from ...languages.ssl.annotation import Content, StreamAnnotation
@@ -59,7 +59,7 @@ class StartedQuery:
     kept: KeptWindows
     matches: tuple[Match, ...]
     reads: tuple[ReadStream, ...]
-    converter: SampleConverter | None
+    converter: ToTriples | None
     instance: FormInstance | None
     unshared: str
 
@@ -79,7 +79,7 @@ class QueryStarter:
         configuration: Configuration,
         plans: Plans,
         space: StreamSpace,
-        converter_of: Callable[[str], SampleConverter | None],
+        converter_of: Callable[[str], ToTriples | None],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
@@ -272,7 +272,7 @@ def bad_arguments_for_unsupported() -> Iterator[None]:
         raise BadArguments(str(error)) from error
 
 
-def _converters_of(reads: Sequence[ReadStream]) -> dict[StreamGenerator, SampleConverter]:
+def _converters_of(reads: Sequence[ReadStream]) -> dict[StreamGenerator, ToTriples]:
     return {each.generator: each.converter for each in reads}
 
 

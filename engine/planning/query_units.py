@@ -22,7 +22,7 @@ from ...continuous.operators.sources import StaticSide
 from ...continuous.sharing.shared_windows import SharedWindows
 from ...continuous.sharing.similar_queries import SimilarQueriesEvaluator, break_even_count
 from ...continuous.sharing.template_instances import TemplateEvaluator
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import SampleConverter, ToTriples
 from ...languages.csparql import format_query, with_streams
 from ...languages.csparql.ast import ContinuousQuery
 from ...languages.ssl.annotation import Content, StreamAnnotation
@@ -62,7 +62,7 @@ class QuerySettings:
     on_result: Callable[[WindowResult], None] | None = None
 
 
-Read: TypeAlias = Mapping[StreamGenerator, SampleConverter]
+Read: TypeAlias = Mapping[StreamGenerator, ToTriples]
 """Streams that a query names, each with the converter of its whole annotation."""
 _SHARED_NOTE = "# and queries that differ from this one in constants\n"
 
@@ -228,7 +228,7 @@ class Queries:
         self,
         query: ContinuousQuery,
         inputs: Mapping[str, StreamGenerator],
-        converters: Mapping[str, Sequence[SampleConverter]],
+        converters: Mapping[str, Sequence[ToTriples]],
         evaluator: SharedWindows,
         parameters: str = "",
     ) -> TemplateUnit:
@@ -245,7 +245,7 @@ class Queries:
 
     def _inputs_of(
         self, read: Read | Sequence[Supply]
-    ) -> tuple[dict[str, StreamGenerator], Mapping[str, Sequence[SampleConverter]]]:
+    ) -> tuple[dict[str, StreamGenerator], Mapping[str, Sequence[ToTriples]]]:
         if not isinstance(read, Mapping):
             return self._start_inputs(read, Since.NOW)
         converters = {generator.name: [converter] for generator, converter in read.items()}
@@ -253,11 +253,11 @@ class Queries:
 
     def _start_inputs(
         self, supplies: Sequence[Supply], since: Beginning
-    ) -> tuple[dict[str, StreamGenerator], dict[str, list[SampleConverter]]]:
+    ) -> tuple[dict[str, StreamGenerator], dict[str, list[ToTriples]]]:
         """Start the streams of the supplies; return them with the converters of the wanted
         features."""
         inputs: dict[str, StreamGenerator] = {}
-        converters: dict[str, list[SampleConverter]] = defaultdict(list)
+        converters: dict[str, list[ToTriples]] = defaultdict(list)
         wanted = [(supply, source) for supply in supplies for source in supply.sources]
         features_of: dict[tuple[object, ...], set[str]] = defaultdict(set)
         for supply, source in wanted:
@@ -308,7 +308,7 @@ class Queries:
         self,
         query: ContinuousQuery,
         inputs: Mapping[str, StreamGenerator],
-        converters: Mapping[str, Sequence[SampleConverter]],
+        converters: Mapping[str, Sequence[ToTriples]],
         form: ResultForm,
         since: Beginning,
         settings: QuerySettings,

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from urllib.parse import unquote
 
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import ToTriples
 from ...languages.csparql.ast import ContinuousQuery
 from ...languages.csparql.body import stream_iri
 from ...languages.ssl.annotation import StreamAnnotation
@@ -30,7 +30,7 @@ class ReadStream:
     """
 
     generator: StreamGenerator
-    converter: SampleConverter
+    converter: ToTriples
 
     @property
     def name(self) -> str:
@@ -43,7 +43,7 @@ class ReadStream:
 
 def read_streams(
     configuration: Configuration,
-    converter_of: Callable[[str], SampleConverter | None],
+    converter_of: Callable[[str], ToTriples | None],
     query: ContinuousQuery,
 ) -> tuple[ContinuousQuery, tuple[ReadStream, ...]]:
     """Return the query with the streams' own names, and its streams, each once. Raises

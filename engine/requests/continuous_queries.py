@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...continuous.operators.results import WindowResult
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import ToTriples
 from ...languages.csparql.ast import ContinuousQuery
 from ...languages.errors import LanguageError, Span
 from ...languages.specification.ast import RESERVED
@@ -103,7 +103,7 @@ class RegisteredQueries:
         space: StreamSpace,
         declared: DeclaredStreams,
         changed: Callable[[Change], None],
-        converter_of: Callable[[str], SampleConverter | None],
+        converter_of: Callable[[str], ToTriples | None],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
@@ -355,7 +355,7 @@ class RegisteredQueries:
         """The query whose results are a stream, as ``query NAME``."""
         return (f"query {stream}",) if stream in self._running else ()
 
-    def converter(self, stream: str) -> SampleConverter | None:
+    def converter(self, stream: str) -> ToTriples | None:
         """The converter of a query's samples to the triples of its head; None for other streams,
         for tables, and for a stream with an annotation of its own, which takes precedence."""
         running = self._running.get(stream)

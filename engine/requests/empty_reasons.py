@@ -47,6 +47,9 @@ def why_empty(
         return None
     vocabulary = ontology.vocabulary
     wants, unknown = _wants(unit, ontology)
+    if any(source.name in configuration.statements for source in evaluating.reads):
+        # RDF may have any predicate, also one that the ontology does not know.
+        wants, unknown = (), ()
     dropped = _dropped(configuration, evaluating)
     if evaluating.late:
         dropped.append(f"{evaluating.late:,} were too late for their windows")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...converters.to_triples import SampleConverter, node_names
+from ...converters.to_triples import ToTriples, node_names
 from ...languages.ssl.annotation import StreamAnnotation
 from ...streams.instants import places_in_instants
 from ...streams.sample import SampleBatch
@@ -28,14 +28,14 @@ class SampleRdf:
         declared: DeclaredStreams,
         manager: SemanticsManager,
         annotation_of_answer: Callable[[str], StreamAnnotation | None],
-        query: Callable[[str], SampleConverter | None],
+        query: Callable[[str], ToTriples | None],
     ) -> None:
         self._configuration = configuration
         self._declared = declared
         self._manager = manager
         self._annotation_of_answer = annotation_of_answer
         self._query_converter = query
-        self._converters: dict[str, SampleConverter] = {}
+        self._converters: dict[str, ToTriples] = {}
 
     def of(self, name: str, batch: SampleBatch) -> list[str]:
         """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
@@ -51,8 +51,8 @@ class SampleRdf:
             lines[row].append(f"{subject} {predicate} {object} .")
         return ["\n".join(triples) for triples in lines]
 
-    def converter(self, name: str) -> SampleConverter | None:
-        """Return the converter of a stream; None if it has no annotation."""
+    def converter(self, name: str) -> ToTriples | None:
+        """Return the converter of a stream; None if it has no annotation and is none of RDF."""
         source = self._configuration.late.source_of(name)
         if source is not None:  # late samples have the meaning of their stream's samples
             return self.converter(source)
@@ -61,6 +61,9 @@ class SampleRdf:
             found = self._query_converter(name)
         if found is None:
             generator = self._configuration.stream(name)
+            if generator.name in self._configuration.statements:
+                found = self._converters[name] = self._declared.statements(generator.name)
+                return found
             annotation = self._annotation_of_answer(name) or self._manager.annotations.get(name)
             if annotation is None:
                 return None

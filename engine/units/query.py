@@ -11,7 +11,7 @@ from ...continuous.evaluation.evaluator import ContinuousEvaluator
 from ...continuous.operators.results import ResultBatch, WindowResult
 from ...converters.errors import ConversionError
 from ...converters.to_samples import ResultConverter
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import ToTriples
 from ...streams.generator import StreamGenerator
 from ...streams.sample import SampleBatch, Times
 from ...streams.time import TIME_MIN, format_time
@@ -104,7 +104,7 @@ class QueryUnit(WindowUnit):
         self,
         *args: Any,
         evaluator: ContinuousEvaluator,
-        converters: Mapping[str, Sequence[SampleConverter]],
+        converters: Mapping[str, Sequence[ToTriples]],
         results: ResultConverter,
         on_result: Callable[[WindowResult], None] | None = None,
     ) -> None:

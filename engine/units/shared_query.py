@@ -16,7 +16,7 @@ from ...continuous.operators.results import WindowResult
 from ...continuous.sharing.instance_results import InstanceResults
 from ...continuous.sharing.shared_windows import SharedWindows
 from ...converters.to_samples import ResultConverter
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import ToTriples
 from ...streams.generator import StreamGenerator
 from ...streams.sample import Column, Field, FieldType, SampleBatch, Schema
 from ...streams.time import TIME_MIN
@@ -49,7 +49,7 @@ class TemplateUnit(WindowUnit):
         self,
         *args: Any,
         evaluator: SharedWindows,
-        converters: Mapping[str, Sequence[SampleConverter]],
+        converters: Mapping[str, Sequence[ToTriples]],
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: SharedWindows = evaluator

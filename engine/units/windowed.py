@@ -17,7 +17,7 @@ from ...continuous.columns.budget import Quarantined
 from ...continuous.estimation.input_rates import Flow
 from ...continuous.evaluation.evaluator import ContinuousEvaluator
 from ...continuous.sharing.shared_windows import SharedWindows
-from ...converters.to_triples import SampleConverter, node_names
+from ...converters.to_triples import ToTriples, node_names
 from ...languages.ssl.annotation import Content
 from ...streams.generator import StreamGenerator
 from ...streams.instants import Places
@@ -48,7 +48,7 @@ class WindowUnit(ComputationalUnit):
         self,
         *args: Any,
         evaluator: ContinuousEvaluator | SharedWindows,
-        converters: Mapping[str, Sequence[SampleConverter]],
+        converters: Mapping[str, Sequence[ToTriples]],
     ) -> None:
         super().__init__(*args)
         self.evaluator = evaluator

@@ -7,7 +7,7 @@ than a middleware or dependency of the framework, which matters for small batche
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from starlette.requests import Request
@@ -86,8 +86,17 @@ class Gate:
             if caller is None:
                 raise _unknown(401, "this service requires a token")
             scope[CALLER] = caller
-            if not caller.may(rule.scope):
-                raise _lacking(caller, rule)
+        self._check(scope, rule, parameters)
+
+    def check_also(self, scope: Scope, method: str, path: str) -> None:
+        """Check what an admitted request does beside its own route, as if it were a request for
+        that. Raises a `Problem`."""
+        self._check(scope, *self.rules.find(method, path))
+
+    def _check(self, scope: Scope, rule: Rule, parameters: Mapping[str, str]) -> None:
+        caller: Caller | None = scope.get(CALLER)
+        if caller is not None and rule.scope is not None and not caller.may(rule.scope):
+            raise _lacking(caller, rule)
         self.quotas.check(rule.route, parameters)
         self.memory.check_route(rule.route)
 

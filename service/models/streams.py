@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    field_validator,
+    model_validator,
+)
 
+from ...converters.rdf.statements import SCHEMA
 from ...converters.wire import Rounded
 from ...engine.model import views
 from ...rdf.namespaces import DYKNOW
@@ -102,11 +110,35 @@ class StreamIn(Body):
                 raise ValueError(f"the field {name!r} is declared twice")
         return fields
 
+    @model_validator(mode="after")
+    def _fit_kind(self) -> Self:
+        if self.kind == "rdf" and self.fields:
+            raise ValueError("a stream of RDF has fields of its own: leave `fields` out")
+        if self.kind == "samples" and not self.fields:
+            raise ValueError('a stream has at least one field: give "fields": {"id": "string"}')
+        if self.kind == "samples" and self.time is not None:
+            raise ValueError('`time` is for streams of RDF: give "kind": "rdf"')
+        return self
+
+    kind: Literal["samples", "rdf"] = Field(
+        "samples",
+        description="rdf: the samples are statements, published as N-Triples, N-Quads, TriG, "
+        "Turtle or JSON-LD, and need no annotation to be queried",
+    )
     fields: Annotated[list[FieldIn], BeforeValidator(_fields)] = Field(
-        min_length=1,
+        [],
         max_length=1000,
-        description="a list of names and types, or an object of name: type",
+        description="a list of names and types, or an object of name: type; at least one, and "
+        "none for a stream of RDF",
         examples=[[{"name": "id", "type": "string"}, {"name": "speed", "type": "float"}]],
+    )
+    time: str | None = Field(
+        None,
+        min_length=1,
+        max_length=2000,
+        description="of a stream of RDF: the property (IRI) that gives the times of statements "
+        "whose graph has no time; without it they have the time of arrival",
+        examples=["http://www.w3.org/ns/sosa/resultTime"],
     )
     lateness: Duration = Field(0, description="how far behind the newest sample one may arrive")
     idle: Annotated[Duration, Field(gt=0)] | None = Field(
@@ -131,11 +163,20 @@ class StreamIn(Body):
         The default of bytes does not apply if the request limits samples: it then gets that many,
         however large."""
         fields = tuple(sample.Field(f.name, sample.FieldType(f.type)) for f in self.fields)
+        if self.kind == "rdf":
+            fields = SCHEMA.fields
         own = self.retention
         size = default.bytes if own.bytes is None and own.samples is None else own.bytes
         kept = history.Retention(own.samples or default.samples, own.age, size)
         return views.StreamDeclaration(
-            name, fields, self.lateness, kept, self.namespace, self.idle, self.ahead
+            name,
+            fields,
+            self.lateness,
+            kept,
+            self.namespace,
+            self.idle,
+            self.ahead,
+            None if self.kind == "samples" else self.time or "",
         )
 
 
@@ -157,6 +198,8 @@ class StreamModel(BaseModel):
     """The present state of a stream."""
 
     name: str
+    kind: Literal["samples", "rdf"]
+    time: str | None = Field(description="of RDF: the property that gives the times of statements")
     fields: list[FieldModel]
     namespace: str
     lateness: str
@@ -188,6 +231,8 @@ class StreamModel(BaseModel):
         age = view.retention.age
         return cls(
             name=view.name,
+            kind="samples" if view.time_property is None else "rdf",
+            time=view.time_property or None,
             fields=[FieldModel(name=f.name, type=f.type.value) for f in view.fields],
             namespace=view.namespace,
             lateness=format_duration(view.lateness),

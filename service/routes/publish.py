@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, Literal
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from msgspec.structs import replace
 
 from ...converters.errors import AheadOfClock
-from ...engine.durability.commands import Publish
-from ..config.media_types import ARROW, JSON, NDJSON
+from ...engine.durability.commands import BatchKind, DeclareStream, Publish
+from ..config.media_types import ARROW, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG, TURTLE
 from ..http.negotiation import content_type
 from ..http.problems import Problem, responses
-from ..models import AcceptedModel
-from ..runtime.context import Context
+from ..models import AcceptedModel, StreamIn
+from ..runtime.context import Context, Service
 from .fast_route import direct
+from .streams import default_retention
 
+KINDS: Final[dict[str, BatchKind]] = {NDJSON: "ndjson", ARROW: "arrow"}
+RDF_KINDS: Final[dict[str, BatchKind]] = {
+    NTRIPLES: "ntriples",
+    NQUADS: "nquads",
+    TURTLE: "turtle",
+    TRIG: "trig",
+    JSON_LD: "jsonld",
+}
+"""The media types of RDF."""
 KEY_LENGTH = 200
 """The longest Idempotency-Key."""
 LINE = '{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "speed": 31.5}\n'
@@ -31,6 +41,7 @@ BODY: dict[str, Any] = {
                 "example": LINE,
             },
             ARROW: {"schema": {"type": "string", "format": "binary"}},
+            **{kind: {"schema": {"type": "string", "description": "RDF"}} for kind in RDF_KINDS},
         },
     }
 }
@@ -38,7 +49,7 @@ BODY: dict[str, Any] = {
 
 async def _publish_directly(request: Request) -> Response | None:
     key = request.headers.get("idempotency-key")
-    if key is not None and len(key) > KEY_LENGTH:
+    if (key is not None and len(key) > KEY_LENGTH) or request.url.query:
         return None
     name, service = request.path_params["name"], request.app.state.service
     accepted = await publish_samples(name, request, service, key)
@@ -64,6 +75,9 @@ async def publish_samples(
     idempotency_key: Annotated[
         str | None, Header(max_length=KEY_LENGTH, description="a repetition has no second effect")
     ] = None,
+    create: Annotated[
+        Literal["rdf"] | None, Query(description="make the stream, of this kind, if it is missing")
+    ] = None,
 ) -> AcceptedModel:
     """Publish a batch, as a whole or not at all: an error names the line and the cause.
 
@@ -71,9 +85,14 @@ async def publish_samples(
     of the clock than the stream's `ahead`. `rounded` counts numbers that a float field cannot
     represent exactly, if there are any.
 
+    A stream of RDF takes texts of RDF: statements of a timestamped graph (N-Quads, TriG, JSON-LD)
+    have its time; others the time that the stream's time property gives, or that of their arrival.
+
     429: queries that read the stream are behind, and the samples have an `available` of their own.
-    409: the `Idempotency-Key` was used for another body.
+    409: the `Idempotency-Key` was used for another body, or RDF was sent to a stream of samples.
     """
+    if create is not None and not service.engine.has_stream(name):
+        await _create(name, request, service)
     service.engine.accepting(name)  # refuse an unknown stream before the body arrives
     if service.commands.is_overloaded(name):
         raise Problem(
@@ -83,20 +102,26 @@ async def publish_samples(
             hint="send the batch again after the seconds in Retry-After",
             headers={"Retry-After": "1"},
         )
-    kind = content_type(request, (NDJSON, ARROW))
+    kinds = KINDS | RDF_KINDS
+    kind = kinds[content_type(request, tuple(kinds))]
     body = await request.body()
     # `decode` checks the stream again: it may have been declared anew while the body arrived.
-    batch = Publish(
-        name, "ndjson" if kind == NDJSON else "arrow", body, service.clock(), idempotency_key
-    )
+    batch = Publish(name, kind, body, service.clock(), idempotency_key)
     # First: decoding adds texts to the stream's dictionary, in vain if the log has no room.
     service.commands.check_room(len(body))
     incoming = await service.decoder.decode(batch)
     # Decoding may have waited for other batches, and times of commands must not decrease.
     batch = replace(batch, now=service.clock())
     try:
-        batch.check_ahead(service.engine, incoming)
+        batch.check(service.engine, incoming)
     except AheadOfClock:
         service.engine.intake.count_ahead(name)
         raise
     return AcceptedModel.of(await service.do(batch, incoming), incoming.rounded)
+
+
+async def _create(name: str, request: Request, service: Service) -> None:
+    """Declare a stream of RDF, for a caller that may."""
+    service.gate.check_also(request.scope, "PUT", f"/streams/{name}")
+    made = StreamIn.model_validate({"kind": "rdf"})
+    await service.do(DeclareStream(made.declaration(name, default_retention(service))))

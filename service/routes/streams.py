@@ -81,9 +81,8 @@ async def declare_stream(
     the stream has no samples and no subscribers, else 409.
     """
     is_new = not _exists(service, name)
-    settings = service.settings
-    default = Retention(settings.retention_samples, None, settings.retention_bytes)
-    view = await service.do(DeclareStream(declaration.declaration(name, default)))
+    made = declaration.declaration(name, default_retention(service))
+    view = await service.do(DeclareStream(made))
     if is_new:
         response.status_code = 201
         response.headers["Location"] = f"/streams/{view.name}"
@@ -123,6 +122,11 @@ async def end_stream(name: str, service: Context) -> Response:
     """
     await service.do(EndStream(name))
     return Response(status_code=204)
+
+
+def default_retention(service: Service) -> Retention:
+    """The retention of a stream whose declaration says nothing of it."""
+    return Retention(service.settings.retention_samples, None, service.settings.retention_bytes)
 
 
 def _exists(service: Service, name: str) -> bool:

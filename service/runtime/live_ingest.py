@@ -115,7 +115,7 @@ class LiveSamples(ABC):
         if self._stamped not in (None, incoming.stamped):
             raise mixed_times(line)
         batch = Publish(self._name, kind, body, self._clock())
-        batch.check_ahead(self._engine, incoming)
+        batch.check(self._engine, incoming)
         self.accepted += self._commands.do(batch, incoming)
         self._commands.start_commit()
         self._note(incoming.rounded)

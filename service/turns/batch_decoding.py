@@ -48,13 +48,14 @@ class BatchDecoder:
         loop = asyncio.get_running_loop()
         while True:
             generator = self._engine.accepting(batch.stream)
-            schema = generator.schema
+            schema, property = generator.schema, batch.time_property(self._engine)
             incoming = await loop.run_in_executor(
-                self._threads, batch.decode_beside, generator.stream, schema, self._limits
+                self._threads, batch.decode_beside, generator.stream, schema, self._limits, property
             )
-            if self._engine.accepting(batch.stream).schema == schema:
+            now = self._engine.accepting(batch.stream)
+            if now.schema == schema and batch.time_property(self._engine) == property:
                 return incoming
-            # A command gave the stream other fields meanwhile: decode the batch by those.
+            # A command gave the stream another declaration meanwhile: decode the batch by that.
 
     def close(self) -> None:
         """Let the threads end after the batches that they decode at present."""

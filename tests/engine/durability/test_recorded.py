@@ -16,6 +16,7 @@ from simulated_disk import SimulatedDisk
 import dyknow.engine.durability.checkpoint as checkpoint_module
 import dyknow.engine.durability.durable_engine as recorded_module
 from dyknow.continuous.columns.oxigraph_port import StoredQuads
+from dyknow.converters.rdf.statements import SCHEMA
 from dyknow.engine.catalog.iri_annotations import (
     DescribedArgument,
     DescribedPort,
@@ -1001,3 +1002,35 @@ def test_the_data_directory_is_for_its_owner_only(tmp_path):
     first.checkpoint().put()
     first.close()
     assert [path.name for path in [data, *data.rglob("*")] if path.stat().st_mode & 0o077] == []
+
+
+def test_streams_of_rdf_stay_also_for_another_program(tmp_path, monkeypatch):
+    """Their kind, their statements, and the names of blank nodes, which are given on arrival."""
+    first = opened(tmp_path)
+    first.do(DeclareStream(StreamDeclaration("r", SCHEMA.fields, time_property="")))
+    first.do(
+        RegisterQuery(
+            "REGISTER QUERY all AS SELECT ?s ?o FROM STREAM <http://www.ida.liu.se/dyknow/r.trdf> "
+            "[RANGE 5s STEP 1s] WHERE { ?s <urn:p> ?o }"
+        )
+    )
+    for now in (1, 2):
+        first.do(Publish("r", "turtle", b"<urn:a> <urn:p> [ <urn:q> 1 ] .", now * SECOND))
+    first.do(Tick(20 * SECOND))
+    before, results = rows(first.engine, "r"), rows(first.engine, "all")
+    nodes = {row["object"] for *_, row in before if row["object"] is not None}
+    assert nodes == {"_:s1b0", "_:s3b0"}
+    assert len(results)
+    cut_off(first)
+    again = opened(tmp_path)
+    assert rows(again.engine, "r") == before
+    assert rows(again.engine, "all") == results
+    again.checkpoint().write()
+    again.close()
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
+    later = opened(tmp_path)
+    assert rows(later.engine, "r") == before
+    later.do(Publish("r", "turtle", b"<urn:a> <urn:p> [] .", 30 * SECOND))
+    assert later.engine.rdf_of("r", later.engine.generator("r").stream.newest(1)) != [""]
+    assert later.engine.queries.view("all").state == "running"
+    cut_off(later)

@@ -59,6 +59,10 @@ EXAMPLES = [
     ),
     c.Publish("s5", "ndjson", b'{"valid": 1, "spd": 31.5}\n', 5, "key"),
     c.Publish("s5", "arrow", b"\x00\xff", 6),
+    c.Publish("rdf", "turtle", b"<urn:a> <urn:p> [] .", 7),
+    c.DeclareStream(
+        StreamDeclaration("rdf", (Field("subject", FieldType.STRING),), time_property="urn:t")
+    ),
     c.EndStream("s5"),
     c.Refused(c.encode_command(c.EndStream("nowhere"))),
     c.DeclareStream(
