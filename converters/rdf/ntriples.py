@@ -12,13 +12,15 @@ docs/reference/formats.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from itertools import islice
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, RdfFormat, parse
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse
 
 from ...ontology.document_guard import check_document
 from ...ontology.errors import OntologyError
@@ -43,6 +45,8 @@ from .triple_lines import DATATYPES, LOOK, numbers, statements
 
 GENERATED = NamedNode("http://www.w3.org/ns/prov#generatedAtTime")
 """The predicate that gives a graph's time."""
+PART: Final = 10_000
+"""Statements that are Python objects at the same time."""
 _TIME_HINT = f"a graph has one {GENERATED}, in the default graph"
 
 
@@ -124,42 +128,58 @@ class TripleReader(TermTable):
         value = object_value(kind, found.object[row])
         return _time(make_term(kind, value, self.dictionary), line_of(found, row))
 
-    def statements(self, data: bytes, format: RdfFormat) -> Statements:
-        """All statements of a text, in order; blank nodes keep their labels."""
+    def statements(self, data: bytes, format: RdfFormat, most: int | None = None) -> Statements:
+        """All statements of a text, in order; blank nodes keep their labels. Raises `WireError`,
+        also for more than ``most``."""
         if JIT and format in _LINES and self._least <= len(data) < 2**31:
             try:
-                return self._quickly(data, quads=format == RdfFormat.N_QUADS)
+                found = self._quickly(data, quads=format == RdfFormat.N_QUADS)
             except cells.Irregular:
                 pass
-        return self._exactly(data, format)
+            else:
+                if most is not None and len(found) > most:
+                    raise too_many(most)
+                return found
+        return self._exactly(data, format, most)
 
-    def _exactly(self, data: bytes, format: RdfFormat) -> Statements:
+    def _exactly(self, data: bytes, format: RdfFormat, most: int | None) -> Statements:
         _check(data, format)
-        try:
-            quads = list(parse(data, format=format))
-        except SyntaxError as error:
-            raise _refusal(error) from None
-        rows = []
-        for quad in quads:
-            parts = (quad.subject, quad.object)
-            if not all(isinstance(part, NamedNode | BlankNode | Literal) for part in parts):
-                raise WireError(None, f"a triple about triples cannot be timed: {quad}")
-        id = self.dictionary.transient_id
-        for quad in quads:
-            kind, value = split_term(quad.object, id)
-            graph = quad.graph_name
-            rows.append(
-                (
-                    id(quad.subject),
-                    id(quad.predicate),
-                    int(kind),
-                    object_bits(kind, value),
-                    NO_TERM if isinstance(graph, DefaultGraph) else id(graph),
-                )
-            )
-        columns = np.array(rows, np.int64).reshape(len(rows), 5).T
+        parts = []
+        count = 0
+        # A short text may say many statements (`<a> <b> 1,1,1`), and as objects they are large.
+        quads = iter(parse(data, format=format))
+        while part := self._part(quads):
+            parts.append(np.array(part, np.int64))
+            count += len(part)
+            if most is not None and count > most:
+                raise too_many(most)
+        columns = np.concatenate(parts).T if parts else np.empty((5, 0), np.int64)
         ids = columns.astype(np.int32)
         return Statements(ids[0], ids[1], ids[2].astype(np.int8), columns[3], ids[4], None)
+
+    def _part(self, quads: Iterator[Quad]) -> list[tuple[int, int, int, int, int]]:
+        """The next statements, as ids of subject and predicate, kind and bits of the object, and
+        id of the graph; none at the end."""
+        id = self.dictionary.transient_id
+        rows = []
+        try:
+            for quad in islice(quads, PART):
+                if isinstance(quad.subject, Triple) or isinstance(quad.object, Triple):
+                    raise WireError(None, f"a triple about triples cannot be timed: {quad}")
+                kind, value = split_term(quad.object, id)
+                graph = quad.graph_name
+                rows.append(
+                    (
+                        id(quad.subject),
+                        id(quad.predicate),
+                        int(kind),
+                        object_bits(kind, value),
+                        NO_TERM if isinstance(graph, DefaultGraph) else id(graph),
+                    )
+                )
+        except SyntaxError as error:
+            raise _refusal(error) from None
+        return rows
 
     def _quickly(self, raw: bytes, *, quads: bool) -> Statements:
         data = np.frombuffer(raw, np.uint8)
@@ -250,6 +270,11 @@ class TripleReader(TermTable):
                 name = self.dictionary.term(graph)
                 raise WireError(line, f"graph {name} has two times", _TIME_HINT)
         return times
+
+
+def too_many(most: int) -> WireError:
+    """The error for a text of more statements."""
+    return WireError(None, f"a batch has at most {most} statements", "send several batches")
 
 
 def timed_tables(

@@ -65,9 +65,7 @@ def decode_statements(
     statement in other formats.
     """
     reader = TripleReader(TermDictionary())
-    found = reader.statements(data, format)
-    if limits is not None:
-        limits.check_samples(len(found))
+    found = reader.statements(data, format, None if limits is None else limits.samples)
     times: Times | None = None
     if format in _TIMED and _has_graph_times(found, reader.dictionary):
         found, times = reader.with_times(found)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
 
 import anyio.to_thread
 import numpy as np
@@ -21,8 +22,12 @@ from starlette.types import Receive, Scope, Send
 from ...converters.arrow.stream import ArrowWriter
 from ...converters.csv_table import encode_csv
 from ...converters.ndjson import encode_ndjson
+from ...converters.rdf.ntriples import GENERATED
+from ...converters.rdf.statements import GRAPH
+from ...rdf.namespaces import XSD
 from ...streams.sample import Column, SampleBatch
-from ..config.media_types import ARROW, CSV, NDJSON, NTRIPLES
+from ...streams.time import format_time
+from ..config.media_types import ARROW, CSV, NDJSON, NQUADS, NTRIPLES, TRIG
 from .response_limit import HELD
 
 PIECE_BYTES = 256 * 1024
@@ -32,20 +37,55 @@ PIECE_SAMPLES = 10_000
 _SAMPLE, _VALUE = 64, 24
 """Estimated bytes of a sample's times, and of a value that is no text."""
 
-Triples = Callable[[SampleBatch], list[str]]
-"""Returns the N-Triples of each sample."""
+RDF_KINDS = (NTRIPLES, NQUADS, TRIG)
 
 
-async def history_answer(kind: str, batch: SampleBatch, triples: Triples) -> Response:
+@dataclass(frozen=True, slots=True)
+class RdfWriter:
+    """Writes samples as RDF. ``stream`` is the IRI of their stream; ``triples`` returns the
+    N-Triples of each sample, in lines; ``is_rdf``: they are statements, which may have a graph."""
+
+    stream: str
+    triples: Callable[[SampleBatch], list[str]]
+    is_rdf: bool = False
+
+    def written(self, batch: SampleBatch, kind: str) -> str:
+        """The samples as N-Triples, or as timestamped graphs in N-Quads or TriG: the samples of one
+        available time are a graph, unless they have a graph of their own."""
+        texts = self.triples(batch)
+        if kind == NTRIPLES:
+            return "".join(f"{text}\n" for text in texts if text)
+        times = batch.available.tolist()
+        names = [f"<{self.stream}/{format_time(time)}>" for time in times]
+        if self.is_rdf:
+            own = batch.columns[GRAPH].tolist()
+            names = [str(graph or name) for graph, name in zip(own, names, strict=True)]
+        lines: list[str] = []
+        timed: set[tuple[str, int]] = set()
+        for name, time, text in zip(names, times, texts, strict=True):
+            if not text:
+                continue
+            if (name, time) not in timed:
+                timed.add((name, time))
+                lines.append(f'{name} {GENERATED} "{format_time(time)}"^^<{XSD}dateTime> .')
+            statements = text.split("\n")
+            if kind == TRIG:
+                lines.append(f"{name} {{ {' '.join(statements)} }}")
+            else:
+                lines += [f"{statement[:-1]}{name} ." for statement in statements]
+        return "".join(f"{line}\n" for line in lines)
+
+
+async def history_answer(kind: str, batch: SampleBatch, rdf: RdfWriter) -> Response:
     """``batch`` in the media type ``kind``: as a whole if it is short, else in pieces.
 
-    The event loop calls ``triples``, since the engine's terms belong to its thread; another thread
+    The event loop calls ``rdf``, since the engine's terms belong to its thread; another thread
     encodes everything else.
     """
-    written = _written(kind, batch, triples)
+    written = _written(kind, batch, rdf)
 
     async def take() -> bytes | None:
-        if kind == NTRIPLES:
+        if kind in RDF_KINDS:
             await asyncio.sleep(0)  # yield to other requests
             return next(written, None)
         # Safe in another thread: batches are immutable.
@@ -117,7 +157,7 @@ def _cuts(sizes: NDArray[np.int64]) -> Iterator[slice]:
         start, before = stop, int(ends[stop - 1]) if len(ends) else 0
 
 
-def _written(kind: str, batch: SampleBatch, triples: Triples) -> Iterator[bytes]:
+def _written(kind: str, batch: SampleBatch, rdf: RdfWriter) -> Iterator[bytes]:
     """The encoded pieces of an answer."""
     table = ArrowWriter() if kind == ARROW else None
     parts = pieces(batch)
@@ -125,8 +165,8 @@ def _written(kind: str, batch: SampleBatch, triples: Triples) -> Iterator[bytes]
     is_first = True
     while part is not None:
         following = next(parts, None)
-        if kind == NTRIPLES:
-            yield "".join(f"{text}\n" for text in triples(part) if text).encode()
+        if kind in RDF_KINDS:
+            yield rdf.written(part, kind).encode()
         elif kind == NDJSON:
             yield encode_ndjson(part)
         elif kind == CSV:

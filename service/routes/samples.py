@@ -9,13 +9,15 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from ...converters.objects import object_iri
 from ...engine.model.errors import UnknownStream
+from ...rdf.namespaces import DYKNOW
 from ...streams import past_queries
 from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX
-from ..config.media_types import ARROW, CSV, JSON, NDJSON, NTRIPLES
-from ..http.history_encoding import history_answer
+from ..config.media_types import ARROW, CSV, JSON, NDJSON, NQUADS, NTRIPLES, TRIG
+from ..http.history_encoding import RdfWriter, history_answer
 from ..http.negotiation import accepted
 from ..http.problems import Problem, responses
 from ..http.time_parameters import Time, time_of
@@ -23,7 +25,7 @@ from ..runtime.context import Context, Service
 
 router = APIRouter(tags=["samples"])
 
-FORMATS = (NDJSON, JSON, CSV, ARROW, NTRIPLES)
+FORMATS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG)
 CONTENT: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "the samples, oldest first",
@@ -88,7 +90,9 @@ async def read_samples(
     # looked up at a time: many simultaneous requests then need no more memory than that limit.
     async with service.histories:
         batch = query(stream)
-        return await history_answer(kind, batch, partial(_triples, service, name))
+        is_rdf = service.engine.time_property(name) is not None
+        rdf = RdfWriter(object_iri(name, DYKNOW), partial(_triples, service, name), is_rdf)
+        return await history_answer(kind, batch, rdf)
 
 
 def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:

@@ -231,3 +231,37 @@ def test_an_empty_query_does_not_ask_for_an_annotation(rdf: httpx.Client) -> Non
     told = rdf.get("/queries/fast").json()["empty"]
     assert "6 samples read, 6 triples" in told
     assert "annotated" not in told
+
+
+@pytest.mark.parametrize("kind", [NQUADS, TRIG])
+def test_the_history_is_timestamped_graphs_that_come_in_again(rdf: httpx.Client, kind: str) -> None:
+    rdf.put("/streams/copy", json={"kind": "rdf"})
+    send(rdf, GRAPHS, TRIG)
+    written = rdf.get("/streams/speeds/samples", headers={"Accept": kind})
+    assert written.headers["content-type"].startswith(kind)
+    assert send(rdf, written.content, kind, "copy").status_code == 202
+    nodes = "of>"
+    first, second = samples(rdf), samples(rdf, "copy")
+    assert [e for e in first if nodes not in str(e["predicate"])] == [
+        e for e in second if nodes not in str(e["predicate"])
+    ]
+    assert len(first) == len(second)
+
+
+def test_annotated_samples_are_timestamped_graphs_too(http: httpx.Client) -> None:
+    http.put("/streams/s", json={"fields": {"id": "string", "spd": "float", "graph": "string"}})
+    http.post(
+        "/annotations",
+        content="stream s contains speed(UAV) = spd [km.h-1] for every UAV = id",
+        headers={"Content-Type": "text/plain"},
+    )
+    row = {"valid": 1, "available": 2, "id": "u", "spd": 5, "graph": "nothing of RDF"}
+    assert send(http, json.dumps(row), "application/x-ndjson", "s").status_code == 202
+    written = http.get("/streams/s/samples", headers={"Accept": TRIG}).text
+    graph = "<http://www.ida.liu.se/dyknow/s/1970-01-01T00:00:00.000000002Z>"
+    assert written.splitlines() == [
+        f'{graph} <{PROV}> "1970-01-01T00:00:00.000000002Z"'
+        "^^<http://www.w3.org/2001/XMLSchema#dateTime> .",
+        f"{graph} {{ <http://www.ida.liu.se/dyknow/u> <http://www.ida.liu.se/dyknow/speed> "
+        '"5"^^<http://www.w3.org/2001/XMLSchema#double> . }',
+    ]
