@@ -33,33 +33,42 @@ from ..sparql import ast
 from ..sparql.printer import print_query
 from ..sparql.scope import projected_variables, visible_variables
 from .deep_hierarchies import MARKERS, Marks, deep_kinds, missing_pairs
-from .query_guard import read_query
+from .query_guard import Dataset, read_query
 from .turtle import ALL_PREFIXES
 
 QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 
 
-def answer(store: Store, text: str) -> QueryResults:
-    """Evaluate a query that `query_guard` accepted.
+def answer(store: Store, text: str, dataset: Dataset | None = None, base: str = "") -> QueryResults:
+    """Evaluate a query that `query_guard` accepted with this ``base``; ``dataset`` replaces the one
+    of its FROM clauses.
 
     Raises `QueryRefused`, and the errors of Oxigraph. Cost: the query's; over deep hierarchies the
     text is parsed and printed once more.
     """
     kinds = deep_kinds(store)
     if not kinds:
-        return store.query(text, prefixes=ALL_PREFIXES)
-    query, dataset = read_query(text)
-    printed = print_query(with_pairs(query, kinds))
-    found: QueryResults
-    if dataset is None:
-        found = store.query(printed)
-    else:
-        default, named = dataset
-        found = store.query(printed, default_graph=list(default), named_graphs=list(named))
+        return _evaluate(store, text, dataset, base)
+    query, stated = read_query(text, base)
+    found = _evaluate(store, print_query(with_pairs(query, kinds)), dataset or stated, base)
     if query.form is ast.Form.DESCRIBE:
         assert isinstance(found, QueryTriples)
         return _replace_marks(store, found)
     return found
+
+
+def _evaluate(store: Store, text: str, dataset: Dataset | None, base: str) -> QueryResults:
+    if dataset is None:
+        return store.query(text, prefixes=ALL_PREFIXES, base_iri=base or None)
+    default, named = dataset
+    # Both lists, even if empty: for a missing one Oxigraph takes those of FROM or of the store.
+    return store.query(
+        text,
+        prefixes=ALL_PREFIXES,
+        base_iri=base or None,
+        default_graph=list(default),
+        named_graphs=list(named),
+    )
 
 
 def _replace_marks(store: Store, found: QueryTriples) -> QueryResults:

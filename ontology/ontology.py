@@ -260,6 +260,11 @@ class Ontology:
         """The number of loaded ontologies. Cost: linear in it."""
         return len(self._hashes())
 
+    def named_graphs(self) -> list[str]:
+        """Return the IRIs of the graphs that contain triples, sorted, possibly without a graph of
+        the live stream space whose first triples are pending. Cost: a look-up a graph."""
+        return self._quads.names()
+
     def imports(self) -> tuple[str, ...]:
         """Return the IRIs that the loaded ontologies import. Nothing was fetched; `load`
         adds them."""
