@@ -5,9 +5,10 @@ marks (`deep_hierarchies`) that yields each missing pair once. The result depend
 in the graph that the pattern reads, so GRAPH and FROM need no rule of their own. A variable
 predicate, a negated path and DESCRIBE see the pairs but not the marks.
 
-Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal those over the pairs, with two
-exceptions. In `(rdfs:subClassOf/path)+`, a repeated sequence, a class of a cycle is its own
-sub-class; and the terms above owl:Thing may be standard terms.
+Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal those over the pairs, with
+three exceptions. In `(rdfs:subClassOf/path)+`, a repeated sequence, a class of a cycle is its own
+sub-class; the terms above owl:Thing may be standard terms; and a repeated path over the entailments
+without the graph that states a pair sees that pair.
 """
 
 from __future__ import annotations

@@ -194,6 +194,9 @@ def test_a_table_in_each_format(flying: httpx.Client, kind: str) -> None:
         ("text/turtle", "dyknow:uav2 dyknow:speed"),
         ("application/n-triples", f"<{DYKNOW}uav2> <{DYKNOW}speed>"),
         ("application/ld+json", f'"@id":"{DYKNOW}uav2"'),
+        ("application/rdf+xml", f'<rdf:Description rdf:about="{DYKNOW}uav2">'),
+        ("application/trig", "dyknow:uav2 dyknow:speed"),
+        ("application/n-quads", f"<{DYKNOW}uav2> <{DYKNOW}speed>"),
     ],
 )
 def test_a_graph_in_each_format(flying: httpx.Client, kind: str, words: str) -> None:
