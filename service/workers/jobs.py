@@ -129,8 +129,8 @@ class Worker:
         return Truth(True)
 
     def _query(self, work: Query) -> Answer:
-        check_user_query(work.text, work.base)
         if not work.format:
+            check_user_query(work.text, work.base)
             return Truth(True)
         found = answer(self._store, work.text, _dataset(work.dataset), work.base)
         if isinstance(found, QueryTriples):
