@@ -26,9 +26,9 @@ DCTERMS: Final = "http://purl.org/dc/terms/"
 PREFIXES: Final = {"sd": SD, "formats": FORMATS, "ent": ENTAILMENT, "dcterms": DCTERMS}
 _TEXT: Final = NamedNode(DCTERMS + "description")
 _DEFAULT_GRAPH: Final = (
-    f"The merge of all named graphs but <{CATALOG.value}>: the ontologies, what they entail by "
-    "OWL 2 RL, templates, annotations, declarations and the live stream space. A query entails "
-    "nothing else."
+    f"The merge of all named graphs but <{CATALOG.value}>: ontologies, templates, annotations, "
+    "declarations, the live stream space, and what the rules of OWL 2 RL entail from them. A query "
+    "entails nothing else."
 )
 
 

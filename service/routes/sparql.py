@@ -94,7 +94,9 @@ CONTENT: dict[int | str, dict[str, Any]] = {
 async def query_by_get(
     request: Request,
     service: Context,
-    query: Annotated[str | None, Query(examples=[EXAMPLE])] = None,
+    query: Annotated[
+        str | None, Query(description=TEXT_SCHEMA["description"], examples=[EXAMPLE])
+    ] = None,
     default_graphs: DefaultGraphs = None,
     named_graphs: NamedGraphs = None,
 ) -> Response:
