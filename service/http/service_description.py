@@ -27,8 +27,8 @@ PREFIXES: Final = {"sd": SD, "formats": FORMATS, "ent": ENTAILMENT, "dcterms": D
 _TEXT: Final = NamedNode(DCTERMS + "description")
 _DEFAULT_GRAPH: Final = (
     f"The merge of all named graphs but <{CATALOG.value}>: ontologies, templates, annotations, "
-    "declarations, the live stream space, and what the rules of OWL 2 RL entail from them. A query "
-    "entails nothing else."
+    "declarations, the live stream space, and triples that rules of OWL 2 RL entail from these. A "
+    "query entails no others."
 )
 
 

@@ -447,6 +447,20 @@ def test_sparql_over_chosen_graphs(annotated: httpx.Client) -> None:
     assert ask(named) > 5
 
 
+def test_the_client_chooses_graphs_and_formats(annotated: httpx.Client, client: Client) -> None:
+    ask, of_graph = "ASK { ?s :hasText ?text }", "ASK { GRAPH ?g { ?s :hasText ?text } }"
+    one, none = [OWN + "annotations"], [OWN + "templates", OWN + "nowhere"]
+    assert client.sparql(ask, default_graphs=[*none, *one]) == {"head": {}, "boolean": True}
+    assert client.sparql(ask, default_graphs=none) == {"head": {}, "boolean": False}
+    assert client.sparql(of_graph, named_graphs=one) == {"head": {}, "boolean": True}
+    assert client.sparql(ask, named_graphs=one) == {"head": {}, "boolean": False}
+    graph = "CONSTRUCT WHERE { ?s :hasText ?text }"
+    text = client.sparql_text(graph, "application/n-quads", default_graphs=one)
+    assert text.startswith("<http://www.dyknow.eu/annotations/s5> ")
+    assert client.sparql_text(graph, "application/n-quads", default_graphs=none) == ""
+    assert f"sd:name <{one[0]}>" in client.describe_sparql()
+
+
 def test_sparql_protocol_forms(http: httpx.Client) -> None:
     ask = "ASK { ?s ?p ?o }"
     by_get = http.get("/sparql", params={"query": ask})
