@@ -82,6 +82,9 @@ curl $URL/match -H 'Content-Type: application/json' -d '{"feature": "dyknow:dist
 curl -G $URL/explain --data-urlencode 'feature=dyknow:speed' --data-urlencode 'sort=dyknow:UAV'
 curl -G $URL/sparql --data-urlencode 'query=PREFIX d: <http://www.dyknow.eu/ontology#>
   SELECT ?name { ?s a d:Stream ; d:hasName ?name }' -H 'Accept: text/csv'
+curl "$URL/sparql?default-graph-uri=http://example.org/harbour" -H 'Accept: application/rdf+xml' \
+  -H 'Content-Type: application/sparql-query' -d 'CONSTRUCT WHERE { ?sort a owl:Class }'
+curl $URL/sparql
 
 ## Events on demand
 curl $URL/templates -H 'Content-Type: text/plain' --data-binary @templates/library/high_speed.rq

@@ -1,13 +1,15 @@
-"""Answers users' SPARQL over a store with deep hierarchies, as if it contained all their pairs.
+"""Answers users' SPARQL: over several graphs as over their merge, and over a store with deep
+hierarchies as if it contained all their pairs.
 
-It rewrites each triple pattern that may match a pair: a UNION of the pattern and of a path over the
-marks (`deep_hierarchies`) that yields each missing pair once. The result depends only on the marks
-in the graph that the pattern reads, so GRAPH and FROM need no rule of their own. A variable
-predicate, a negated path and DESCRIBE see the pairs but not the marks.
+For deep hierarchies it rewrites each triple pattern that may match a pair: a UNION of the pattern
+and of a path over the marks (`deep_hierarchies`) that yields each missing pair once. The result
+depends only on the marks in the graph that the pattern reads, so GRAPH and FROM need no rule of
+their own. A variable predicate, a negated path and DESCRIBE see the pairs but not the marks.
 
-Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal those over the pairs, with two
-exceptions. In `(rdfs:subClassOf/path)+`, a repeated sequence, a class of a cycle is its own
-sub-class; and the terms above owl:Thing may be standard terms.
+Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal those over the pairs, with
+three exceptions. In `(rdfs:subClassOf/path)+`, a repeated sequence, a class of a cycle is its own
+sub-class; the terms above owl:Thing may be standard terms; and a repeated path over the entailments
+without the graph that states a pair sees that pair.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import TypeAlias
 
 from pyoxigraph import (
     BlankNode,
+    DefaultGraph,
     NamedNode,
     Quad,
     QueryBoolean,
@@ -33,32 +36,58 @@ from ..sparql import ast
 from ..sparql.printer import print_query
 from ..sparql.scope import projected_variables, visible_variables
 from .deep_hierarchies import MARKERS, Marks, deep_kinds, missing_pairs
-from .query_guard import read_query
+from .query_guard import Dataset, read_query
 from .turtle import ALL_PREFIXES
 
 QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 
 
-def answer(store: Store, text: str) -> QueryResults:
-    """Evaluate a query that `query_guard` accepted.
+def answer(store: Store, text: str, dataset: Dataset | None = None, base: str = "") -> QueryResults:
+    """Check a query (`query_guard`) and evaluate it; ``dataset`` replaces the one of its FROM
+    clauses, ``base`` resolves relative IRIs.
 
-    Raises `QueryRefused`, and the errors of Oxigraph. Cost: the query's; over deep hierarchies the
-    text is parsed and printed once more.
+    Raises `QueryRefused`, and the errors of Oxigraph. Cost: the query's. Over deep hierarchies the
+    text is also printed and parsed once more; several graphs in the default graph are copied
+    first, with the named ones of the dataset.
     """
+    query, stated = read_query(text, base)
+    dataset = dataset or stated
     kinds = deep_kinds(store)
     if not kinds:
-        return store.query(text, prefixes=ALL_PREFIXES)
-    query, dataset = read_query(text)
-    printed = print_query(with_pairs(query, kinds))
-    found: QueryResults
-    if dataset is None:
-        found = store.query(printed)
-    else:
-        default, named = dataset
-        found = store.query(printed, default_graph=list(default), named_graphs=list(named))
+        return _evaluate(store, text, dataset, base)
+    found = _evaluate(store, print_query(with_pairs(query, kinds)), dataset, base)
     if query.form is ast.Form.DESCRIBE:
         assert isinstance(found, QueryTriples)
         return _replace_marks(store, found)
+    return found
+
+
+def _evaluate(store: Store, text: str, dataset: Dataset | None, base: str) -> QueryResults:
+    if dataset is None:
+        return store.query(text, prefixes=ALL_PREFIXES, base_iri=base or None)
+    default, named = dict.fromkeys(dataset[0]), dict.fromkeys(dataset[1])
+    default_graphs: list[NamedNode | BlankNode | DefaultGraph] = list(default)
+    if len(default) > 1:
+        store, default_graphs = _merged(store, default, named), [DefaultGraph()]
+    # Both lists, even if empty: for a missing one Oxigraph takes those of FROM or of the store.
+    return store.query(
+        text,
+        prefixes=ALL_PREFIXES,
+        base_iri=base or None,
+        default_graph=default_graphs,
+        named_graphs=list(named),
+    )
+
+
+def _merged(store: Store, default: Iterable[NamedNode], named: Iterable[NamedNode]) -> Store:
+    """Return the graphs ``named``, with the merge of the graphs ``default`` as the default graph.
+    Over several graphs Oxigraph itself yields a triple once for each graph that has it."""
+    found = Store()
+    for graph in default:
+        quads = store.quads_for_pattern(None, None, None, graph)
+        found.extend(Quad(quad.subject, quad.predicate, quad.object) for quad in quads)
+    for graph in named:
+        found.extend(store.quads_for_pattern(None, None, None, graph))
     return found
 
 

@@ -64,6 +64,16 @@ class QuadStore:
         quads = self.store.quads_for_pattern(None, None, None, graph)
         return frozenset(quad.triple for quad in quads)
 
+    def names(self) -> list[str]:
+        """Return the IRIs of the graphs that contain triples, sorted. Cost: a look-up a graph."""
+        # The store also lists graphs from which all triples were removed.
+        return sorted(
+            graph.value
+            for graph in self.store.named_graphs()
+            if isinstance(graph, NamedNode)
+            and next(self.store.quads_for_pattern(None, None, None, graph), None) is not None
+        )
+
     def about(
         self, subject: NamedNode | None, predicate: NamedNode | None, graph: NamedNode
     ) -> Iterator[Quad]:

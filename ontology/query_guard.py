@@ -78,27 +78,29 @@ class _Reader(QueryReader):
         return self.query()
 
 
-def check_user_query(text: str) -> None:
+def check_user_query(text: str, base: str = "") -> None:
     """Return normally if ``text`` is a SPARQL 1.1 query that the service may evaluate.
 
     Raises `QueryRefused` with line, column and hint for SERVICE, for LOAD and every update, for
     syntax errors, and for texts over 8 KiB, 64 levels of brackets or 64 triple patterns. The shared
-    prefixes and ``:`` need no declaration. Cost: linear in the text.
+    prefixes and ``:`` need no declaration. Relative IRIs are resolved against ``base``; without one
+    they are errors. Cost: linear in the text.
     """
-    read_query(text)
+    read_query(text, base)
 
 
-def query_form(text: str) -> QueryForm:
+def query_form(text: str, base: str = "") -> QueryForm:
     """Check ``text`` like `check_user_query` and return its query form."""
-    return read_query(text)[0].form.lower()  # type: ignore[return-value]
+    return read_query(text, base)[0].form.lower()  # type: ignore[return-value]
 
 
-def read_query(text: str) -> tuple[Query, Dataset | None]:
+def read_query(text: str, base: str = "") -> tuple[Query, Dataset | None]:
     """Check ``text`` like `check_user_query`. Returns its tree and the graphs of its FROM clauses,
     None if it has none."""
     if len(text.encode("utf-8", "surrogatepass")) > LONGEST_TEXT:
         raise QueryRefused(f"the query has more than {LONGEST_TEXT} bytes", 1, 1)
     reader = _Reader(text, ALL_PREFIXES, LIMITS)
+    reader.base = base
     try:
         return reader.read(), reader.dataset
     except LanguageError as error:

@@ -78,6 +78,10 @@ _BASE: Final = (
     r"\u2070-\u218f\u2c00-\u2fef\u3001-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd\U00010000-\U000effff"
 )
 _MORE: Final = r"0-9\u00b7\u0300-\u036f\u203f-\u2040"
+NAME_START: Final = f"{_BASE}_"
+"""The characters of [165] PN_CHARS_U: those with which an XML name without a colon begins."""
+NAME_NEXT: Final = rf"{_BASE}_{_MORE}\-"
+"""The characters of [167] PN_CHARS: with the full stop those of such a name."""
 _UNICODE: Final = r"\\u[0-9A-Fa-f]{4}|\\U[0-9A-Fa-f]{8}"
 _FIRST: Final = rf"(?:[{_BASE}_0-9]|{_UNICODE})"
 _NEXT: Final = rf"(?:[{_BASE}_{_MORE}\-]|{_UNICODE})"

@@ -17,18 +17,32 @@ from .output import (
     show_table,
     show_text,
 )
+from .parameters import MEDIA_TYPES, ResultFormat
 from .streams import text_or_file
 
 
 def sparql(
     query: Annotated[str, typer.Argument(help="A SPARQL query, its file, or - .")],
+    default_graph: Annotated[
+        list[str] | None,
+        typer.Option(help="A graph of the default graph, instead of FROM. May be repeated."),
+    ] = None,
+    named_graph: Annotated[
+        list[str] | None,
+        typer.Option(help="A graph that GRAPH reads, instead of FROM NAMED. May be repeated."),
+    ] = None,
+    format: ResultFormat = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
     """Query the ontology and the live stream space."""
     text = text_or_file(query)
+    chosen = {"default_graphs": default_graph or (), "named_graphs": named_graph or ()}
     with connect(url) as client:
-        found = client.sparql(text)
+        if format is not None:
+            print(client.sparql_text(text, MEDIA_TYPES[format], **chosen), end="")
+            return
+        found = client.sparql(text, **chosen)
         if not _has_results(found):
             from .unknown_terms import unknown_terms
 

@@ -9,6 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from ...streams.time import read_time
+from ..config.media_types import (
+    CSV,
+    JSON_LD,
+    NQUADS,
+    NTRIPLES,
+    RDF_XML,
+    SPARQL_JSON,
+    SPARQL_XML,
+    TRIG,
+    TSV,
+    TURTLE,
+)
 from .output import err
 
 if TYPE_CHECKING:
@@ -37,6 +49,37 @@ class ReportWord(StrEnum):
     CLOSE = "close"
 
 
+class FormatWord(StrEnum):
+    """The formats of tables and booleans, then those of graphs."""
+
+    CSV = "csv"
+    TSV = "tsv"
+    JSON = "json"
+    XML = "xml"
+    TURTLE = "turtle"
+    NTRIPLES = "ntriples"
+    JSON_LD = "jsonld"
+    RDF_XML = "rdfxml"
+    TRIG = "trig"
+    NQUADS = "nquads"
+
+
+MEDIA_TYPES: Final = {
+    FormatWord.CSV: CSV,
+    FormatWord.TSV: TSV,
+    FormatWord.JSON: SPARQL_JSON,
+    FormatWord.XML: SPARQL_XML,
+    FormatWord.TURTLE: TURTLE,
+    FormatWord.NTRIPLES: NTRIPLES,
+    FormatWord.JSON_LD: JSON_LD,
+    FormatWord.RDF_XML: RDF_XML,
+    FormatWord.TRIG: TRIG,
+    FormatWord.NQUADS: NQUADS,
+}
+
+ResultFormat = Annotated[
+    FormatWord | None, typer.Option(help="The format of the results, for programs.")
+]
 Semantics = Annotated[
     SemanticsWord | None, typer.Option(help="bag or set. Default: the language's.")
 ]

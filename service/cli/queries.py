@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
 
 from ...streams.time import format_time
-from ..config.media_types import (
-    CSV,
-    JSON_LD,
-    NTRIPLES,
-    SPARQL_JSON,
-    SPARQL_XML,
-    TSV,
-    TURTLE,
-)
 from .events import STRATEGY, show_emptiness
 from .introspection import show_bindings
 from .output import (
@@ -31,12 +21,14 @@ from .output import (
     show_text,
 )
 from .parameters import (
+    MEDIA_TYPES,
     Beginning,
     Bounds,
     BoundsWord,
     Origin,
     Report,
     ReportWord,
+    ResultFormat,
     Semantics,
     origin_of,
 )
@@ -48,29 +40,6 @@ query = typer.Typer(
 )
 
 Name = Annotated[str, typer.Argument(help="The query's name.")]
-
-
-class Format(StrEnum):
-    """The formats of results."""
-
-    CSV = "csv"
-    TSV = "tsv"
-    JSON = "json"
-    XML = "xml"
-    TURTLE = "turtle"
-    NTRIPLES = "ntriples"
-    JSON_LD = "jsonld"
-
-
-_TYPES = {
-    Format.CSV: CSV,
-    Format.TSV: TSV,
-    Format.JSON: SPARQL_JSON,
-    Format.XML: SPARQL_XML,
-    Format.TURTLE: TURTLE,
-    Format.NTRIPLES: NTRIPLES,
-    Format.JSON_LD: JSON_LD,
-}
 
 
 @query.command()
@@ -169,9 +138,7 @@ def results(
         int | None,
         typer.Option(min=1, help="This number of the newest windows; with --from the oldest."),
     ] = None,
-    format: Annotated[
-        Format | None, typer.Option(help="The format of the results, for programs.")
-    ] = None,
+    format: ResultFormat = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
@@ -179,7 +146,7 @@ def results(
     wanted: dict[str, Any] = {"start": start, "end": end, "limit": limit}
     with connect(url) as client:
         if format is not None:
-            print(client.query_results_text(name, _TYPES[format], **wanted), end="")
+            print(client.query_results_text(name, MEDIA_TYPES[format], **wanted), end="")
             return
         found = client.query_results(name, **wanted)
         query = client.query(name)

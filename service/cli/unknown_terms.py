@@ -20,7 +20,8 @@ _OURS: Final = (DYKNOW, STREAM_SPACE)
 
 def unknown_terms(client: Client, text: str) -> Iterator[str]:
     """Yield a hint for each unknown term of our namespaces in a query, with similar names."""
-    terms = " ".join(f"<{iri}>" for iri in _our_terms(text))
+    # The base that the service resolves relative IRIs against.
+    terms = " ".join(f"<{iri}>" for iri in _our_terms(f"BASE <{client.url}/sparql>\n{text}"))
     if not terms:
         return
     nowhere = "FILTER NOT EXISTS { { ?t ?p ?o } UNION { ?s ?t ?o } UNION { ?s ?p ?t } }"

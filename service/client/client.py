@@ -528,11 +528,32 @@ class Client(Connection):
         body = {"feature": feature, "sort": sort, "objects": list(objects), "strategy": strategy}
         return self._object("POST", "/match", json=body)
 
-    def sparql(self, query: str) -> dict[str, Any] | str:
-        """Return a SPARQL query's answer: SPARQL JSON for SELECT and ASK, Turtle for graphs."""
+    def sparql(
+        self,
+        query: str,
+        *,
+        default_graphs: Sequence[str] = (),
+        named_graphs: Sequence[str] = (),
+    ) -> dict[str, Any] | str:
+        """Return a SPARQL query's answer: SPARQL JSON for SELECT and ASK, Turtle for graphs.
+        The graphs, by their IRIs, are read instead of those of FROM and FROM NAMED."""
         accept = f"{SPARQL_JSON}, {TURTLE};q=0.9"
-        headers = {"Content-Type": SPARQL_QUERY, "Accept": accept}
-        return _json_or_text(self._send("POST", "/sparql", content=query, headers=headers))
+        return _json_or_text(self._sparql(query, accept, default_graphs, named_graphs))
+
+    def sparql_text(
+        self,
+        query: str,
+        media_type: str,
+        *,
+        default_graphs: Sequence[str] = (),
+        named_graphs: Sequence[str] = (),
+    ) -> str:
+        """Return the same as text: ``text/csv``, ``application/rdf+xml`` and so on."""
+        return self._sparql(query, media_type, default_graphs, named_graphs).text
+
+    def describe_sparql(self) -> str:
+        """Return the Service Description of ``/sparql`` as Turtle: its formats and graphs."""
+        return self._send("GET", "/sparql", headers={"Accept": TURTLE}).text
 
     def explain(
         self,
@@ -558,6 +579,20 @@ class Client(Connection):
         return self._history(stream, NTRIPLES, {"limit": limit}).text
 
     # -- helpers
+
+    def _sparql(
+        self,
+        query: str,
+        accept: str,
+        default_graphs: Sequence[str],
+        named_graphs: Sequence[str],
+    ) -> httpx.Response:
+        chosen = {
+            "default-graph-uri": list(default_graphs),
+            "named-graph-uri": list(named_graphs),
+        }
+        headers = {"Content-Type": SPARQL_QUERY, "Accept": accept}
+        return self._send("POST", "/sparql", params=chosen, content=query, headers=headers)
 
     def _query_results(
         self,

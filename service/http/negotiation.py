@@ -60,19 +60,19 @@ def accepted(request: Request, offered: Sequence[str]) -> str:
     return str(best)
 
 
-def content_type(request: Request, allowed: Sequence[str]) -> str:
+def content_type(request: Request, allowed: Sequence[str], *, is_required: bool = False) -> str:
     """The media type of the request's body, one of ``allowed``; the first one without a
-    Content-Type. Raises a 415 `Problem`.
+    Content-Type, unless it ``is_required``. Raises a 415 `Problem`.
     """
     header = request.headers.get("content-type", "")
     given = header.partition(";")[0].strip().lower()
-    if not given:
+    if not given and not is_required:
         return allowed[0]
     if given not in allowed:
         raise Problem(
             415,
             "unsupported media type",
-            f"this route does not accept {given}",
+            f"this route does not accept {given or 'a body without a Content-Type'}",
             hint=f"send Content-Type: {' or '.join(allowed)}",
             headers={"Accept-Post": ", ".join(allowed)},
         )

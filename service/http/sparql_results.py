@@ -6,8 +6,9 @@ makes every other format of that, so that both routes write alike.
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from fastapi import Request, Response
 from pyoxigraph import (
@@ -17,14 +18,13 @@ from pyoxigraph import (
     QueryResultsFormat,
     Triple,
     parse_query_results,
-    serialize,
 )
 
 from ...continuous.operators.results import WindowResult
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import PREFIXES, XSD
 from ...streams.time import format_time
-from ..config.media_types import JSON, NTRIPLES, SPARQL_JSON, SPARQL_XML
+from ..config.media_types import JSON, SPARQL_JSON, SPARQL_XML
 from . import sparql_formats
 from .negotiation import accepted
 from .problems import Problem
@@ -119,8 +119,19 @@ def _graph(request: Request, results: Sequence[WindowResult], most: int) -> Resp
                 if size > most:
                     raise result_too_large(f"{most} bytes")
                 triples[triple] = None
-    prefixes = {} if kind == NTRIPLES else dict(PREFIXES)
-    return answer(serialize(triples, format=GRAPHS[kind], prefixes=prefixes), kind)
+    return graph_answer(triples, kind)
+
+
+def graph_answer(
+    triples: Iterable[Triple], kind: str, prefixes: Mapping[str, str] = PREFIXES
+) -> Response:
+    """The answer with a graph. Raises a 400 `Problem` if the format cannot express it."""
+    written = io.BytesIO()
+    try:
+        sparql_formats.write_graph(triples, written, kind, prefixes)
+    except sparql_formats.NotWritable as error:
+        raise Problem(400, "query failed", str(error)) from error
+    return answer(written.getvalue(), kind)
 
 
 def result_too_large(most: str) -> Problem:

@@ -1,16 +1,19 @@
 """SPARQL 1.1 Protocol queries over the ontology and the live stream space.
 
-The dataset is fixed: the merge of all graphs. The service checks a query (no SERVICE, no updates,
-bounded size). Worker processes then evaluate it, a few at a time, with limits of time, memory, rows
-and bytes (`service/workers`).
+The dataset of a query is the one that the request chooses (``default-graph-uri``,
+``named-graph-uri``), else that of its FROM clauses, else all graphs and their merge. The service
+checks a query (no SERVICE, no updates, bounded size). Worker processes then evaluate it, a few at a
+time, with limits of time, memory, rows and bytes (`service/workers`). Without a query the answer is
+the Service Description.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Annotated, Any, Final
 from urllib.parse import parse_qsl
 
 from fastapi import APIRouter, Query, Request, Response
+from pyoxigraph import NamedNode
 
 from ...ontology.errors import QueryRefused
 from ...ontology.query_guard import LONGEST_TEXT, query_form
@@ -18,15 +21,17 @@ from ..admission.gate import client_key
 from ..config.media_types import FORM, SPARQL_QUERY
 from ..http.negotiation import accepted, content_type, utf8
 from ..http.problems import Problem, responses
+from ..http.service_description import KINDS, PREFIXES, describe
 from ..http.sparql_results import (
     BOOLEANS,
     GRAPHS,
     RESULTS,
     answer,
+    graph_answer,
     result_too_large,
 )
 from ..runtime.context import Context, Service
-from ..workers.messages import Failed, Refused, TooMuch, Truth, Written
+from ..workers.messages import Failed, GraphNames, Refused, TooMuch, Truth, Written
 from ..workers.route_calls import while_connected
 
 router = APIRouter(tags=["sparql"])
@@ -35,7 +40,24 @@ EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""
 _LONGEST_FORM: Final = 4 * LONGEST_TEXT
 """Bytes of a form: percent-encoding makes a query at most three times as long."""
+_DEFAULT_GRAPHS: Final = "default-graph-uri"
+_NAMED_GRAPHS: Final = "named-graph-uri"
+DefaultGraphs = Annotated[
+    list[str] | None,
+    Query(
+        alias=_DEFAULT_GRAPHS,
+        description="a graph of the default graph, instead of FROM; may be repeated",
+    ),
+]
+NamedGraphs = Annotated[
+    list[str] | None,
+    Query(
+        alias=_NAMED_GRAPHS,
+        description="a graph that GRAPH reads, instead of FROM NAMED; may be repeated",
+    ),
+]
 TEXT_SCHEMA = {"type": "string", "description": "SELECT, ASK, CONSTRUCT or DESCRIBE"}
+GRAPHS_SCHEMA = {"type": "array", "items": {"type": "string"}}
 BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
@@ -45,7 +67,11 @@ BODY: dict[str, Any] = {
                 "schema": {
                     "type": "object",
                     "required": ["query"],
-                    "properties": {"query": TEXT_SCHEMA},
+                    "properties": {
+                        "query": TEXT_SCHEMA,
+                        _DEFAULT_GRAPHS: GRAPHS_SCHEMA,
+                        _NAMED_GRAPHS: GRAPHS_SCHEMA,
+                    },
                 }
             },
         },
@@ -66,11 +92,24 @@ CONTENT: dict[int | str, dict[str, Any]] = {
     name="sparql_get",
 )
 async def query_by_get(
-    request: Request, service: Context, query: str | None = Query(None, examples=[EXAMPLE])
+    request: Request,
+    service: Context,
+    query: Annotated[
+        str | None, Query(description=TEXT_SCHEMA["description"], examples=[EXAMPLE])
+    ] = None,
+    default_graphs: DefaultGraphs = None,
+    named_graphs: NamedGraphs = None,
 ) -> Response:
-    """Answer a query. JSON, XML, CSV, TSV for SELECT; JSON, XML for ASK; Turtle, N-Triples or
-    JSON-LD for CONSTRUCT and DESCRIBE."""
-    return await _answer(service, request, _text(list(request.query_params.multi_items())))
+    """Answer a query. JSON, XML, CSV, TSV for SELECT; JSON, XML for ASK; Turtle, N-Triples,
+    JSON-LD, RDF/XML, TriG, N-Quads for CONSTRUCT and DESCRIBE.
+
+    Without parameters it answers the Service Description, in Turtle, N-Triples, JSON-LD or RDF/XML.
+    """
+    if not request.query_params:
+        kind = accepted(request, KINDS)
+        graphs = service.engine.ontology.named_graphs()
+        return graph_answer(describe(_endpoint(request), graphs), kind, PREFIXES)
+    return await _answer(service, request, list(request.query_params.multi_items()))
 
 
 @router.post(
@@ -80,9 +119,14 @@ async def query_by_get(
     responses=CONTENT | responses(406, 413, 415, 422, 503),
     name="sparql_post",
 )
-async def query_by_post(request: Request, service: Context) -> Response:
+async def query_by_post(
+    request: Request,
+    service: Context,
+    default_graphs: DefaultGraphs = None,
+    named_graphs: NamedGraphs = None,
+) -> Response:
     """Answer a query in the body or in a form."""
-    kind = content_type(request, (SPARQL_QUERY, FORM))
+    kind = content_type(request, (SPARQL_QUERY, FORM), is_required=True)
     parameters = list(request.query_params.multi_items())
     sent = await request.body()
     if kind == FORM and len(sent) > _LONGEST_FORM:
@@ -100,24 +144,17 @@ async def query_by_post(request: Request, service: Context) -> Response:
             raise Problem(400, "bad form", str(error)) from error
     else:
         parameters.append(("query", body))
-    return await _answer(service, request, _text(parameters))
+    return await _answer(service, request, parameters)
 
 
 def _text(parameters: list[tuple[str, str]]) -> str:
-    """Return the query among the protocol's parameters. Raises a `Problem` for unsupported ones."""
+    """Return the query among the protocol's parameters. Raises a `Problem` for those of updates."""
     for key, _ in parameters:
-        if key in ("default-graph-uri", "named-graph-uri", "using-graph-uri"):
+        if key in ("update", "using-graph-uri", "using-named-graph-uri"):
             raise Problem(
                 400,
                 "query refused",
-                f"{key} is not supported: the dataset is the merge of all graphs",
-                hint="write GRAPH <iri> { ... } in the query to read one graph",
-            )
-        if key == "update":
-            raise Problem(
-                400,
-                "query refused",
-                "updates are not supported",
+                f"updates are not supported, and {key} belongs to them",
                 hint="change ontology, templates and streams by their own routes",
             )
     texts = [value for key, value in parameters if key == "query"]
@@ -131,8 +168,36 @@ def _text(parameters: list[tuple[str, str]]) -> str:
     return texts[0]
 
 
-async def _answer(service: Service, request: Request, text: str) -> Response:
-    form = query_form(text)
+def _dataset(parameters: list[tuple[str, str]]) -> GraphNames | None:
+    """Return the dataset among the protocol's parameters, None if they choose none. Raises a
+    `Problem`."""
+    chosen: GraphNames = ([], [])
+    for key, value in parameters:
+        if key not in (_DEFAULT_GRAPHS, _NAMED_GRAPHS):
+            continue
+        try:
+            NamedNode(value)
+        except ValueError as error:
+            raise Problem(
+                400,
+                "query refused",
+                f"{key} is no absolute IRI: {value}",
+                hint="GET /sparql without parameters lists the graphs",
+            ) from error
+        chosen[key == _NAMED_GRAPHS].append(value)
+    return chosen if any(chosen) else None
+
+
+def _endpoint(request: Request) -> str:
+    """Return the address of the endpoint: the base of a query's relative IRIs (RFC 3986 §5.1.3)."""
+    return str(request.url.replace(query="", fragment=""))
+
+
+async def _answer(
+    service: Service, request: Request, parameters: list[tuple[str, str]]
+) -> Response:
+    text, dataset, base = _text(parameters), _dataset(parameters), _endpoint(request)
+    form = query_form(text, base)
     offered = {"select": RESULTS, "ask": BOOLEANS}.get(form, GRAPHS)
     try:
         kind, not_acceptable = accepted(request, tuple(offered)), None
@@ -141,7 +206,9 @@ async def _answer(service: Service, request: Request, text: str) -> Response:
         kind, not_acceptable = "", problem
     service.engine.measure()
     queries, sender = service.isolation.queries, client_key(request)
-    result = await while_connected(request, lambda: queries.answer(text, kind, sender))
+    result = await while_connected(
+        request, lambda: queries.answer(text, kind, sender, dataset=dataset, base=base)
+    )
     match result:
         case Written(body):
             return answer(body, kind)

@@ -23,7 +23,6 @@ from pyoxigraph import (
     RdfFormat,
     Store,
     parse,
-    serialize,
 )
 
 from ...continuous.values.standard_functions import FUNCTIONS
@@ -35,9 +34,9 @@ from ...ontology.closure import closure_of
 from ...ontology.closure_queries import answer
 from ...ontology.deep_hierarchies import MARKERS
 from ...ontology.errors import OntologyError, QueryRefused
-from ...ontology.query_guard import check_user_query
+from ...ontology.query_guard import Dataset, check_user_query
 from ...ontology.reading import TextFormat, read_triples
-from ..http.sparql_formats import GRAPHS, TABLES
+from ..http.sparql_formats import TABLES, write_graph
 from .messages import (
     Answer,
     Ask,
@@ -45,6 +44,7 @@ from .messages import (
     Entail,
     Failed,
     Follow,
+    GraphNames,
     Misread,
     Query,
     Read,
@@ -129,14 +129,14 @@ class Worker:
         return Truth(True)
 
     def _query(self, work: Query) -> Answer:
-        check_user_query(work.text)
         if not work.format:
+            check_user_query(work.text, work.base)
             return Truth(True)
-        found = answer(self._store, work.text)
+        found = answer(self._store, work.text, _dataset(work.dataset), work.base)
         if isinstance(found, QueryTriples):
             wanted = _limited(found, work.rows, "triples")
             sink = _Sink(work.size)
-            serialize(wanted, sink, format=GRAPHS[work.format])  # type: ignore[arg-type]
+            write_graph(wanted, sink, work.format)
             return Written(sink.content())
         body = _serialize(found, TABLES[work.format], work.size)
         # A row has at least three bytes in each format.
@@ -274,6 +274,13 @@ def _check_rows(body: bytes, format: QueryResultsFormat, most: int) -> None:
         rows = sum(1 for _ in csv.reader(io.StringIO(body.decode(), newline=""))) - 1
     if rows > most:
         raise _LimitExceeded("rows", most)
+
+
+def _dataset(named: GraphNames | None) -> Dataset | None:
+    if named is None:
+        return None
+    default_graphs, named_graphs = named
+    return tuple(map(NamedNode, default_graphs)), tuple(map(NamedNode, named_graphs))
 
 
 def _quads(data: bytes) -> Iterable[Quad]:

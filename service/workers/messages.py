@@ -18,6 +18,8 @@ if TYPE_CHECKING:  # it imports numpy, which no worker needs
 Cell: TypeAlias = tuple[int, str, str]
 """A term: its kind, its text, and the datatype or language of a literal."""
 Row: TypeAlias = list[Cell | None]
+GraphNames: TypeAlias = tuple[list[str], list[str]]
+"""The IRIs of a dataset's default graphs, and of its named ones."""
 ElementRow: TypeAlias = tuple[int, int, str, str | None, int, int]
 """An element of a specification (`xml_elements`): its kind, the row of its parent, the type or the
 value, the name, start and end of its tag."""
@@ -44,6 +46,10 @@ class Query(msgspec.Struct, tag="query", frozen=True):
     format: str
     rows: int
     size: int
+    dataset: GraphNames | None = None
+    """The graphs that the request chooses, instead of those of FROM."""
+    base: str = ""
+    """The IRI that relative IRIs are resolved against."""
 
 
 class Ask(msgspec.Struct, tag="ask", frozen=True):

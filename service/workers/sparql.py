@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from ...ontology.ontology import Ontology
-from .messages import Answer, Follow, Job, Query, Truth
+from .messages import Answer, Follow, GraphNames, Job, Query, Truth
 from .pool import Pool
 from .worker import End, NoWorker, Worker, WorkerError
 
@@ -39,16 +39,24 @@ class IsolatedQueries:
         self._rows = rows
         self._size = size
 
-    async def answer(self, text: str, format: str, sender: str = "") -> Answer:
+    async def answer(
+        self,
+        text: str,
+        format: str,
+        sender: str = "",
+        *,
+        dataset: GraphNames | None = None,
+        base: str = "",
+    ) -> Answer:
         """Answer a query of ``sender`` in ``format`` (`sparql_formats`); with an empty format only
-        check it.
+        check it. ``dataset`` replaces the one of the query, ``base`` resolves relative IRIs.
 
         Raises `Busy` and `WorkerError`.
         """
 
         def work(worker: Worker) -> Answer:
             self._update(worker)
-            query = Query(text, format, self._rows, self._size)
+            query = Query(text, format, self._rows, self._size, dataset, base)
             return worker.call(Job(query, self._seconds), self._size + OVERHEAD)
 
         while True:

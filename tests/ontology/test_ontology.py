@@ -324,6 +324,34 @@ def test_rows_are_those_of_a_select(plain: Ontology) -> None:
         plain.query_rows("ASK {}")
 
 
+def test_several_graphs_of_a_query_are_their_merge() -> None:
+    ontology = Ontology.open()
+    for name in ("one", "two"):
+        ontology.load(f"<urn:a> <urn:p> 1 . <urn:a> <urn:p> <urn:{name}> .", name=f"urn:g:{name}")
+    of_both = (
+        "SELECT ?o FROM <urn:g:one> FROM <urn:g:two> FROM <urn:g:two> {clause} { <urn:a> ?p ?o }"
+    )
+    _, rows = ontology.query_rows(of_both.replace("{clause}", ""))
+    assert sorted(str(term) for (term,) in rows) == [str(Literal(1)), "<urn:one>", "<urn:two>"]
+    named = of_both.replace("{clause}", "FROM NAMED <urn:g:one>").replace(
+        "<urn:a> ?p ?o", "GRAPH ?g { <urn:a> ?p ?o }"
+    )
+    _, rows = ontology.query_rows(named)
+    assert sorted(str(term) for (term,) in rows) == [str(Literal(1)), "<urn:one>"]
+
+
+def test_the_named_graphs_are_those_with_triples() -> None:
+    ontology = Ontology.open()
+    stated = "http://www.ida.liu.se/dyknow/ontology.rdf"
+    assert {stated, "http://www.dyknow.eu/graphs/catalog"} < {*ontology.named_graphs()}
+    templates = "http://www.dyknow.eu/graphs/templates"
+    assert templates not in ontology.named_graphs()
+    ontology.registered.templates[EVENT] = "text"
+    assert templates in ontology.named_graphs()
+    del ontology.registered.templates[EVENT]
+    assert templates not in ontology.named_graphs()
+
+
 def test_a_store_in_memory_is_made_anew_now_and_then() -> None:
     """Its quads are counted a few times only, however often the stream space changes."""
     ontology = Ontology.open()

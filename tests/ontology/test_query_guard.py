@@ -1,9 +1,10 @@
 """What users' SPARQL may not do, and what it may."""
 
 import pytest
+from pyoxigraph import NamedNode
 
 from dyknow.ontology.errors import QueryRefused
-from dyknow.ontology.query_guard import check_user_query, query_form
+from dyknow.ontology.query_guard import check_user_query, query_form, read_query
 
 
 @pytest.mark.parametrize(
@@ -61,6 +62,14 @@ def test_the_place_of_a_refusal() -> None:
     with pytest.raises(QueryRefused) as refusal:
         check_user_query("SELECT * {\n ?s ?p }")
     assert refusal.value.line == 2
+
+
+def test_relative_iris_need_a_base() -> None:
+    with pytest.raises(QueryRefused, match="`a` is not an IRI"):
+        check_user_query("ASK FROM <a> { <s> ?p ?o }")
+    query, dataset = read_query("ASK FROM <a> { <s> ?p ?o }", "http://e.org/sparql")
+    assert dataset == ((NamedNode("http://e.org/a"),), ())
+    assert query.base == "http://e.org/sparql"
 
 
 def test_the_form_of_a_query() -> None:

@@ -141,6 +141,32 @@ def test_queries_see_the_pairs_of_deep_hierarchies(stated: list[Quad], said: lis
         assert set(one.copy([predicate], None)) == set(other.copy([predicate], None))
 
 
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize(
+    ("default", "named"),
+    [((*GRAPHS, ENTAILMENTS), ()), ((), (GRAPHS[0], ENTAILMENTS)), (GRAPHS[:1], (ENTAILMENTS,))],
+)
+def test_a_chosen_dataset_is_that_of_from(
+    pattern: str, default: tuple[NamedNode, ...], named: tuple[NamedNode, ...]
+) -> None:
+    edges = [("c2", "c1"), ("c1", "c0"), ("c3", "c2")]
+    quads = [
+        Quad(node(sub), NamedNode(RDFS + "subClassOf"), node(sup), GRAPHS[sub == "c3"])
+        for sub, sup in edges
+    ]
+    clauses = " ".join([*(f"FROM {g}" for g in default), *(f"FROM NAMED {g}" for g in named)])
+    for most_pairs in (0, 10_000):
+        store = store_of(quads, most_pairs)
+        chosen = answer(store, f"SELECT * {{ {pattern} }}", (default, named))
+        stated = answer(store, f"SELECT * {clauses} {{ {pattern} }}")
+        assert rows(chosen) == rows(stated)
+        # And it goes before another one in the text.
+        other = f"SELECT * FROM <urn:other> FROM NAMED <urn:other> {{ {pattern} }}"
+        assert rows(answer(store, other, (default, named))) == rows(
+            answer(store, f"SELECT * {{ {pattern} }}", (default, named))
+        )
+
+
 def test_only_a_deep_hierarchy_has_marks() -> None:
     chained = [
         Quad(node(f"c{i + 1}"), NamedNode(RDFS + "subClassOf"), node(f"c{i}"), GRAPHS[0])

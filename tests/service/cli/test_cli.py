@@ -290,6 +290,23 @@ def test_sparql(dyknow: Any, client: Client, tmp_path: Path) -> None:
     assert "line 1" in dyknow("sparql", "SELECT", status=1).stderr
 
 
+def test_sparql_over_chosen_graphs_in_a_format(dyknow: Any) -> None:
+    stated = "http://www.dyknow.eu/ontology"
+    ask, of_graph = "ASK { ?s ?p ?o }", "ASK { GRAPH ?g { ?s ?p ?o } }"
+    assert dyknow("sparql", ask, "--default-graph", "urn:none").stdout.strip() == "no"
+    several = ("--default-graph", "urn:none", "--default-graph", stated)
+    assert dyknow("sparql", ask, *several).stdout.strip() == "yes"
+    assert dyknow("sparql", of_graph, "--named-graph", stated).stdout.strip() == "yes"
+    assert dyknow("sparql", ask, "--named-graph", stated).stdout.strip() == "no"
+    graph = "CONSTRUCT { <urn:a> <urn:b> 1 } WHERE {}"
+    assert dyknow("sparql", graph, "--format", "rdfxml").stdout.startswith("<?xml")
+    assert dyknow("sparql", graph, "--format", "nquads").stdout.startswith("<urn:a> <urn:b> ")
+    refused = dyknow("sparql", ask, "--default-graph", "none", status=1).stderr
+    assert "default-graph-uri is no absolute IRI: none" in refused
+    # A relative IRI has the base that the service gave it, also where the result is empty.
+    dyknow("sparql", "SELECT * { <x> dyknow:speed ?o }")
+
+
 def test_match_and_explain(dyknow: Any, client: Client, template: str) -> None:
     client.annotate(SSL)
     client.register_template(Path(template).read_text())

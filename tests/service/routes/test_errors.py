@@ -338,8 +338,10 @@ def test_media_types_that_are_not_taken(
         ("GET", "/explain", 400, "wrong arguments"),
         ("GET", "/explain?template=A&id=b", 400, "wrong arguments"),
         ("GET", "/explain?feature=nosuchfeature", 404, "unknown term"),
-        ("GET", "/sparql", 400, "wrong arguments"),
-        ("GET", "/sparql?query=ASK%7B%7D&default-graph-uri=urn:a", 400, "query refused"),
+        ("GET", "/sparql?default-graph-uri=urn:a", 400, "wrong arguments"),
+        ("GET", "/sparql?query=ASK%7B%7D&default-graph-uri=a", 400, "query refused"),
+        ("GET", "/sparql?query=ASK%7B%7D&named-graph-uri=", 400, "query refused"),
+        ("GET", "/sparql?query=ASK%7B%7D&using-graph-uri=urn:a", 400, "query refused"),
     ],
 )
 def test_other_refusals(

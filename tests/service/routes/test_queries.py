@@ -194,6 +194,9 @@ def test_a_table_in_each_format(flying: httpx.Client, kind: str) -> None:
         ("text/turtle", "dyknow:uav2 dyknow:speed"),
         ("application/n-triples", f"<{DYKNOW}uav2> <{DYKNOW}speed>"),
         ("application/ld+json", f'"@id":"{DYKNOW}uav2"'),
+        ("application/rdf+xml", f'<rdf:Description rdf:about="{DYKNOW}uav2">'),
+        ("application/trig", "dyknow:uav2 dyknow:speed"),
+        ("application/n-quads", f"<{DYKNOW}uav2> <{DYKNOW}speed>"),
     ],
 )
 def test_a_graph_in_each_format(flying: httpx.Client, kind: str, words: str) -> None:
@@ -204,6 +207,15 @@ def test_a_graph_in_each_format(flying: httpx.Client, kind: str, words: str) -> 
     assert words in answer.text
     many = flying.get("/queries/fast/results?limit=3", headers={"Accept": kind})
     assert words in many.text
+
+
+def test_a_graph_that_rdf_xml_cannot_express(flying: httpx.Client) -> None:
+    register(flying, FAST.replace("CONSTRUCT { ?o dyknow:speed", "CONSTRUCT { ?o <http://e.org/1>"))
+    play(flying)
+    refused = flying.get("/queries/fast/results", headers={"Accept": "application/rdf+xml"})
+    assert refused.status_code == 400
+    assert "<http://e.org/1>" in refused.json()["detail"]
+    assert flying.get("/queries/fast/results", headers={"Accept": "text/turtle"}).is_success
 
 
 def test_an_answer(flying: httpx.Client) -> None:

@@ -7,11 +7,12 @@ import io
 import json
 import socket
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import httpx
 import pyarrow as pa
 import pytest
+from pyoxigraph import DefaultGraph, RdfFormat, parse
 
 from dyknow.engine.engine import Engine
 from dyknow.service.client.client import Client
@@ -381,13 +382,83 @@ def test_sparql_over_the_live_stream_space(annotated: httpx.Client, kind: str, p
     assert part in answer.text
 
 
-@pytest.mark.parametrize("kind", ["text/turtle", "application/n-triples", "application/ld+json"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "text/turtle",
+        "application/n-triples",
+        "application/ld+json",
+        "application/rdf+xml",
+        "application/trig",
+        "application/n-quads",
+    ],
+)
 def test_sparql_graphs(http: httpx.Client, kind: str) -> None:
     query = "CONSTRUCT { ?s a ?c } WHERE { ?s a ?c } LIMIT 3"
     answer = http.get("/sparql", params={"query": query}, headers={"Accept": kind})
     assert answer.status_code == 200
     assert answer.headers["content-type"].startswith(kind)
-    assert answer.text.strip()
+    format = RdfFormat.from_media_type(kind)
+    assert format is not None
+    quads = list(parse(answer.content, format))
+    assert len(quads) == 3
+    assert {quad.graph_name for quad in quads} == {DefaultGraph()}
+
+
+def test_a_graph_that_rdf_xml_cannot_express(http: httpx.Client) -> None:
+    query = "CONSTRUCT { <urn:a> <http://e.org/1> 1 } WHERE {}"
+    asked = {"params": {"query": query}, "headers": {"Accept": "application/rdf+xml"}}
+    refused = http.get("/sparql", **asked)
+    assert refused.status_code == 400
+    assert "<http://e.org/1>" in refused.json()["detail"]
+    assert "text/turtle" in refused.json()["detail"]
+
+
+OWN = "http://www.dyknow.eu/graphs/"
+
+
+def test_sparql_over_chosen_graphs(annotated: httpx.Client) -> None:
+    """``default-graph-uri`` and ``named-graph-uri``, in the address and in a form, go before FROM;
+    a graph that is not there is empty."""
+    count = "SELECT (COUNT(*) AS ?n) {0} {{ ?s ?p ?o }}"
+    named = "SELECT (COUNT(DISTINCT ?g) AS ?n) {0} {{ GRAPH ?g {{ ?s ?p ?o }} }}"
+
+    def ask(text: str, *graphs: tuple[str, str], clause: str = "") -> int:
+        parameters = [("query", text.format(clause)), *graphs]
+        by_get = annotated.get("/sparql", params=parameters)
+        kind = {"Content-Type": "application/x-www-form-urlencoded"}
+        by_form = annotated.post("/sparql", content=urlencode(parameters), headers=kind)
+        assert by_get.status_code == 200, by_get.text
+        assert by_get.json() == by_form.json()
+        return int(by_get.json()["results"]["bindings"][0]["n"]["value"])
+
+    one = ("default-graph-uri", OWN + "annotations")
+    other = ("default-graph-uri", OWN + "templates")
+    nowhere = ("default-graph-uri", OWN + "nowhere")
+    assert ask(count) > ask(count, one, other) == ask(count, one) + ask(count, other)
+    assert ask(count, one) == ask(count, clause=f"FROM <{OWN}annotations>") > 0
+    assert ask(count, one, clause=f"FROM <{OWN}templates>") == ask(count, one)
+    assert ask(count, nowhere) == ask(count, clause=f"FROM <{OWN}nowhere>") == 0
+    # Only named graphs: the default graph is empty. Only default graphs: there are no named ones.
+    graph = ("named-graph-uri", OWN + "templates")
+    assert ask(named, graph) == 1
+    assert ask(count, graph) == ask(count, graph, clause=f"FROM <{OWN}templates>") == 0
+    assert ask(named, one) == 0
+    assert ask(named) > 5
+
+
+def test_the_client_chooses_graphs_and_formats(annotated: httpx.Client, client: Client) -> None:
+    ask, of_graph = "ASK { ?s :hasText ?text }", "ASK { GRAPH ?g { ?s :hasText ?text } }"
+    one, none = [OWN + "annotations"], [OWN + "templates", OWN + "nowhere"]
+    assert client.sparql(ask, default_graphs=[*none, *one]) == {"head": {}, "boolean": True}
+    assert client.sparql(ask, default_graphs=none) == {"head": {}, "boolean": False}
+    assert client.sparql(of_graph, named_graphs=one) == {"head": {}, "boolean": True}
+    assert client.sparql(ask, named_graphs=one) == {"head": {}, "boolean": False}
+    graph = "CONSTRUCT WHERE { ?s :hasText ?text }"
+    text = client.sparql_text(graph, "application/n-quads", default_graphs=one)
+    assert text.startswith("<http://www.dyknow.eu/annotations/s5> ")
+    assert client.sparql_text(graph, "application/n-quads", default_graphs=none) == ""
+    assert f"sd:name <{one[0]}>" in client.describe_sparql()
 
 
 def test_sparql_protocol_forms(http: httpx.Client) -> None:

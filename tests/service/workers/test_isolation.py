@@ -27,6 +27,7 @@ from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.replicas import MOST
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
+from dyknow.service.http.sparql_formats import GRAPHS
 from dyknow.service.server import running
 from dyknow.service.workers.messages import (
     Ask,
@@ -439,8 +440,35 @@ def test_a_result_of_too_many_rows(http: httpx.Client, accept: str) -> None:
     assert "LIMIT" in refused.json()["hint"]
 
 
-def test_a_slow_query_says_so(http: httpx.Client) -> None:
-    answer = ask(http, ENDLESS)
+@pytest.mark.parametrize("accept", GRAPHS)
+def test_a_graph_of_too_many_triples(http: httpx.Client, accept: str) -> None:
+    def triples(number: int) -> httpx.Response:
+        values = " ".join(map(str, range(number)))
+        query = f"CONSTRUCT {{ <urn:s> <urn:p> ?x }} {{ VALUES ?x {{ {values} }} }}"
+        return http.get("/sparql", params={"query": query}, headers={"Accept": accept})
+
+    assert triples(50).status_code == 200
+    refused = triples(51)
+    assert refused.status_code == 422
+    assert "50 triples" in refused.json()["detail"]
+
+
+def test_escapes_count_as_bytes_of_a_graph(engine: Engine) -> None:
+    settings = Settings(port=0, sparql_workers=1, sparql_bytes=3000)
+    returns = "\\r" * 1000
+    query = f'CONSTRUCT {{ <urn:s> <urn:p> "{returns}" }} {{}}'
+    with (
+        running(create_app(engine, settings, lambda: 10**18), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+    ):
+        for accept, status in (("text/turtle", 200), ("application/rdf+xml", 422)):
+            asked = {"params": {"query": query}, "headers": {"Accept": accept}}
+            assert http.get("/sparql", **asked).status_code == status
+
+
+@pytest.mark.parametrize("graphs", [{}, {"default-graph-uri": "http://www.dyknow.eu/ontology"}])
+def test_a_slow_query_says_so(http: httpx.Client, graphs: dict[str, str]) -> None:
+    answer = http.get("/sparql", params={"query": ENDLESS, **graphs})
     assert answer.status_code == 503
     assert answer.headers["retry-after"]
     assert answer.json()["title"] == "query too slow"
