@@ -22,14 +22,9 @@ from ..errors import EmptyTable, WireError
 from ..inference import TimeReader
 from ..wire import Incoming
 from .names import valid_name
-from .recording import (
-    Recording,
-    ValueChunk,
-    decode_rows,
-    open_recording,
-    open_rows,
-    read_lines,
-)
+from .recording import Recording, ValueChunk, decode_rows, open_recording, open_rows
+from .table_options import GUESSED, TableOptions
+from .text_files import read_lines
 from .ulog import open_ulog
 
 STREAM: Final = "stream"
@@ -67,22 +62,19 @@ class Recordings(Mapping[str, Recording]):
 
 def open_recordings(
     paths: Sequence[Path | str],
-    time_column: str | None = None,
-    time_unit: str | None = None,
+    options: TableOptions = GUESSED,
     types: Types | None = None,
     *,
     utc: bool = False,
-    abstract_unit: str = "s",
     skip_empty: bool = False,
 ) -> Recordings:
     """Open all files of ``paths``; each stream has its own fields and string pools.
 
     A path is a flight log ``.ulg`` (a stream a topic), an NDJSON file whose lines carry
     ``"stream": "name"`` (many streams), any other table (one stream, named like the file), a
-    folder of such files, or ``NAME=FILE`` for a table under another name. ``time_column``,
-    ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) apply to tables, as for
-    `open_recording`; ``utc`` applies to flight logs, as for `open_ulog`. A table without rows is an
-    error, or no stream with ``skip_empty``.
+    folder of such files, or ``NAME=FILE`` for a table under another name. ``options`` and ``types``
+    (by stream and field) apply to tables, as for `open_recording`; ``utc`` applies to flight logs,
+    as for `open_ulog`. A table without rows is an error, or no stream with ``skip_empty``.
 
     Raises `WireError`, also if two files have streams of one name; `OSError` if a file cannot be
     read. Memory: the whole of a flight log, and the text of a file of many streams.
@@ -101,16 +93,13 @@ def open_recordings(
         elif has_many_streams(path):
             if name is not None:
                 raise _many(name, path)
-            times = TimeReader(time_unit, abstract_unit)
-            opened = _open_many(path, time_column, times, types or {})
+            opened = _open_many(path, options.time_column, options.times(), types or {})
         else:
             name = name or valid_name(_stem(path), STREAM)
             kinds = (types or {}).get(name)
             opened = {}
             try:
-                opened[name] = open_recording(
-                    path, time_column, time_unit, kinds, abstract_unit=abstract_unit
-                )
+                opened[name] = open_recording(path, options, kinds)
             except EmptyTable:
                 if not skip_empty:
                     raise

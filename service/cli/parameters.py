@@ -12,6 +12,7 @@ from ...streams.time import read_time
 from .output import err
 
 if TYPE_CHECKING:
+    from ...converters.recordings.table_options import TableOptions
     from ...converters.recordings.time_order import TimeOrder
 
 
@@ -59,6 +60,47 @@ Sort = Annotated[
         "up to ten million rows.",
     ),
 ]
+
+
+TimeColumn = Annotated[
+    str | None, typer.Option(help="The column of valid times. Default: by its name.")
+]
+TimeUnit = Annotated[
+    str | None, typer.Option(help="s, ms, us or ns. Default: by the size of the numbers.")
+]
+TimeFormat = Annotated[
+    str | None,
+    typer.Option(
+        help="How times are spelled: day-first, or a pattern such as '%d.%m.%Y %H:%M:%S'. "
+        "Default: ISO-8601.",
+        metavar="day-first|PATTERN",
+    ),
+]
+Delimiter = Annotated[
+    str | None,
+    typer.Option(
+        help="The character between the cells of CSV, or tab. Default: by the header.",
+        metavar="CHARACTER",
+    ),
+]
+
+
+def table_options(
+    time_column: str | None,
+    time_unit: str | None,
+    time_format: str | None,
+    delimiter: str | None,
+    abstract_unit: str = "s",
+) -> TableOptions:
+    """Return the options of tables."""
+    from ...converters.recordings.csv_dialect import delimiter_of
+    from ...converters.recordings.table_options import TableOptions
+
+    try:
+        mark = None if delimiter is None else delimiter_of(delimiter)
+    except ValueError as error:
+        raise typer.BadParameter(f"--delimiter: {error}") from error
+    return TableOptions(time_column, time_unit, time_format, mark, abstract_unit)
 
 
 NOW: Final = "now"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import typer
 
+from ....converters.recordings.table_options import TableOptions
 from ..output import fail
 from ..parameters import BoundsWord, ReportWord, SemanticsWord
 
@@ -28,6 +29,7 @@ class RunOptions:
     lateness: str | None
     late: Path | None
     sort: bool | None
+    tables: TableOptions
     explain: bool
     as_json: bool
 

@@ -14,6 +14,7 @@ from dyknow.converters.recordings.many_streams import (
     in_order,
     open_recordings,
 )
+from dyknow.converters.recordings.table_options import TableOptions
 from dyknow.converters.wire import Incoming
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import SECOND
@@ -156,6 +157,6 @@ def test_slices_are_seconds_unless_told(tmp_path):
     path = tmp_path / "many.ndjson"
     lines = [{"stream": s, "t": i * 0.25, "x": i} for i in range(12) for s in ("a", "b")]
     path.write_text("\n".join(map(json.dumps, lines)))
-    merged = list(in_order(open_recordings([path], time_unit="s")))
+    merged = list(in_order(open_recordings([path], TableOptions(time_unit="s"))))
     assert [(name, len(part.batch)) for name, part in merged] == [("a", 4), ("b", 4)] * 3
     assert merged[2][1].batch.available[0] == SECOND
