@@ -22,15 +22,24 @@ from ..errors import EmptyTable, WireError
 from ..inference import TimeReader
 from ..wire import Incoming
 from .names import valid_name
-from .recording import Recording, ValueChunk, decode_rows, open_recording, open_rows
+from .recording import (
+    ARROW,
+    CSV,
+    NDJSON,
+    PARQUET,
+    Recording,
+    ValueChunk,
+    decode_rows,
+    open_recording,
+    open_rows,
+)
 from .table_options import GUESSED, TableOptions
 from .text_files import read_lines
 from .ulog import open_ulog
 
 STREAM: Final = "stream"
 """The key of a line that names the sample's stream."""
-_NDJSON: Final = (".ndjson", ".jsonl")
-_TABLES: Final = (".csv", *_NDJSON, ".arrow", ".arrows", ".feather")
+_TABLES: Final = (*CSV, *NDJSON, *ARROW, *PARQUET)
 _LOG: Final = ".ulg"
 _NAMED = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL).fullmatch
 
@@ -134,7 +143,7 @@ def in_order(
 
 def has_many_streams(path: Path) -> bool:
     """Whether ``path`` is an NDJSON file whose first line names its stream."""
-    if not path.name.lower().removesuffix(".gz").endswith(_NDJSON):
+    if not path.name.lower().removesuffix(".gz").endswith(NDJSON):
         return False
     for _, rows in decode_rows(islice(read_lines(path), 1)):
         return isinstance(rows[0].get(STREAM), str)

@@ -32,8 +32,7 @@ HEAD: Final = 1000
 """Rows that decide the fields of a stream that is not declared."""
 _READ: Final = 1 << 18
 _SAVE: Final = "write it to a file and replay that"
-_ARROW: Final = (b"ARROW1", b"\xff\xff\xff\xff")
-_ULOG: Final = b"ULog"
+_BINARY: Final = (b"ARROW1", b"\xff\xff\xff\xff", b"PAR1", b"ULog")
 
 
 class Readable(Protocol):
@@ -286,6 +285,6 @@ def _leading(lines: Iterable[bytes]) -> list[bytes]:
         raise WireError(
             None, "the data from the pipe is compressed", "decompress it: gzip -dc FILE | …"
         )
-    if first.startswith((*_ARROW, _ULOG)):
+    if first.startswith(_BINARY):
         raise WireError(None, "a pipe takes CSV or NDJSON only", _SAVE)
     return found

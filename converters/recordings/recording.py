@@ -1,4 +1,4 @@
-"""Recorded tables as streams: CSV, NDJSON and Arrow, for ``dyknow replay``.
+"""Recorded tables as streams: CSV, NDJSON, Arrow and Parquet, for ``dyknow replay``.
 
 The valid time is the time column. The available time is the ``available`` column if there is one,
 else the valid time. A row that steps back in time becomes available with the row before it; rows of
@@ -28,6 +28,7 @@ from ...streams.sample import (
 )
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MIN
+from ..arrow.parquet import read_parquet
 from ..arrow.stream import (
     arrow_field_type,
     column_from_arrow,
@@ -44,6 +45,11 @@ from ..wire import Incoming
 from .csv_dialect import WITH_COMMAS, DecimalCommas, with_points
 from .table_options import GUESSED, TableOptions
 from .text_files import csv_delimiter, read_csv, read_lines
+
+CSV: Final = (".csv",)
+NDJSON: Final = (".ndjson", ".jsonl")
+ARROW: Final = (".arrow", ".arrows", ".feather")
+PARQUET: Final = (".parquet", ".pq")
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
 _SPELLED: Final = msgspec.json.Decoder(dict[str, Any], float_hook=Spelled.read)
@@ -96,13 +102,14 @@ def open_recording(
     types: Mapping[str, FieldType] | None = None,
     pools: dict[str, StringPool] | None = None,
 ) -> Recording:
-    """Infer fields and times of the table at ``path``: ``.csv .ndjson .arrow``, compressed or not.
+    """Infer fields and times of the table at ``path``: ``.csv .ndjson .arrow .parquet``.
 
     ``types`` of fields: default by their values (CSV: columns named like identifiers stay text).
     ``pools`` encode text.
 
     Raises `WireError` with the line, `OSError` if the file cannot be read.
-    Cost: it reads the file twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
+    Cost: it reads the file twice. Memory: a chunk of rows, and every distinct text; of Arrow and
+    Parquet all.
     """
     path = Path(path)
     name = path.name.lower().removesuffix(".gz")
@@ -114,17 +121,20 @@ def open_recording(
         )
     pools = {} if pools is None else pools
     wanted, times = options.time_column, options.times()
-    if name.endswith(".csv"):
+    if name.endswith(CSV):
         mark = options.delimiter or csv_delimiter(path)
         return open_cells(lambda: read_csv(path, mark), mark, wanted, times, types or {}, pools)
-    if name.endswith((".ndjson", ".jsonl")):
+    if name.endswith(NDJSON):
         return open_rows(lambda: decode_rows(read_lines(path)), wanted, times, types, pools)
-    if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
-        return _open_arrow(path, wanted, times, types or {}, pools)
+    if name == path.name.lower():
+        if name.endswith(ARROW):
+            return _of_arrow(read_arrow(path), wanted, times, types or {}, pools)
+        if name.endswith(PARQUET):
+            return _of_arrow(read_parquet(path), wanted, times, types or {}, pools)
     raise WireError(
         None,
         f"{path.name}: unknown kind of table",
-        "recordings end in .csv, .csv.gz, .ndjson, .ndjson.gz or .arrow",
+        "recordings end in .csv, .ndjson, .arrow or .parquet",
     )
 
 
@@ -248,14 +258,13 @@ def open_rows(
     return Recording(schema, count, pools, read, stamped_column, tally)
 
 
-def _open_arrow(
-    path: Path,
+def _of_arrow(
+    table: Any,
     wanted: str | None,
     times: TimeReader,
     types: Mapping[str, FieldType],
     pools: dict[str, StringPool],
 ) -> Recording:
-    table = read_arrow(path)
     if not table.num_rows:
         raise EmptyTable(None, "the table has no rows")
     valid = time_column(table.column_names, wanted)

@@ -16,7 +16,7 @@ def replay(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV, CSV.gz, NDJSON or Arrow; a PX4 log (.ulg); NDJSON of many streams; a pipe, "
+            help="CSV, NDJSON, Arrow or Parquet; a PX4 log (.ulg); NDJSON of many streams; a pipe, "
             "or - for standard input, of CSV or NDJSON.",
             dir_okay=False,
             callback=existing,
