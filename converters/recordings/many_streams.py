@@ -92,7 +92,7 @@ def open_recordings(
     notes: list[str] = []
     dropouts = lost = 0
     for name, path in _files(paths):
-        if path.name.lower().endswith(_LOG):
+        if is_log(path):
             if name is not None:
                 raise _many(name, path)
             log = open_ulog(path, utc=utc)
@@ -141,8 +141,15 @@ def in_order(
         yield name, incoming
 
 
+def is_log(path: Path) -> bool:
+    """Whether ``path`` is a log that a vehicle or robot has recorded, with a stream a topic."""
+    return path.name.lower().endswith(_LOG)
+
+
 def has_many_streams(path: Path) -> bool:
-    """Whether ``path`` is an NDJSON file whose first line names its stream."""
+    """Whether ``path`` names its streams: a log, or NDJSON whose first line names its stream."""
+    if is_log(path):
+        return True
     if not path.name.lower().removesuffix(".gz").endswith(NDJSON):
         return False
     for _, rows in decode_rows(islice(read_lines(path), 1)):

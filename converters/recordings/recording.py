@@ -70,6 +70,8 @@ class Recording:
     """Read the rows with the times of the table, valid times in place of missing available ones."""
     has_available: bool = False
     """Whether the table has available times."""
+    time_column: str = ""
+    """The column of the valid times."""
     rounding: Tally = field(default_factory=Tally, repr=False)
     """Which numbers float fields have rounded, as far as it was read."""
 
@@ -193,7 +195,7 @@ def open_cells(
             rounded = tally.count(rounded, cells, lines, batch)
             yield batch
 
-    return Recording(schema, count, pools, read, stamped_column, tally)
+    return Recording(schema, count, pools, read, stamped_column, valid, tally)
 
 
 def _decimal_commas(cells_again: Callable[[], Iterator[TextChunk]]) -> AbstractSet[str]:
@@ -255,7 +257,7 @@ def open_rows(
             rounded = tally.count(rounded, values, lines, batch)
             yield batch
 
-    return Recording(schema, count, pools, read, stamped_column, tally)
+    return Recording(schema, count, pools, read, stamped_column, valid, tally)
 
 
 def _of_arrow(
@@ -290,7 +292,7 @@ def _of_arrow(
         for start in range(0, len(whole), CHUNK):
             yield whole.take(slice(start, start + CHUNK))
 
-    return Recording(schema, len(whole), pools, read, stamped_column, tally)
+    return Recording(schema, len(whole), pools, read, stamped_column, valid, tally)
 
 
 def decode_rows(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:

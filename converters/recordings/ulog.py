@@ -87,7 +87,8 @@ def open_ulog(path: Path | str, *, utc: bool = False) -> FlightLog:
         if not whole.columns:
             notes.append(f"{name} has no fields beside its times")
             continue
-        found[name] = _recording(whole)
+        sensed = "timestamp_sample" in topic.data
+        found[name] = _recording(whole, "timestamp_sample" if sensed else "timestamp")
     if not found:
         raise WireError(None, f"{path.name}: the log has no messages")
     lost = sum(int(dropout.duration) for dropout in log.dropouts) * MILLISECOND
@@ -239,10 +240,10 @@ def _column(values: Any, truth: bool) -> Column:
     return Column(FieldType.INTEGER, values.astype(np.int64))
 
 
-def _recording(whole: SampleBatch) -> Recording:
+def _recording(whole: SampleBatch, time_column: str) -> Recording:
     def read() -> Iterator[SampleBatch]:
         for start in range(0, len(whole), CHUNK):
             yield whole.take(slice(start, start + CHUNK))
 
     schema = Schema(tuple(Field(name, column.type) for name, column in whole.columns.items()))
-    return Recording(schema, len(whole), {}, read, True)
+    return Recording(schema, len(whole), {}, read, True, time_column)

@@ -24,6 +24,7 @@ from rich.progress import (
 from ....converters.recordings.many_streams import (
     Recordings,
     has_many_streams,
+    is_log,
     open_recordings,
 )
 from ....converters.recordings.piped import Piped, Readable, open_pipe
@@ -308,8 +309,7 @@ def _open(
     utc: bool,
 ) -> _Opened:
     """Open the streams of the file; fields of existing streams keep their types."""
-    is_log = file.name.lower().endswith(".ulg")
-    if not is_log and not has_many_streams(file):
+    if not has_many_streams(file):
         there = _existing(client, _only(wanted))
         recording = open_recording(file, tables)
         types = _types(there, recording.schema.names)
@@ -319,14 +319,14 @@ def _open(
     found = open_recordings([file], tables, utc=utc)
     names = _chosen(wanted, found)
     there = {name: _existing(client, name) for name in names.values()}
-    if not is_log:
+    if not is_log(file):
         kinds = {
             topic: _types(there[name], found[topic].schema.names) for topic, name in names.items()
         }
         if any(kinds.values()):
             found = open_recordings([file], tables, kinds)
     tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
-    return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
+    return _Opened(tracks, found.dropouts if is_log(file) else None, found.lost, found.notes)
 
 
 def _open_pipe(client: Client, pipe: Readable, wanted: list[str], tables: TableOptions) -> _Opened:
