@@ -1,4 +1,4 @@
-"""Recordings of many streams: flight logs, lines that name their stream, folders, several files.
+"""Recordings of many streams: logs of robots, lines that name their stream, folders, files.
 
 Called by ``dyknow replay`` and by programs that reason over recorded streams without a service.
 """
@@ -21,6 +21,7 @@ from ...streams.time import SECOND, TIME_MIN
 from ..errors import EmptyTable, WireError
 from ..inference import TimeReader
 from ..wire import Incoming
+from .mcap import open_mcap
 from .names import valid_name
 from .recording import (
     ARROW,
@@ -33,14 +34,19 @@ from .recording import (
     open_recording,
     open_rows,
 )
+from .rosbag import METADATA, open_rosbag
 from .table_options import GUESSED, TableOptions
 from .text_files import read_lines
+from .topics import TopicLog
 from .ulog import open_ulog
 
 STREAM: Final = "stream"
 """The key of a line that names the sample's stream."""
 _TABLES: Final = (*CSV, *NDJSON, *ARROW, *PARQUET)
-_LOG: Final = ".ulg"
+_ULOG: Final = ".ulg"
+_MCAP: Final = ".mcap"
+_BAGS: Final = (".bag", ".db3")
+_LOGS: Final = (_ULOG, _MCAP, *_BAGS)
 _NAMED = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL).fullmatch
 
 Types = Mapping[str, Mapping[str, FieldType]]
@@ -50,12 +56,12 @@ Types = Mapping[str, Mapping[str, FieldType]]
 class Recordings(Mapping[str, Recording]):
     """Recordings by the name of their stream, in the order of names.
 
-    ``dropouts`` counts the gaps in which a flight recorder logged nothing, ``lost`` is their
-    length in ns; ``notes`` tell the differences from the recorded data.
+    ``dropouts`` counts the gaps in which a recorder logged nothing, ``lost`` is their length in ns;
+    None and 0 if no recorder says. ``notes`` tell the differences from the recorded data.
     """
 
     _by_name: Mapping[str, Recording] = field(default_factory=dict)
-    dropouts: int = 0
+    dropouts: int | None = None
     lost: int = 0
     notes: tuple[str, ...] = ()
 
@@ -79,25 +85,28 @@ def open_recordings(
 ) -> Recordings:
     """Open all files of ``paths``; each stream has its own fields and string pools.
 
-    A path is a flight log ``.ulg`` (a stream a topic), an NDJSON file whose lines carry
+    A path is a log ``.ulg``, ``.mcap``, ``.bag`` or ``.db3``, or the folder of a bag (a stream a
+    topic), an NDJSON file whose lines carry
     ``"stream": "name"`` (many streams), any other table (one stream, named like the file), a
     folder of such files, or ``NAME=FILE`` for a table under another name. ``options`` and ``types``
-    (by stream and field) apply to tables, as for `open_recording`; ``utc`` applies to flight logs,
-    as for `open_ulog`. A table without rows is an error, or no stream with ``skip_empty``.
+    (by stream and field) apply to tables, as for `open_recording`; ``utc`` applies to ``.ulg``, as
+    for `open_ulog`. A table without rows is an error, or no stream with ``skip_empty``.
 
     Raises `WireError`, also if two files have streams of one name; `OSError` if a file cannot be
     read. Memory: the whole of a flight log, and the text of a file of many streams.
     """
     found: dict[str, Recording] = {}
     notes: list[str] = []
-    dropouts = lost = 0
+    dropouts: int | None = None
+    lost = 0
     for name, path in _files(paths):
         if is_log(path):
             if name is not None:
                 raise _many(name, path)
-            log = open_ulog(path, utc=utc)
+            log = _open_log(path, utc=utc)
             opened = dict(log.recordings)
-            dropouts, lost = dropouts + log.dropouts, lost + log.lost
+            if log.dropouts is not None:
+                dropouts, lost = (dropouts or 0) + log.dropouts, lost + log.lost
             notes.extend(log.notes)
         elif has_many_streams(path):
             if name is not None:
@@ -143,7 +152,7 @@ def in_order(
 
 def is_log(path: Path) -> bool:
     """Whether ``path`` is a log that a vehicle or robot has recorded, with a stream a topic."""
-    return path.name.lower().endswith(_LOG)
+    return path.name.lower().endswith(_LOGS) or (path / METADATA).is_file()
 
 
 def has_many_streams(path: Path) -> bool:
@@ -179,19 +188,28 @@ def _files(paths: Sequence[Path | str]) -> Iterator[tuple[str | None, Path]]:
     for given in paths:
         named = _NAMED(given) if isinstance(given, str) and not Path(given).exists() else None
         path = Path(given if named is None else named[2])
-        if not path.is_dir():
+        if not path.is_dir() or is_log(path):
             yield (None if named is None else named[1]), path
             continue
         if named is not None:
             raise _many(named[1], path)
-        inside = sorted(p for p in path.iterdir() if p.is_file() and _is_recording(p))
+        inside = sorted(p for p in path.iterdir() if _is_recording(p))
         if not inside:
             raise WireError(None, f"{path}: there is no recording in this folder")
         yield from ((None, p) for p in inside)
 
 
 def _is_recording(path: Path) -> bool:
-    return path.name.lower().removesuffix(".gz").endswith((*_TABLES, _LOG))
+    if path.is_dir():
+        return is_log(path)
+    return is_log(path) or path.name.lower().removesuffix(".gz").endswith(_TABLES)
+
+
+def _open_log(path: Path, *, utc: bool) -> TopicLog:
+    name = path.name.lower()
+    if name.endswith(_ULOG):
+        return open_ulog(path, utc=utc)
+    return open_mcap(path) if name.endswith(_MCAP) else open_rosbag(path)
 
 
 def _stem(path: Path) -> str:

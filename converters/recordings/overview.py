@@ -49,7 +49,7 @@ def overview(recording: Recording) -> Overview:
     Raises `WireError` with the line of a bad row.
     """
     schema = recording.schema
-    id_field = next((name for name in schema.names if names_objects(name)), None)
+    id_field = next((name for name in schema.names if _is_id(name)), None)
     parts = [(b.valid, b.available, _objects(b, id_field)) for b in recording.read()]
     valid, available, ids = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((valid, ids))
@@ -67,6 +67,11 @@ def overview(recording: Recording) -> Overview:
         id_field,
         0 if id_field is None else len(np.unique(ids[ids != _NONE])),
     )
+
+
+def _is_id(name: str) -> bool:
+    # ROS calls coordinate systems frames: `header.frame_id` is that of the values.
+    return names_objects(name) and not name.endswith("frame_id")
 
 
 def _objects(batch: SampleBatch, id_field: str | None) -> Times:

@@ -326,7 +326,7 @@ def _open(
         if any(kinds.values()):
             found = open_recordings([file], tables, kinds)
     tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
-    return _Opened(tracks, found.dropouts if is_log(file) else None, found.lost, found.notes)
+    return _Opened(tracks, found.dropouts, found.lost, found.notes)
 
 
 def _open_pipe(client: Client, pipe: Readable, wanted: list[str], tables: TableOptions) -> _Opened:

@@ -16,9 +16,8 @@ def replay(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV, NDJSON, Arrow or Parquet; a PX4 log (.ulg); NDJSON of many streams; a pipe, "
-            "or - for standard input, of CSV or NDJSON.",
-            dir_okay=False,
+            help="CSV, NDJSON, Arrow or Parquet; a log of PX4 (.ulg), MCAP or ROS (.bag, .db3, a "
+            "folder); NDJSON of many streams; a pipe, or - for standard input, of CSV or NDJSON.",
             callback=existing,
         ),
     ],
