@@ -16,8 +16,8 @@ from typing import Any, Final, TypeAlias
 from ..converters.errors import WireError
 from ..converters.objects import object_iri
 from ..converters.recordings.given_samples import recording_of
-from ..converters.recordings.many_streams import in_order
-from ..converters.recordings.recording import Recording, open_recording
+from ..converters.recordings.many_streams import in_order, open_stream
+from ..converters.recordings.recording import Recording
 from ..converters.recordings.table_options import GUESSED, TableOptions
 from ..converters.recordings.time_order import TimeOrder, by_valid_time, in_time_order
 from ..converters.wire import Incoming
@@ -43,7 +43,7 @@ from .units.pattern import PatternUnit
 from .units.shared_query import InstanceUnit
 
 Recorded: TypeAlias = Path | str | Iterable[Mapping[str, Any]]
-"""The file of a table, or samples as dicts with ``valid``, optionally ``available``, and values."""
+"""The file of a recording, or samples as dicts: ``valid``, optionally ``available``, and values."""
 
 _SLICE: Final = 10 * SECOND
 """Several streams come in slices of time of this length."""
@@ -85,7 +85,7 @@ def run(
     """Evaluate a continuous query, monitor or pattern over recorded samples, and yield its results
     as they are decided.
 
-    ``text``: the query. ``streams``: for each name the path of a table (`open_recording`), or
+    ``text``: the query. ``streams``: for each name the path of a recording (`open_stream`), or
     dicts with ``valid``, optionally ``available`` (integers in ns, or ISO-8601 texts), and values
     that are bool, int, float, str or None. ``ssl``: what the streams contain. ``ontology``: files
     of domain ontologies.
@@ -266,7 +266,7 @@ def _open(
     """Open a recording in the order in which it is read. Raises `WireError` with the stream."""
     try:
         if isinstance(given, str | Path):
-            recording = open_recording(given, tables)
+            recording = open_stream(given, name, tables)
         else:
             recording = recording_of(given)
         return in_time_order(recording if has_delay else by_valid_time(recording), sort)

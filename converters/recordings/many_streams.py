@@ -132,6 +132,26 @@ def open_recordings(
     return Recordings(dict(sorted(found.items())), dropouts, lost, tuple(notes))
 
 
+def open_stream(path: Path | str, name: str, options: TableOptions = GUESSED) -> Recording:
+    """The recording of stream ``name`` in a file: a table, whatever its name, or one of the streams
+    of a log or of lines that name theirs.
+
+    Raises `WireError`, also if the file has streams of other names only. Cost: of many streams, the
+    whole file is read.
+    """
+    path = Path(path)
+    if not has_many_streams(path):
+        return open_recording(path, options)
+    found = open_recordings([path], options)
+    if name not in found:
+        raise WireError(
+            None,
+            f"{path.name}: there is no stream {name!r} in this recording",
+            f"its streams are {', '.join(found)}",
+        )
+    return found[name]
+
+
 def in_order(
     recordings: Mapping[str, Recording], step: int = SECOND
 ) -> Iterator[tuple[str, Incoming]]:
@@ -156,9 +176,14 @@ def is_log(path: Path) -> bool:
 
 
 def has_many_streams(path: Path) -> bool:
-    """Whether ``path`` names its streams: a log, or NDJSON whose first line names its stream."""
+    """Whether ``path`` names its streams: a log, or NDJSON whose first line names its stream.
+
+    A pipe does not: its lines can be read only once.
+    """
     if is_log(path):
         return True
+    if path.is_fifo():
+        return False
     if not path.name.lower().removesuffix(".gz").endswith(NDJSON):
         return False
     for _, rows in decode_rows(islice(read_lines(path), 1)):

@@ -115,7 +115,7 @@ def _parse(name: str, data: bytes) -> Any:
         from pyulog.exceptions import ULogException
     except ImportError:
         raise WireError(
-            None, f"{name}: reading PX4 logs needs pyulog", "pip install dyknow[px4]"
+            None, f"{name}: reading PX4 logs needs pyulog", "pip install 'dyknow[px4]'"
         ) from None
     try:
         # It prints warnings; `file_corruption` has the same information.

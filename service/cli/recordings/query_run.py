@@ -11,7 +11,7 @@ import typer
 from pyoxigraph import Literal, NamedNode
 
 from ....continuous.evaluate import Explained, TimedTerm, Window, evaluate
-from ....converters.recordings.recording import open_recording
+from ....converters.recordings.many_streams import open_stream
 from ....converters.recordings.table_options import GUESSED
 from ....converters.recordings.time_order import in_time_order
 from ....converters.to_triples import SampleConverter, node_names
@@ -198,7 +198,7 @@ def _samples(
     found: dict[str, Any] = {}
     for iri, path in files.items():
         annotation = _annotation(iri, annotations)
-        order = in_time_order(open_recording(path, options.tables), options.sort)
+        order = in_time_order(open_stream(path, _stream_name(iri), options.tables), options.sort)
         show_order(path.name, order)
         recording = order.recording
         converter = SampleConverter(

@@ -71,3 +71,39 @@ def test_a_dotted_field_has_a_meaning(url: str, client: Client, tmp_path: Path) 
     words = ["replay", str(tmp_path / "a.bag"), "--speed", "max", "--ssl", ssl]
     call(*words, "--stream", "robot_odom", url=url)
     assert "altitude" in str(client.stream("robot_odom")["annotation"])
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "folder"])
+def test_run_reads_a_stream_of_a_log(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    write_mcap(path) if name == "a.mcap" else write_rosbag(path, 2)
+    ssl = (
+        'stream robot_odom contains altitude(UAV) = "position.x" [m] '
+        'for every UAV = "header.frame_id"'
+    )
+    query = tmp_path / "q"
+    words = ["run", str(query), "--ssl", ssl, "--json", "--stream"]
+    query.write_text("monitor low(?x in UAV) = altitude(?x) < 2 [m] with report verdicts")
+    lines = call(*words, f"robot_odom={path}").stdout.splitlines()
+    assert [json.loads(line)["values"]["verdict"] for line in lines] == ["true", "true", "false"]
+    query.write_text(
+        "REGISTER QUERY q AS SELECT ?v FROM STREAM <http://x/robot_odom> [RANGE 1s STEP 1s] "
+        "WHERE { ?x dyknow:altitude ?v }"
+    )
+    lines = call(*words, f"http://x/robot_odom={path}").stdout.splitlines()
+    assert len(lines) == MESSAGES
+    query.write_text("monitor low(?x in UAV) = altitude(?x) < 2 [m]")
+    words[3] = ssl.replace("robot_odom", "odom")
+    told = call(*words, f"odom={path}", status=1).stderr
+    assert "there is no stream 'odom' in this recording" in told
+    assert "robot_odom, robot_volt" in told
+
+
+def test_kpl_reads_a_log(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap")
+    file = tmp_path / "a.kpl"
+    file.write_text(
+        "sort row = (data float)\nsource row robot_volt\nstrmgen x = robot_volt\nstream t = x"
+    )
+    found = call("kpl", "run", str(file), str(tmp_path / "a.mcap"), "--json").stdout
+    assert [json.loads(line)["data"] for line in found.splitlines()] == [12.5] * MESSAGES
