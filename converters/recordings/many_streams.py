@@ -86,14 +86,14 @@ def open_recordings(
     """Open all files of ``paths``; each stream has its own fields and string pools.
 
     A path is a log ``.ulg``, ``.mcap``, ``.bag`` or ``.db3``, or the folder of a bag (a stream a
-    topic), an NDJSON file whose lines carry
-    ``"stream": "name"`` (many streams), any other table (one stream, named like the file), a
-    folder of such files, or ``NAME=FILE`` for a table under another name. ``options`` and ``types``
-    (by stream and field) apply to tables, as for `open_recording`; ``utc`` applies to ``.ulg``, as
-    for `open_ulog`. A table without rows is an error, or no stream with ``skip_empty``.
+    topic), an NDJSON file whose lines carry ``"stream": "name"`` (many streams), any other table
+    (one stream, named like the file), a folder of such files, or ``NAME=FILE`` for a table under
+    another name. ``options`` and ``types`` (by stream and field) apply to tables, as for
+    `open_recording`; ``utc`` applies to ``.ulg``, as for `open_ulog`. A table without rows is an
+    error, or no stream with ``skip_empty``.
 
     Raises `WireError`, also if two files have streams of one name; `OSError` if a file cannot be
-    read. Memory: the whole of a flight log, and the text of a file of many streams.
+    read. Memory: the whole of a log, and the text of a file of many streams.
     """
     found: dict[str, Recording] = {}
     notes: list[str] = []

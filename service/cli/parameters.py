@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from ...streams.time import read_time
-from .output import err
+from ...streams.time import SECOND, read_time
+from .output import err, show_text
 
 if TYPE_CHECKING:
     from ...converters.recordings.table_options import TableOptions
@@ -138,6 +138,17 @@ def show_order(name: str, order: TimeOrder | None) -> None:
     """Report rows that are out of order."""
     if order is not None and order.note is not None:
         err().print(f"{name}: {order.note}", markup=False, highlight=False)
+
+
+def show_losses(dropouts: int | None, lost: int, notes: Iterable[str]) -> None:
+    """Print what a recorder has lost (None: it does not say; ``lost`` in ns), and the differences
+    from the recorded data."""
+    if dropouts:
+        show_text(f"dropouts: {dropouts:,}, {lost / SECOND:.3f} s were not logged")
+    elif dropouts == 0:
+        show_text("dropouts: none")
+    for note in notes:
+        show_text(f"note: {note}")
 
 
 def warn_of_annotations(

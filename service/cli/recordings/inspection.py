@@ -20,8 +20,9 @@ from ....ontology.formats import FORMATS
 from ....ontology.ontology import Ontology
 from ....ontology.vocabulary import Vocabulary
 from ....rdf.namespaces import shorten
-from ....streams.time import SECOND, format_duration, format_time
+from ....streams.time import format_duration, format_time
 from ..output import brief, err, fail, show_json, show_table, show_text
+from ..parameters import show_losses
 from ..streams import read_text
 from .ssl_skeleton import known_features, ssl_skeleton
 
@@ -63,7 +64,8 @@ def show_streams(found: Inspected, written: Path | None) -> None:
         ]
         show_table(["field", "type", "feature"], rows, unfolded=["field"])
         show_text("")
-    show_losses(found.recordings)
+    recordings = found.recordings
+    show_losses(recordings.dropouts, recordings.lost, recordings.notes)
     show_text(_skeletons(found) if written is None else f"The SSL text is in {written}.")
     if not found.file.is_dir() or is_log(found.file):
         show_text("\nnext:")
@@ -105,15 +107,6 @@ def show_json_streams(found: Inspected) -> None:
         )
     for note in found.recordings.notes:
         err().print(f"note: {note}", markup=False, highlight=False)
-
-
-def show_losses(recordings: Recordings) -> None:
-    """Print what the recorder lost, and what differs from the recorded data."""
-    if recordings.dropouts:
-        lost = recordings.lost / SECOND
-        show_text(f"dropouts: {recordings.dropouts:,}, {lost:.3f} s were not logged")
-    for note in recordings.notes:
-        show_text(f"note: {note}")
 
 
 def _summary(name: str, its: Overview) -> str:

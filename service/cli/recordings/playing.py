@@ -51,7 +51,7 @@ from ..output import (
     show_text,
     show_values,
 )
-from ..parameters import show_order, warn_of_annotations
+from ..parameters import show_losses, show_order, warn_of_annotations
 from ..streams import text_or_file
 from .piped import check_once, is_pipe, reading, show_piped
 from .recording_replay import PAUSE, Span, play_all, span
@@ -204,7 +204,7 @@ def play(options: ReplayOptions) -> None:
             )
         failed = readers.failed()
     if not options.as_json:
-        _show_losses(opened)
+        show_losses(opened.dropouts, opened.lost, opened.notes)
     for each in failed:
         whom = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
         err().print(f"failed: {whom}: {each['failure']}", markup=False, highlight=False)
@@ -467,16 +467,6 @@ class _Player:
         )
         kept = batch.take(~is_ahead)
         return self.client.publish(name, kept) if len(kept) else 0
-
-
-def _show_losses(opened: _Opened) -> None:
-    """Print the losses of the recorder."""
-    if opened.dropouts:
-        show_text(f"dropouts: {opened.dropouts:,}, {opened.lost / SECOND:.3f} s were not logged")
-    elif opened.dropouts == 0:
-        show_text("dropouts: none")
-    for note in opened.notes:
-        show_text(f"note: {note}")
 
 
 def _declared(meaning: str) -> tuple[str, ...]:
