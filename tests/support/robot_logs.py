@@ -77,8 +77,9 @@ def write_mcap(path: Path) -> None:
         raw.add_message(other, times(MESSAGES), b"\x08\x01", times(MESSAGES))
 
 
-def write_rosbag(path: Path, version: int) -> None:
-    """A bag of ROS 1 (a file) or of ROS 2 (a folder) with the two topics."""
+def write_rosbag(path: Path, version: int, kind: str = "") -> None:
+    """A bag of ROS 1 (a file) or of ROS 2 (a folder) with the two topics. ``kind``: of ROS 1 the
+    compression (``BZ2``, ``LZ4``), of ROS 2 the storage (``MCAP``) or compression (``ZSTD``)."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -88,7 +89,17 @@ def write_rosbag(path: Path, version: int) -> None:
             ODOM.format(header=HEADERS[version]).partition("=" * 80)[0], "robot_msgs/msg/Odom"
         )
     )
-    writer: Any = rosbag1.Writer(path) if version == 1 else rosbag2.Writer(path, version=9)
+    writer: Any
+    if version == 1:
+        writer = rosbag1.Writer(path)
+        if kind:
+            writer.set_compression(rosbag1.Writer.CompressionFormat[kind])
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "MCAP" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+        if kind == "ZSTD":
+            mode = rosbag2.CompressionMode.MESSAGE
+            writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
     encode = store.serialize_ros1 if version == 1 else store.serialize_cdr
     types = store.types
     with writer:

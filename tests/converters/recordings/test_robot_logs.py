@@ -103,6 +103,25 @@ def test_messages_in_json(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "version", "kind"),
+    [("a.bag", 1, "BZ2"), ("a.bag", 1, "LZ4"), ("folder", 2, "MCAP"), ("folder", 2, "ZSTD")],
+)
+def test_bags_of_each_storage_and_compression(tmp_path, name, version, kind):
+    plain, other = tmp_path / f"plain_{name}", tmp_path / name
+    write_rosbag(plain, version)
+    write_rosbag(other, version, kind)
+    expected, found = open_recordings([plain]), open_recordings([other])
+    assert list(found) == list(expected)
+    for topic, recording in expected.items():
+        assert rows(found[topic]) == rows(recording)
+    for file in other.iterdir() if other.is_dir() else [other]:
+        whole = file.read_bytes()
+        file.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(WireError, match="damaged or cut off"):
+        open_recordings([other])
+
+
 def test_a_bag_of_ros_2_may_be_named_by_its_file(tmp_path):
     write_rosbag(tmp_path / "folder", 2)
     (file,) = (tmp_path / "folder").glob("*.db3")
