@@ -13,6 +13,7 @@ from .service.config.version import __version__
 
 if TYPE_CHECKING:
     from .continuous.evaluate import evaluate as evaluate
+    from .converters.recordings.table_options import TableOptions as TableOptions
     from .engine.model.process_reports import Report as Report
     from .engine.processes.registry import computational_unit as computational_unit
     from .engine.processes.registry import sink as sink
@@ -25,6 +26,7 @@ __all__ = [
     "Client",
     "Report",
     "Sample",
+    "TableOptions",
     "__version__",
     "computational_unit",
     "evaluate",
@@ -37,6 +39,7 @@ _WHERE = {
     "Client": "service.client.client",
     "Report": "engine.model.process_reports",
     "Sample": "streams.single_sample",
+    "TableOptions": "converters.recordings.table_options",
     "computational_unit": "engine.processes.registry",
     "evaluate": "continuous.evaluate",
     "run": "engine.recorded_run",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from .wire import format_times, text_column
 CONTENT_TYPE = "text/csv"
 CHUNK = 8192
 """Rows that are read at once, which bounds memory for any table."""
+
+UNPACKING: Final = (EOFError, zlib.error, gzip.BadGzipFile)
+"""The exceptions of reading a damaged gzip file."""
 
 TextChunk = tuple[list[int], dict[str, Sequence[str]]]
 """Line numbers and the cells of each column."""
@@ -38,22 +41,16 @@ def encode_csv(batch: SampleBatch, *, header: bool = True) -> bytes:
     return text.getvalue().encode()
 
 
-def read_csv(path: Path) -> Iterator[TextChunk]:
-    """The table's cells in chunks of rows; ``.gz`` files are decompressed.
+def read_csv_lines(
+    lines: Iterable[str], delimiter: str = ",", ends: Callable[[], bool] | None = None
+) -> Iterator[TextChunk]:
+    """The table's cells in chunks of rows; a chunk also ends after a row for which ``ends`` returns
+    True.
 
     Raises `WireError` with the line for a row of the wrong length, bad quoting or bytes that are no
     UTF-8, and for a table without header.
     """
-    opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rt", encoding="utf-8-sig", newline="") as file:
-        yield from read_csv_lines(file)
-
-
-def read_csv_lines(
-    lines: Iterable[str], ends: Callable[[], bool] | None = None
-) -> Iterator[TextChunk]:
-    """`read_csv` of ``lines``; a chunk also ends after a row for which ``ends`` returns True."""
-    reader = csv.reader(lines, strict=True)
+    reader = csv.reader(lines, strict=True, delimiter=delimiter)
     try:
         names = next(reader, [])
         if not any(names) and not any(any(row) for row in reader):
@@ -61,7 +58,7 @@ def read_csv_lines(
         _check_header(names)
         while rows := _chunk(reader, ends):
             yield _columns(names, rows)
-    except (csv.Error, UnicodeDecodeError, EOFError, gzip.BadGzipFile) as error:
+    except (csv.Error, UnicodeDecodeError, *UNPACKING) as error:
         raise WireError(reader.line_num + 1, f"the table cannot be read: {error}") from error
 
 
@@ -121,7 +118,11 @@ def _columns(names: Sequence[str], rows: list[tuple[int, list[str]]]) -> TextChu
     kept = [(line, row) for line, row in rows if row]  # a blank line is no row
     for line, row in kept:
         if len(row) != len(names):
-            raise WireError(line, f"{len(row)} cells, but the header has {len(names)}")
+            raise WireError(
+                line,
+                f"{len(row)} cells, but the header has {len(names)}",
+                "--delimiter names the character between cells",
+            )
     cells = zip(*(row for _, row in kept), strict=True) if kept else [()] * len(names)
     return [line for line, _ in kept], dict(zip(names, cells, strict=True))
 

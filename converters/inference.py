@@ -22,6 +22,7 @@ from ..streams.time import (
     TIME_MIN,
 )
 from .errors import WireError
+from .time_format import spelling_hint, time_parser
 from .wire import TIME_HINT, TIME_RANGE_HINT, shown, time_of
 
 TIME_NAMES: Final = ("valid", "timestamp", "time", "t")
@@ -42,10 +43,15 @@ TRUTH: Final = {
     "False": False,
     "FALSE": False,
 }
-_NAMES_OBJECTS = re.compile(
+_OBJECT_NAME = re.compile(
     r"(?:.*[_\-. ])?(?:id|uid|uuid|icao|icao24|hex|mmsi|imo|callsign|registration|squawk)"
     r"|.*[a-z]I[dD]"
 ).fullmatch
+
+
+def names_objects(name: str) -> bool:
+    """Whether a column of this name has the names of objects: ``id``, ``icao24``, ``vehicleId``."""
+    return bool(_OBJECT_NAME(name.lower()) or _OBJECT_NAME(name))
 
 
 class TextColumnType:
@@ -56,8 +62,8 @@ class TextColumnType:
     """
 
     def __init__(self, name: str) -> None:
-        text = _NAMES_OBJECTS(name.lower()) or _NAMES_OBJECTS(name)
-        self._may_be = set() if text else {FieldType.INTEGER, FieldType.FLOAT, FieldType.BOOLEAN}
+        numbers = {FieldType.INTEGER, FieldType.FLOAT, FieldType.BOOLEAN}
+        self._may_be = set() if names_objects(name) else numbers
         self._seen = False
 
     def observe(self, cells: Iterable[str]) -> None:
@@ -113,16 +119,20 @@ _EARLIEST = 1e8
 class TimeReader:
     """Reads a table's times: numbers in one unit since 1970, or ISO-8601 texts.
 
-    `observe` every time first: the greatest number then decides the unit, if none is given (years
-    1973 to 5138 as s; larger as ms, us, ns). ``abstract_unit`` is the unit of smaller numbers,
-    as in examples.
+    With a ``format`` (`time_format`) all texts are spelled like it. `observe` every time first: the
+    greatest number then decides the unit, if none is given (years 1973 to 5138 as s; larger as ms,
+    us, ns). ``abstract_unit`` is the unit of smaller numbers, as in examples.
     """
 
-    def __init__(self, unit: str | None, abstract_unit: str = "s") -> None:
+    def __init__(
+        self, unit: str | None, abstract_unit: str = "s", format: str | None = None
+    ) -> None:
         if unit is not None and unit not in TIME_UNITS:
             raise WireError(None, f"unknown time unit {unit!r}", f"use {', '.join(TIME_UNITS)}")
         self._unit = unit
         self._abstract_unit = abstract_unit
+        self._format = format
+        self._parse = None if format is None else time_parser(format)
         self._greatest = 0.0
 
     def observe(self, times: Iterable[object]) -> None:
@@ -153,8 +163,8 @@ class TimeReader:
         return np.array([self._one(time, scale, line, key) for time, line in pairs], np.int64)
 
     def _one(self, time: object, scale: int, line: int, key: str) -> int:
-        if isinstance(time, str) and not _NUMBER(time):
-            return time_of(time, key, line)
+        if isinstance(time, str) and (self._parse is not None or not _NUMBER(time)):
+            return self._spelled(time, key, line)
         if time is None or isinstance(time, bool) or not isinstance(time, str | int | float):
             raise WireError(line, f"{key!r} is a time, got {shown(time)}", TIME_HINT)
         try:
@@ -171,6 +181,24 @@ class TimeReader:
                 TIME_RANGE_HINT,
             )
         return found
+
+    def _spelled(self, time: str, key: str, line: int) -> int:
+        """The time of a text that is no number."""
+        if self._parse is None:
+            try:
+                return time_of(time, key, line)
+            except WireError as error:
+                reason, hint = spelling_hint(time)
+                told = f"{key!r}: {reason}" if reason else error.message
+                raise WireError(line, told, f"{hint}; {error.hint}") from None
+        try:
+            return self._parse(time)
+        except ValueError as error:
+            raise WireError(
+                line,
+                f"{key!r}: {shown(time)} is no time of the format {self._format!r}: {error}",
+                "every time of the table has this format",
+            ) from None
 
 
 def _decimal_time(text: str, scale: int, line: int, key: str) -> int:

@@ -16,8 +16,9 @@ from typing import Any, Final, TypeAlias
 from ..converters.errors import WireError
 from ..converters.objects import object_iri
 from ..converters.recordings.given_samples import recording_of
-from ..converters.recordings.many_streams import in_order
-from ..converters.recordings.recording import Recording, open_recording
+from ..converters.recordings.many_streams import in_order, open_stream
+from ..converters.recordings.recording import Recording
+from ..converters.recordings.table_options import GUESSED, TableOptions
 from ..converters.recordings.time_order import TimeOrder, by_valid_time, in_time_order
 from ..converters.wire import Incoming
 from ..languages.mtl import Monitor
@@ -42,7 +43,7 @@ from .units.pattern import PatternUnit
 from .units.shared_query import InstanceUnit
 
 Recorded: TypeAlias = Path | str | Iterable[Mapping[str, Any]]
-"""The file of a table, or samples as dicts with ``valid``, optionally ``available``, and values."""
+"""The file of a recording, or samples as dicts: ``valid``, optionally ``available``, and values."""
 
 _SLICE: Final = 10 * SECOND
 """Several streams come in slices of time of this length."""
@@ -79,11 +80,12 @@ def run(
     ssl: str,
     ontology: Iterable[Path | str] = (),
     sort: bool | None = None,
+    tables: TableOptions = GUESSED,
 ) -> RecordedRun:
     """Evaluate a continuous query, monitor or pattern over recorded samples, and yield its results
     as they are decided.
 
-    ``text``: the query. ``streams``: for each name the path of a table (`open_recording`), or
+    ``text``: the query. ``streams``: for each name the path of a recording (`open_stream`), or
     dicts with ``valid``, optionally ``available`` (integers in ns, or ISO-8601 texts), and values
     that are bool, int, float, str or None. ``ssl``: what the streams contain. ``ontology``: files
     of domain ontologies.
@@ -94,7 +96,8 @@ def run(
 
     A monitor with ``max delay`` takes the samples in order of their available times. Anything else
     takes them in order of valid time, each available when it is valid, so that none is late.
-    ``sort``: see `in_time_order`. A stream without further samples has ended.
+    ``sort``: see `in_time_order`. ``tables``: how files of tables are read. A stream without
+    further samples has ended.
 
     Raises `LanguageError` for the text or the SSL, `NoPlan` if a feature is in no stream,
     `BadArguments`, `UnknownStream`, `NotAnnotated` for a stream that the SSL does not describe,
@@ -113,7 +116,7 @@ def run(
     described = [one.stream for one in checked if isinstance(one, StreamAnnotation)]
     _check_described(streams, described)
     others = tuple(dict.fromkeys(name for name in described if name not in streams))
-    orders = {name: _open(name, given, has_delay, sort) for name, given in streams.items()}
+    orders = {name: _open(name, given, has_delay, sort, tables) for name, given in streams.items()}
     for name, order in orders.items():
         fields = order.recording.schema.fields
         engine.declare(StreamDeclaration(name, fields, retention=_KEPT, ahead=FOREVER))
@@ -257,10 +260,15 @@ def _parts(recordings: Mapping[str, Recording]) -> Iterator[tuple[str, Incoming]
     return in_order(recordings, _SLICE)
 
 
-def _open(name: str, given: Recorded, has_delay: bool, sort: bool | None) -> TimeOrder:
+def _open(
+    name: str, given: Recorded, has_delay: bool, sort: bool | None, tables: TableOptions
+) -> TimeOrder:
     """Open a recording in the order in which it is read. Raises `WireError` with the stream."""
     try:
-        recording = open_recording(given) if isinstance(given, str | Path) else recording_of(given)
+        if isinstance(given, str | Path):
+            recording = open_stream(given, name, tables)
+        else:
+            recording = recording_of(given)
         return in_time_order(recording if has_delay else by_valid_time(recording), sort)
     except WireError as error:
         raise WireError(error.line, f"stream {name}: {error.message}", error.hint) from None

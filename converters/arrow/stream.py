@@ -48,7 +48,7 @@ class ArrowMissing(WireError):
     """pyarrow is not installed."""
 
     def __init__(self) -> None:
-        super().__init__(None, "Arrow is not installed here", "pip install dyknow[arrow]")
+        super().__init__(None, "Arrow is not installed here", "pip install 'dyknow[arrow]'")
 
 
 def decode_arrow(

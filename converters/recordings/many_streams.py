@@ -1,4 +1,4 @@
-"""Recordings of many streams: flight logs, lines that name their stream, folders, several files.
+"""Recordings of many streams: logs of robots, lines that name their stream, folders, files.
 
 Called by ``dyknow replay`` and by programs that reason over recorded streams without a service.
 """
@@ -21,22 +21,32 @@ from ...streams.time import SECOND, TIME_MIN
 from ..errors import EmptyTable, WireError
 from ..inference import TimeReader
 from ..wire import Incoming
+from .mcap import open_mcap
 from .names import valid_name
 from .recording import (
+    ARROW,
+    CSV,
+    NDJSON,
+    PARQUET,
     Recording,
     ValueChunk,
     decode_rows,
     open_recording,
     open_rows,
-    read_lines,
 )
+from .rosbag import METADATA, open_rosbag
+from .table_options import GUESSED, TableOptions
+from .text_files import read_lines
+from .topics import TopicLog
 from .ulog import open_ulog
 
 STREAM: Final = "stream"
 """The key of a line that names the sample's stream."""
-_NDJSON: Final = (".ndjson", ".jsonl")
-_TABLES: Final = (".csv", *_NDJSON, ".arrow", ".arrows", ".feather")
-_LOG: Final = ".ulg"
+_TABLES: Final = (*CSV, *NDJSON, *ARROW, *PARQUET)
+_ULOG: Final = ".ulg"
+_MCAP: Final = ".mcap"
+_BAGS: Final = (".bag", ".db3")
+_LOGS: Final = (_ULOG, _MCAP, *_BAGS)
 _NAMED = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL).fullmatch
 
 Types = Mapping[str, Mapping[str, FieldType]]
@@ -46,12 +56,12 @@ Types = Mapping[str, Mapping[str, FieldType]]
 class Recordings(Mapping[str, Recording]):
     """Recordings by the name of their stream, in the order of names.
 
-    ``dropouts`` counts the gaps in which a flight recorder logged nothing, ``lost`` is their
-    length in ns; ``notes`` tell the differences from the recorded data.
+    ``dropouts`` counts the gaps in which a recorder logged nothing, ``lost`` is their length in ns;
+    None and 0 if no recorder says. ``notes`` tell the differences from the recorded data.
     """
 
     _by_name: Mapping[str, Recording] = field(default_factory=dict)
-    dropouts: int = 0
+    dropouts: int | None = None
     lost: int = 0
     notes: tuple[str, ...] = ()
 
@@ -67,50 +77,47 @@ class Recordings(Mapping[str, Recording]):
 
 def open_recordings(
     paths: Sequence[Path | str],
-    time_column: str | None = None,
-    time_unit: str | None = None,
+    options: TableOptions = GUESSED,
     types: Types | None = None,
     *,
     utc: bool = False,
-    abstract_unit: str = "s",
     skip_empty: bool = False,
 ) -> Recordings:
     """Open all files of ``paths``; each stream has its own fields and string pools.
 
-    A path is a flight log ``.ulg`` (a stream a topic), an NDJSON file whose lines carry
-    ``"stream": "name"`` (many streams), any other table (one stream, named like the file), a
-    folder of such files, or ``NAME=FILE`` for a table under another name. ``time_column``,
-    ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) apply to tables, as for
-    `open_recording`; ``utc`` applies to flight logs, as for `open_ulog`. A table without rows is an
+    A path is a log ``.ulg``, ``.mcap``, ``.bag`` or ``.db3``, or the folder of a bag (a stream a
+    topic), an NDJSON file whose lines carry ``"stream": "name"`` (many streams), any other table
+    (one stream, named like the file), a folder of such files, or ``NAME=FILE`` for a table under
+    another name. ``options`` and ``types`` (by stream and field) apply to tables, as for
+    `open_recording`; ``utc`` applies to ``.ulg``, as for `open_ulog`. A table without rows is an
     error, or no stream with ``skip_empty``.
 
     Raises `WireError`, also if two files have streams of one name; `OSError` if a file cannot be
-    read. Memory: the whole of a flight log, and the text of a file of many streams.
+    read. Memory: the whole of a log, and the text of a file of many streams.
     """
     found: dict[str, Recording] = {}
     notes: list[str] = []
-    dropouts = lost = 0
+    dropouts: int | None = None
+    lost = 0
     for name, path in _files(paths):
-        if path.name.lower().endswith(_LOG):
+        if is_log(path):
             if name is not None:
                 raise _many(name, path)
-            log = open_ulog(path, utc=utc)
+            log = _open_log(path, utc=utc)
             opened = dict(log.recordings)
-            dropouts, lost = dropouts + log.dropouts, lost + log.lost
+            if log.dropouts is not None:
+                dropouts, lost = (dropouts or 0) + log.dropouts, lost + log.lost
             notes.extend(log.notes)
         elif has_many_streams(path):
             if name is not None:
                 raise _many(name, path)
-            times = TimeReader(time_unit, abstract_unit)
-            opened = _open_many(path, time_column, times, types or {})
+            opened = _open_many(path, options.time_column, options.times(), types or {})
         else:
             name = name or valid_name(_stem(path), STREAM)
             kinds = (types or {}).get(name)
             opened = {}
             try:
-                opened[name] = open_recording(
-                    path, time_column, time_unit, kinds, abstract_unit=abstract_unit
-                )
+                opened[name] = open_recording(path, options, kinds)
             except EmptyTable:
                 if not skip_empty:
                     raise
@@ -123,6 +130,26 @@ def open_recordings(
                 )
             found[stream] = recording
     return Recordings(dict(sorted(found.items())), dropouts, lost, tuple(notes))
+
+
+def open_stream(path: Path | str, name: str, options: TableOptions = GUESSED) -> Recording:
+    """The recording of stream ``name`` in a file: a table, whatever its name, or one of the streams
+    of a log or of lines that name theirs.
+
+    Raises `WireError`, also if the file has streams of other names only. Cost: of many streams, the
+    whole file is read.
+    """
+    path = Path(path)
+    if not has_many_streams(path):
+        return open_recording(path, options)
+    found = open_recordings([path], options)
+    if name not in found:
+        raise WireError(
+            None,
+            f"{path.name}: there is no stream {name!r} in this recording",
+            f"its streams are {', '.join(found)}",
+        )
+    return found[name]
 
 
 def in_order(
@@ -143,9 +170,21 @@ def in_order(
         yield name, incoming
 
 
+def is_log(path: Path) -> bool:
+    """Whether ``path`` is a log that a vehicle or robot has recorded, with a stream a topic."""
+    return path.name.lower().endswith(_LOGS) or (path / METADATA).is_file()
+
+
 def has_many_streams(path: Path) -> bool:
-    """Whether ``path`` is an NDJSON file whose first line names its stream."""
-    if not path.name.lower().removesuffix(".gz").endswith(_NDJSON):
+    """Whether ``path`` names its streams: a log, or NDJSON whose first line names its stream.
+
+    A pipe does not: its lines can be read only once.
+    """
+    if is_log(path):
+        return True
+    if path.is_fifo():
+        return False
+    if not path.name.lower().removesuffix(".gz").endswith(NDJSON):
         return False
     for _, rows in decode_rows(islice(read_lines(path), 1)):
         return isinstance(rows[0].get(STREAM), str)
@@ -174,19 +213,28 @@ def _files(paths: Sequence[Path | str]) -> Iterator[tuple[str | None, Path]]:
     for given in paths:
         named = _NAMED(given) if isinstance(given, str) and not Path(given).exists() else None
         path = Path(given if named is None else named[2])
-        if not path.is_dir():
+        if not path.is_dir() or is_log(path):
             yield (None if named is None else named[1]), path
             continue
         if named is not None:
             raise _many(named[1], path)
-        inside = sorted(p for p in path.iterdir() if p.is_file() and _is_recording(p))
+        inside = sorted(p for p in path.iterdir() if _is_recording(p))
         if not inside:
             raise WireError(None, f"{path}: there is no recording in this folder")
         yield from ((None, p) for p in inside)
 
 
 def _is_recording(path: Path) -> bool:
-    return path.name.lower().removesuffix(".gz").endswith((*_TABLES, _LOG))
+    if path.is_dir():
+        return is_log(path)
+    return is_log(path) or path.name.lower().removesuffix(".gz").endswith(_TABLES)
+
+
+def _open_log(path: Path, *, utc: bool) -> TopicLog:
+    name = path.name.lower()
+    if name.endswith(_ULOG):
+        return open_ulog(path, utc=utc)
+    return open_mcap(path) if name.endswith(_MCAP) else open_rosbag(path)
 
 
 def _stem(path: Path) -> str:

@@ -22,18 +22,17 @@ from ..csv_table import CHUNK, TextChunk, read_csv_lines
 from ..errors import EmptyTable, WireError
 from ..inference import TimeReader, time_column
 from ..wire import BOM
+from .csv_dialect import detect_delimiter
 from .many_streams import STREAM
 from .recording import Recording, ValueChunk, decode_rows, open_cells, open_rows
+from .table_options import GUESSED, TableOptions
+from .text_files import GZIP, LONGEST_LINE
 
 HEAD: Final = 1000
 """Rows that decide the fields of a stream that is not declared."""
-LONGEST_LINE: Final = 1 << 24
-"""Most bytes of a line, which bounds memory for input without line feeds."""
 _READ: Final = 1 << 18
 _SAVE: Final = "write it to a file and replay that"
-_GZIP: Final = b"\x1f\x8b"
-_ARROW: Final = (b"ARROW1", b"\xff\xff\xff\xff")
-_ULOG: Final = b"ULog"
+_BINARY: Final = (b"ARROW1", b"\xff\xff\xff\xff", b"PAR1", b"ULog")
 
 
 class Readable(Protocol):
@@ -77,26 +76,25 @@ class Piped:
 
 def open_pipe(
     file: Readable,
-    wanted: str | None = None,
-    time_unit: str | None = None,
+    options: TableOptions = GUESSED,
     types: Mapping[str, FieldType] | None = None,
 ) -> Piped:
     """Read the head of the CSV or NDJSON table in ``file``.
 
     ``types`` are those of a declared stream. If they have all fields of the first row, the head is
-    that row; else it is up to `HEAD` rows, and the function waits for them. ``wanted`` is the time
-    column, default by its name; ``time_unit`` as for `open_recording`.
+    that row; else it is up to `HEAD` rows, and the function waits for them. ``options`` as for
+    `open_recording`.
 
     Raises `WireError`; iteration of the recording raises it for a row that does not fit the head.
     Memory: the head, and the bytes of one ``read1``.
     """
-    lines, known = _Lines(file), types or {}
+    lines, known, wanted = _Lines(file), types or {}, options.time_column
     pace, leading = _Pace(lines), _leading(lines)
     source: _Csv | _Ndjson
     if leading[-1].removeprefix(BOM).lstrip().startswith(b"{"):
         source = _Ndjson(chain(leading, lines), pace)
     else:
-        source = _Csv(chain(leading, lines), pace)
+        source = _Csv(chain(leading, lines), pace, options.delimiter or _delimiter(leading[0]))
     source.look()
     valid = time_column(source.names, wanted)
     clocks = {valid, "available"}
@@ -106,7 +104,7 @@ def open_pipe(
         pace.head = HEAD
         source.look()
     given = {name: type for name, type in known.items() if name in source.names}
-    recording = source.open(wanted, TimeReader(time_unit), given)
+    recording = source.open(wanted, options.times(), given)
     first = int(next(recording.read()).available[0])
     source.go_on(wanted)
     piped = Piped(recording, first, first)
@@ -163,9 +161,10 @@ class _Pace:
 class _Csv:
     """Cells of a pipe: those of the head any number of times, then all cells once."""
 
-    def __init__(self, lines: Iterable[bytes], pace: _Pace) -> None:
+    def __init__(self, lines: Iterable[bytes], pace: _Pace, delimiter: str) -> None:
         texts = (line.decode("utf-8-sig" if n == 0 else "utf-8") for n, line in enumerate(lines))
-        self._rest = read_csv_lines(texts, pace.ends)
+        self._delimiter = delimiter
+        self._rest = read_csv_lines(texts, delimiter, pace.ends)
         self._head: list[TextChunk] = []
         self._again: Callable[[], Iterator[TextChunk]] = lambda: iter(self._head)
 
@@ -190,7 +189,7 @@ class _Csv:
         self, wanted: str | None, times: TimeReader, types: Mapping[str, FieldType]
     ) -> Recording:
         """The recording of the head."""
-        return open_cells(lambda: self._again(), wanted, times, types, {})
+        return open_cells(lambda: self._again(), self._delimiter, wanted, times, types, {})
 
     def go_on(self, wanted: str | None) -> None:
         """From now on the recording gives all rows."""
@@ -266,6 +265,11 @@ def _checked(names: AbstractSet[str], always: AbstractSet[str], chunk: ValueChun
     return chunk
 
 
+def _delimiter(header: bytes) -> str:
+    # The reader of the table reports bytes that are no UTF-8, with their line.
+    return detect_delimiter(header.decode("utf-8-sig", errors="replace"))
+
+
 def _leading(lines: Iterable[bytes]) -> list[bytes]:
     """The first line that is not blank, and those before it. Raises `WireError` for other formats
     than CSV and NDJSON."""
@@ -277,10 +281,10 @@ def _leading(lines: Iterable[bytes]) -> list[bytes]:
     else:
         raise EmptyTable(1, "the table is empty")
     first = found[0]
-    if first.startswith(_GZIP):
+    if first.startswith(GZIP):
         raise WireError(
             None, "the data from the pipe is compressed", "decompress it: gzip -dc FILE | …"
         )
-    if first.startswith((*_ARROW, _ULOG)):
+    if first.startswith(_BINARY):
         raise WireError(None, "a pipe takes CSV or NDJSON only", _SAVE)
     return found

@@ -1,4 +1,4 @@
-"""Recorded tables as streams: CSV, packed CSV, NDJSON and Arrow, for ``dyknow replay``.
+"""Recorded tables as streams: CSV, NDJSON, Arrow and Parquet, for ``dyknow replay``.
 
 The valid time is the time column. The available time is the ``available`` column if there is one,
 else the valid time. A row that steps back in time becomes available with the row before it; rows of
@@ -7,8 +7,8 @@ one time are one instant (SPEC §1).
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -28,19 +28,28 @@ from ...streams.sample import (
 )
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MIN
+from ..arrow.parquet import read_parquet
 from ..arrow.stream import (
     arrow_field_type,
     column_from_arrow,
     read_arrow,
     times_from_arrow,
 )
-from ..csv_table import CHUNK, TextChunk, column_from_cells, read_csv
+from ..csv_table import CHUNK, TextChunk, column_from_cells
 from ..errors import EmptyTable, WireError
 from ..inference import TextColumnType, TimeReader, time_column
 from ..ndjson_errors import object_of
 from ..ndjson_lines import json_type
 from ..rounding import EXACT, Spelled, Tally, has_small, rounded_rows
-from ..wire import BOM, Incoming
+from ..wire import Incoming
+from .csv_dialect import WITH_COMMAS, DecimalCommas, with_points
+from .table_options import GUESSED, TableOptions
+from .text_files import csv_delimiter, read_csv, read_lines
+
+CSV: Final = (".csv",)
+NDJSON: Final = (".ndjson", ".jsonl")
+ARROW: Final = (".arrow", ".arrows", ".feather")
+PARQUET: Final = (".parquet", ".pq")
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
 _SPELLED: Final = msgspec.json.Decoder(dict[str, Any], float_hook=Spelled.read)
@@ -61,6 +70,8 @@ class Recording:
     """Read the rows with the times of the table, valid times in place of missing available ones."""
     has_available: bool = False
     """Whether the table has available times."""
+    time_column: str = ""
+    """The column of the valid times."""
     rounding: Tally = field(default_factory=Tally, repr=False)
     """Which numbers float fields have rounded, as far as it was read."""
 
@@ -89,21 +100,18 @@ class Recording:
 
 def open_recording(
     path: Path | str,
-    time_column: str | None = None,
-    time_unit: str | None = None,
+    options: TableOptions = GUESSED,
     types: Mapping[str, FieldType] | None = None,
     pools: dict[str, StringPool] | None = None,
-    abstract_unit: str = "s",
 ) -> Recording:
-    """Infer fields and times of the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
+    """Infer fields and times of the table at ``path``: ``.csv .ndjson .arrow .parquet``.
 
-    ``time_column``: default ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
-    times: ``s ms us ns``, default by their magnitude; ``abstract_unit`` if they are small.
     ``types`` of fields: default by their values (CSV: columns named like identifiers stay text).
     ``pools`` encode text.
 
     Raises `WireError` with the line, `OSError` if the file cannot be read.
-    Cost: it reads the file twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
+    Cost: it reads the file twice, CSV with semicolons three times. Memory: a chunk of rows, and
+    every distinct text; of Arrow and Parquet all.
     """
     path = Path(path)
     name = path.name.lower().removesuffix(".gz")
@@ -114,22 +122,27 @@ def open_recording(
             "write it to a file first: then its rows are counted and sorted by time",
         )
     pools = {} if pools is None else pools
-    times = TimeReader(time_unit, abstract_unit)
-    if name.endswith(".csv"):
-        return open_cells(lambda: read_csv(path), time_column, times, types or {}, pools)
-    if name.endswith((".ndjson", ".jsonl")):
-        return open_rows(lambda: decode_rows(read_lines(path)), time_column, times, types, pools)
-    if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
-        return _open_arrow(path, time_column, times, types or {}, pools)
+    wanted, times = options.time_column, options.times()
+    if name.endswith(CSV):
+        mark = options.delimiter or csv_delimiter(path)
+        return open_cells(lambda: read_csv(path, mark), mark, wanted, times, types or {}, pools)
+    if name.endswith(NDJSON):
+        return open_rows(lambda: decode_rows(read_lines(path)), wanted, times, types, pools)
+    if name == path.name.lower():
+        if name.endswith(ARROW):
+            return _of_arrow(read_arrow(path), wanted, times, types or {}, pools)
+        if name.endswith(PARQUET):
+            return _of_arrow(read_parquet(path), wanted, times, types or {}, pools)
     raise WireError(
         None,
         f"{path.name}: unknown kind of table",
-        "recordings end in .csv, .csv.gz, .ndjson, .ndjson.gz or .arrow",
+        "recordings end in .csv, .ndjson, .arrow or .parquet",
     )
 
 
 def open_cells(
     cells_again: Callable[[], Iterator[TextChunk]],
+    delimiter: str,
     wanted: str | None,
     times: TimeReader,
     types: Mapping[str, FieldType],
@@ -139,9 +152,16 @@ def open_cells(
 
     Other arguments and errors as for `open_recording`, with one unit of time.
     """
+    commas = _decimal_commas(cells_again) if delimiter == WITH_COMMAS else frozenset()
+    commas -= {name for name, type in types.items() if type is FieldType.STRING}
+
+    def chunks() -> Iterator[TextChunk]:
+        for lines, cells in cells_again():
+            yield lines, {n: with_points(c) if n in commas else c for n, c in cells.items()}
+
     observed: dict[str, TextColumnType] = {}
     valid, count = "", 0
-    for lines, cells in cells_again():
+    for lines, cells in chunks():
         if not observed:
             valid = time_column(list(cells), wanted)
             observed = {name: TextColumnType(name) for name in cells}
@@ -162,7 +182,7 @@ def open_cells(
 
     def read() -> Iterator[SampleBatch]:
         rounded = None
-        for lines, cells in cells_again():
+        for lines, cells in chunks():
             valid_times = times.read(cells[valid], lines, valid)
             available = valid_times
             if stamped_column:
@@ -175,7 +195,15 @@ def open_cells(
             rounded = tally.count(rounded, cells, lines, batch)
             yield batch
 
-    return Recording(schema, count, pools, read, stamped_column, tally)
+    return Recording(schema, count, pools, read, stamped_column, valid, tally)
+
+
+def _decimal_commas(cells_again: Callable[[], Iterator[TextChunk]]) -> AbstractSet[str]:
+    """The columns of numbers with a decimal comma."""
+    commas = DecimalCommas()
+    for chunk in cells_again():
+        commas.observe(chunk)
+    return commas.columns()
 
 
 def open_rows(
@@ -229,17 +257,16 @@ def open_rows(
             rounded = tally.count(rounded, values, lines, batch)
             yield batch
 
-    return Recording(schema, count, pools, read, stamped_column, tally)
+    return Recording(schema, count, pools, read, stamped_column, valid, tally)
 
 
-def _open_arrow(
-    path: Path,
+def _of_arrow(
+    table: Any,
     wanted: str | None,
     times: TimeReader,
     types: Mapping[str, FieldType],
     pools: dict[str, StringPool],
 ) -> Recording:
-    table = read_arrow(path)
     if not table.num_rows:
         raise EmptyTable(None, "the table has no rows")
     valid = time_column(table.column_names, wanted)
@@ -265,18 +292,7 @@ def _open_arrow(
         for start in range(0, len(whole), CHUNK):
             yield whole.take(slice(start, start + CHUNK))
 
-    return Recording(schema, len(whole), pools, read, stamped_column, tally)
-
-
-def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The lines of a text file that are not blank, with their numbers from 1."""
-    opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rb") as file:
-        for number, line in enumerate(file, 1):
-            if number == 1:
-                line = line.removeprefix(BOM)
-            if line.strip():
-                yield number, line
+    return Recording(schema, len(whole), pools, read, stamped_column, valid, tally)
 
 
 def decode_rows(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:

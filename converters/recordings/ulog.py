@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,6 +32,7 @@ from ..csv_table import CHUNK
 from ..errors import WireError
 from .names import distinct, valid_name
 from .recording import Recording, running_maximum
+from .topics import TopicLog
 
 _TIMES: Final = ("timestamp", "timestamp_sample")
 _MAGIC: Final = b"ULog\x01\x12\x35"
@@ -43,21 +43,7 @@ _SATELLITES: Final = ("vehicle_gps_position", "sensor_gps")
 _MOST: Final = (TIME_MAX // 2) // MICROSECOND
 
 
-@dataclass(frozen=True, slots=True)
-class FlightLog:
-    """A log: a recording for each topic instance, and the losses of the logger.
-
-    ``dropouts`` counts the gaps in which nothing was logged, ``lost`` is their length in ns;
-    ``notes`` tell the differences from the logged data.
-    """
-
-    recordings: Mapping[str, Recording]
-    dropouts: int
-    lost: int
-    notes: tuple[str, ...] = ()
-
-
-def open_ulog(path: Path | str, *, utc: bool = False) -> FlightLog:
+def open_ulog(path: Path | str, *, utc: bool = False) -> TopicLog:
     """Read the log at ``path``. Times count from the boot of the vehicle.
 
     With ``utc`` the first time of a satellite receiver shifts them to UTC. Streams have the name of
@@ -87,11 +73,12 @@ def open_ulog(path: Path | str, *, utc: bool = False) -> FlightLog:
         if not whole.columns:
             notes.append(f"{name} has no fields beside its times")
             continue
-        found[name] = _recording(whole)
+        sensed = "timestamp_sample" in topic.data
+        found[name] = _recording(whole, "timestamp_sample" if sensed else "timestamp")
     if not found:
         raise WireError(None, f"{path.name}: the log has no messages")
     lost = sum(int(dropout.duration) for dropout in log.dropouts) * MILLISECOND
-    return FlightLog(dict(sorted(found.items())), len(log.dropouts), lost, tuple(notes))
+    return TopicLog(dict(sorted(found.items())), len(log.dropouts), lost, tuple(notes))
 
 
 def _check_whole(name: str, data: bytes) -> list[int]:
@@ -128,7 +115,7 @@ def _parse(name: str, data: bytes) -> Any:
         from pyulog.exceptions import ULogException
     except ImportError:
         raise WireError(
-            None, f"{name}: reading PX4 logs needs pyulog", "pip install dyknow[px4]"
+            None, f"{name}: reading PX4 logs needs pyulog", "pip install 'dyknow[px4]'"
         ) from None
     try:
         # It prints warnings; `file_corruption` has the same information.
@@ -239,10 +226,10 @@ def _column(values: Any, truth: bool) -> Column:
     return Column(FieldType.INTEGER, values.astype(np.int64))
 
 
-def _recording(whole: SampleBatch) -> Recording:
+def _recording(whole: SampleBatch, time_column: str) -> Recording:
     def read() -> Iterator[SampleBatch]:
         for start in range(0, len(whole), CHUNK):
             yield whole.take(slice(start, start + CHUNK))
 
     schema = Schema(tuple(Field(name, column.type) for name, column in whole.columns.items()))
-    return Recording(schema, len(whole), {}, read, True)
+    return Recording(schema, len(whole), {}, read, True, time_column)

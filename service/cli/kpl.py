@@ -18,6 +18,7 @@ from .output import (
     show_table,
     show_text,
 )
+from .parameters import Delimiter, TimeColumn, TimeFormat, table_options
 from .streams import text_or_file
 
 kpl = typer.Typer(
@@ -80,7 +81,10 @@ def prove(
     ssl: Ssl = None,
     processes: Modules = None,
     unit: Unit = "ms",
+    time_column: TimeColumn = None,
     time_unit: TimeUnit = None,
+    time_format: TimeFormat = None,
+    delimiter: Delimiter = None,
     as_json: Json = False,
 ) -> None:
     """Replay a recording and prove each policy, join and sync against its definition.
@@ -90,7 +94,8 @@ def prove(
     """
     from .recordings import rehearsal
 
-    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, time_unit)
+    tables = table_options(time_column, time_unit, time_format, delimiter)
+    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, tables)
     rehearsal.prove(recorded, as_json=as_json)
 
 
@@ -107,7 +112,10 @@ def run(
     ssl: Ssl = None,
     processes: Modules = None,
     unit: Unit = "ms",
+    time_column: TimeColumn = None,
     time_unit: TimeUnit = None,
+    time_format: TimeFormat = None,
+    delimiter: Delimiter = None,
     as_json: Json = False,
 ) -> None:
     """Replay a recording and print the samples of the declared streams, by available time.
@@ -116,7 +124,8 @@ def run(
     """
     from .recordings import rehearsal
 
-    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, time_unit)
+    tables = table_options(time_column, time_unit, time_format, delimiter)
+    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, tables)
     rehearsal.run(recorded, stream, as_json=as_json)
 
 

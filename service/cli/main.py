@@ -39,6 +39,10 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
         "recordings.replay",
         "Play a recording into its streams: declare them, publish, report the end.",
     ),
+    "inspect": (
+        "recordings.inspect",
+        "Show a recording's streams, fields, times and rates, and a first SSL text for it.",
+    ),
     "events": (
         "events",
         "Request an event and follow it; without an argument, list the requests that run.",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from ...streams.time import read_time
+from ...streams.time import SECOND, read_time
 from ..config.media_types import (
     CSV,
     JSON_LD,
@@ -21,9 +21,10 @@ from ..config.media_types import (
     TSV,
     TURTLE,
 )
-from .output import err
+from .output import err, show_text
 
 if TYPE_CHECKING:
+    from ...converters.recordings.table_options import TableOptions
     from ...converters.recordings.time_order import TimeOrder
 
 
@@ -104,6 +105,47 @@ Sort = Annotated[
 ]
 
 
+TimeColumn = Annotated[
+    str | None, typer.Option(help="The column of valid times. Default: by its name.")
+]
+TimeUnit = Annotated[
+    str | None, typer.Option(help="s, ms, us or ns. Default: by the size of the numbers.")
+]
+TimeFormat = Annotated[
+    str | None,
+    typer.Option(
+        help="How times are spelled: day-first, or a pattern such as '%d.%m.%Y %H:%M:%S'. "
+        "Default: ISO-8601.",
+        metavar="day-first|PATTERN",
+    ),
+]
+Delimiter = Annotated[
+    str | None,
+    typer.Option(
+        help="The character between the cells of CSV, or tab. Default: by the header.",
+        metavar="CHARACTER",
+    ),
+]
+
+
+def table_options(
+    time_column: str | None,
+    time_unit: str | None,
+    time_format: str | None,
+    delimiter: str | None,
+    abstract_unit: str = "s",
+) -> TableOptions:
+    """Return the options of tables."""
+    from ...converters.recordings.csv_dialect import delimiter_of
+    from ...converters.recordings.table_options import TableOptions
+
+    try:
+        mark = None if delimiter is None else delimiter_of(delimiter)
+    except ValueError as error:
+        raise typer.BadParameter(f"--delimiter: {error}") from error
+    return TableOptions(time_column, time_unit, time_format, mark, abstract_unit)
+
+
 NOW: Final = "now"
 """From the next sample on."""
 START: Final = "start"
@@ -139,6 +181,17 @@ def show_order(name: str, order: TimeOrder | None) -> None:
     """Report rows that are out of order."""
     if order is not None and order.note is not None:
         err().print(f"{name}: {order.note}", markup=False, highlight=False)
+
+
+def show_losses(dropouts: int | None, lost: int, notes: Iterable[str]) -> None:
+    """Print what a recorder has lost (None: it does not say; ``lost`` in ns), and the differences
+    from the recorded data."""
+    if dropouts:
+        show_text(f"dropouts: {dropouts:,}, {lost / SECOND:.3f} s were not logged")
+    elif dropouts == 0:
+        show_text("dropouts: none")
+    for note in notes:
+        show_text(f"note: {note}")
 
 
 def warn_of_annotations(

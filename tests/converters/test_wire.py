@@ -210,7 +210,7 @@ def test_without_pyarrow_the_error_says_how_to_get_it(monkeypatch):
         return original(name, *args)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(ArrowMissing, match=r"pip install dyknow\[arrow\]"):
+    with pytest.raises(ArrowMissing, match=r"pip install 'dyknow\[arrow\]'"):
         decode_arrow(b"", SCHEMA, {})
 
 

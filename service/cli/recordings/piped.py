@@ -24,9 +24,17 @@ def is_pipe(file: Path) -> bool:
 
 
 def existing(file: Path) -> Path:
-    """Raise ``typer.BadParameter`` for a missing file. Typer treats ``-`` as one."""
+    """Raise ``typer.BadParameter`` for a missing file, or a folder that is no bag. Typer treats
+    ``-`` as a missing file."""
     if not is_pipe(file) and not file.exists():
         raise typer.BadParameter(f"file {str(file)!r} does not exist.")
+    if file.is_dir():
+        from ....converters.recordings.many_streams import is_log
+
+        if not is_log(file):
+            raise typer.BadParameter(
+                f"{str(file)!r} is a folder, and no bag of ROS 2 with a metadata.yaml: name a file"
+            )
     return file
 
 

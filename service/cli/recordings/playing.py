@@ -24,10 +24,12 @@ from rich.progress import (
 from ....converters.recordings.many_streams import (
     Recordings,
     has_many_streams,
+    is_log,
     open_recordings,
 )
 from ....converters.recordings.piped import Piped, Readable, open_pipe
 from ....converters.recordings.recording import Recording, open_recording
+from ....converters.recordings.table_options import TableOptions
 from ....converters.recordings.time_order import TimeOrder, in_time_order
 from ....converters.wire import Rounded
 from ....streams.sample import FieldType, SampleBatch
@@ -49,7 +51,7 @@ from ..output import (
     show_text,
     show_values,
 )
-from ..parameters import show_order, warn_of_annotations
+from ..parameters import show_losses, show_order, warn_of_annotations
 from ..streams import text_or_file
 from .piped import check_once, is_pipe, reading, show_piped
 from .recording_replay import PAUSE, Span, play_all, span
@@ -102,8 +104,7 @@ class ReplayOptions:
     lateness: str | None
     idle: str | None
     ahead: str | None
-    time_column: str | None
-    time_unit: str | None
+    tables: TableOptions
     utc: bool
     sort: bool | None
     url: str
@@ -122,9 +123,9 @@ def play(options: ReplayOptions) -> None:
         declared = () if meaning is None else _declared(meaning)
         wanted = options.stream or []
         opened = (
-            _open(client, options.file, wanted, options.time_column, options.time_unit, options.utc)
+            _open(client, options.file, wanted, options.tables, options.utc)
             if pipe is None
-            else _open_pipe(client, pipe, wanted, options.time_column, options.time_unit)
+            else _open_pipe(client, pipe, wanted, options.tables)
         )
         piped = opened.piped
         warn_of_annotations(declared, opened.tracks, "played")
@@ -203,7 +204,7 @@ def play(options: ReplayOptions) -> None:
             )
         failed = readers.failed()
     if not options.as_json:
-        _show_losses(opened)
+        show_losses(opened.dropouts, opened.lost, opened.notes)
     for each in failed:
         whom = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
         err().print(f"failed: {whom}: {each['failure']}", markup=False, highlight=False)
@@ -304,43 +305,35 @@ def _open(
     client: Client,
     file: Path,
     wanted: list[str],
-    time_column: str | None,
-    time_unit: str | None,
+    tables: TableOptions,
     utc: bool,
 ) -> _Opened:
     """Open the streams of the file; fields of existing streams keep their types."""
-    is_log = file.name.lower().endswith(".ulg")
-    if not is_log and not has_many_streams(file):
+    if not has_many_streams(file):
         there = _existing(client, _only(wanted))
-        recording = open_recording(file, time_column, time_unit)
+        recording = open_recording(file, tables)
         types = _types(there, recording.schema.names)
         if types:
-            recording = open_recording(file, time_column, time_unit, types)
+            recording = open_recording(file, tables, types)
         return _Opened({wanted[0]: _Track(recording, there)})
-    found = open_recordings([file], time_column, time_unit, utc=utc)
+    found = open_recordings([file], tables, utc=utc)
     names = _chosen(wanted, found)
     there = {name: _existing(client, name) for name in names.values()}
-    if not is_log:
+    if not is_log(file):
         kinds = {
             topic: _types(there[name], found[topic].schema.names) for topic, name in names.items()
         }
         if any(kinds.values()):
-            found = open_recordings([file], time_column, time_unit, kinds)
+            found = open_recordings([file], tables, kinds)
     tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
-    return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
+    return _Opened(tracks, found.dropouts, found.lost, found.notes)
 
 
-def _open_pipe(
-    client: Client,
-    pipe: Readable,
-    wanted: list[str],
-    time_column: str | None,
-    time_unit: str | None,
-) -> _Opened:
+def _open_pipe(client: Client, pipe: Readable, wanted: list[str], tables: TableOptions) -> _Opened:
     """Open the stream of a pipe by reading its head."""
     there = _existing(client, _only(wanted))
     types = {} if there is None else {f["name"]: FieldType(f["type"]) for f in there["fields"]}
-    piped = open_pipe(pipe, time_column, time_unit, types)
+    piped = open_pipe(pipe, tables, types)
     return _Opened({wanted[0]: _Track(piped.recording, there)}, piped=piped)
 
 
@@ -474,16 +467,6 @@ class _Player:
         )
         kept = batch.take(~is_ahead)
         return self.client.publish(name, kept) if len(kept) else 0
-
-
-def _show_losses(opened: _Opened) -> None:
-    """Print the losses of the recorder."""
-    if opened.dropouts:
-        show_text(f"dropouts: {opened.dropouts:,}, {opened.lost / SECOND:.3f} s were not logged")
-    elif opened.dropouts == 0:
-        show_text("dropouts: none")
-    for note in opened.notes:
-        show_text(f"note: {note}")
 
 
 def _declared(meaning: str) -> tuple[str, ...]:

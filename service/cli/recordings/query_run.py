@@ -11,7 +11,8 @@ import typer
 from pyoxigraph import Literal, NamedNode
 
 from ....continuous.evaluate import Explained, TimedTerm, Window, evaluate
-from ....converters.recordings.recording import open_recording
+from ....converters.recordings.many_streams import open_stream
+from ....converters.recordings.table_options import GUESSED
 from ....converters.recordings.time_order import in_time_order
 from ....converters.to_triples import SampleConverter, node_names
 from ....languages.errors import LanguageError
@@ -57,7 +58,12 @@ def run_query(options: RunOptions) -> None:
         _check_late(behind, files, options.ssl)
     inputs: dict[str, Any]
     if options.ssl is not None:
-        inputs = _samples(files, text_or_file(options.ssl), paths, options.sort)
+        inputs = _samples(files, text_or_file(options.ssl), paths, options)
+    elif options.tables != GUESSED:
+        raise typer.BadParameter(
+            "--time-column, --time-unit, --time-format and --delimiter are for tables of samples: "
+            "give their annotation with --ssl"
+        )
     else:
         inputs = _triples(files, in_order=behind is not None)
     traffic = Traffic()
@@ -174,7 +180,7 @@ def _triples(files: Mapping[str, Path], *, in_order: bool) -> dict[str, Any]:
 
 
 def _samples(
-    files: Mapping[str, Path], ssl: str, static: Sequence[Path], sort: bool | None
+    files: Mapping[str, Path], ssl: str, static: Sequence[Path], options: RunOptions
 ) -> dict[str, Any]:
     """Convert tables of samples to timed triples, by the annotation of the stream's name."""
     ontology = Ontology.open()
@@ -192,7 +198,7 @@ def _samples(
     found: dict[str, Any] = {}
     for iri, path in files.items():
         annotation = _annotation(iri, annotations)
-        order = in_time_order(open_recording(path), sort)
+        order = in_time_order(open_stream(path, _stream_name(iri), options.tables), options.sort)
         show_order(path.name, order)
         recording = order.recording
         converter = SampleConverter(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import typer
 
 from ....converters.ndjson import sample_json
 from ....converters.recordings.many_streams import in_order, open_recordings
+from ....converters.recordings.table_options import TableOptions
 from ....converters.wire import Incoming
 from ....engine.kpl.verification import Proof, prove_specification, rehearse
 from ....engine.processes.registry import PROCESSES
@@ -51,7 +52,8 @@ class Recorded:
     ssl: str | None
     processes: list[str] | None
     unit: str
-    time_unit: str | None
+    tables: TableOptions
+    """The option ``abstract_unit`` is that of the declarations."""
 
     def open(self) -> tuple[Signature, Iterator[tuple[str, Incoming]]]:
         """Read the declarations and the recordings of their sources."""
@@ -64,9 +66,8 @@ class Recorded:
         }
         recordings = open_recordings(
             self.recording,
-            time_unit=self.time_unit,
-            types=types,
-            abstract_unit=_unit_of(read_text(self.file), self.unit),
+            replace(self.tables, abstract_unit=_unit_of(read_text(self.file), self.unit)),
+            types,
             skip_empty=True,
         )
         sources = [one.name for one in signature.declarations if isinstance(one, SourceDeclaration)]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..output import DEFAULT_URL, Json, Url
-from ..parameters import Sort
+from ..parameters import Delimiter, Sort, TimeColumn, TimeFormat, TimeUnit, table_options
 from .piped import existing
 
 
@@ -16,9 +16,8 @@ def replay(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV, CSV.gz, NDJSON or Arrow; a PX4 log (.ulg); NDJSON of many streams; a pipe, "
-            "or - for standard input, of CSV or NDJSON.",
-            dir_okay=False,
+            help="CSV, NDJSON, Arrow or Parquet; a log of PX4 (.ulg), MCAP or ROS (.bag, .db3, a "
+            "folder); NDJSON of many streams; a pipe, or - for standard input, of CSV or NDJSON.",
             callback=existing,
         ),
     ],
@@ -62,12 +61,10 @@ def replay(
             "Default: the stream's, or 1h. A faster replay with --rebase adds its own lead."
         ),
     ] = None,
-    time_column: Annotated[
-        str | None, typer.Option(help="The column of valid times. Default: by its name.")
-    ] = None,
-    time_unit: Annotated[
-        str | None, typer.Option(help="s, ms, us or ns. Default: by the size of the numbers.")
-    ] = None,
+    time_column: TimeColumn = None,
+    time_unit: TimeUnit = None,
+    time_format: TimeFormat = None,
+    delimiter: Delimiter = None,
     utc: Annotated[
         bool, typer.Option("--utc", help="Move a PX4 log from time since boot to UTC by its GPS.")
     ] = False,
@@ -89,8 +86,7 @@ def replay(
             lateness=lateness,
             idle=idle,
             ahead=ahead,
-            time_column=time_column,
-            time_unit=time_unit,
+            tables=table_options(time_column, time_unit, time_format, delimiter),
             utc=utc,
             sort=sort,
             url=url,

@@ -8,7 +8,20 @@ from typing import Annotated
 import typer
 
 from ..output import Json
-from ..parameters import Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, Sort
+from ..parameters import (
+    Bounds,
+    BoundsWord,
+    Delimiter,
+    Origin,
+    Report,
+    ReportWord,
+    Semantics,
+    Sort,
+    TimeColumn,
+    TimeFormat,
+    TimeUnit,
+    table_options,
+)
 
 
 def run(
@@ -65,6 +78,10 @@ def run(
             dir_okay=False,
         ),
     ] = None,
+    time_column: TimeColumn = None,
+    time_unit: TimeUnit = None,
+    time_format: TimeFormat = None,
+    delimiter: Delimiter = None,
     sort: Sort = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="Print the plan and its cost afterwards.")
@@ -98,6 +115,7 @@ def run(
         lateness=lateness,
         late=late,
         sort=sort,
+        tables=table_options(time_column, time_unit, time_format, delimiter),
         explain=explain,
         as_json=as_json,
     )

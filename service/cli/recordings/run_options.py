@@ -8,6 +8,8 @@ from pathlib import Path
 
 import typer
 
+from ....converters.recordings.many_streams import is_log
+from ....converters.recordings.table_options import TableOptions
 from ..output import fail
 from ..parameters import BoundsWord, ReportWord, SemanticsWord
 
@@ -28,6 +30,7 @@ class RunOptions:
     lateness: str | None
     late: Path | None
     sort: bool | None
+    tables: TableOptions
     explain: bool
     as_json: bool
 
@@ -50,7 +53,8 @@ def add_file(files: dict[str, Path], option: str, iri: str, path: Path) -> None:
     iri = iri.strip("<>")
     if iri in files:
         raise typer.BadParameter(f"{option}: <{iri}> is {files[iri]} already")
-    files[iri] = existing_file(path)
+    is_bag = path.is_dir() and is_log(path)
+    files[iri] = path if is_bag else existing_file(path)
 
 
 def existing_file(path: Path) -> Path:

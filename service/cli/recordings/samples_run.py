@@ -32,6 +32,7 @@ def run_over_samples(options: RunOptions, what: str) -> None:
         ssl=text_or_file(options.ssl),
         ontology=options.ontology or (),
         sort=options.sort,
+        tables=options.tables,
     )
     warn_of_annotations(running.unrecorded, files)
     for name, order in running.orders.items():

@@ -12,6 +12,7 @@ from dyknow.converters import WireError
 from dyknow.converters.arrow.stream import encode_arrow
 from dyknow.converters.ndjson import encode_ndjson
 from dyknow.converters.recordings.recording import open_recording
+from dyknow.converters.recordings.table_options import TableOptions
 from dyknow.streams.sample import FieldType, concatenate
 from dyknow.streams.time import SECOND
 
@@ -88,30 +89,32 @@ def test_types_can_be_given(table):
     ],
 )
 def test_times(table, cell, unit, time):
-    recording = open_recording(table(f"timestamp,x\n{cell},1\n"), time_unit=unit)
+    recording = open_recording(table(f"timestamp,x\n{cell},1\n"), TableOptions(time_unit=unit))
     assert [row[1] for row in rows(recording)] == [time]
 
 
 def test_rows_of_one_time_are_an_instant_and_a_step_back_joins_it(table):
-    recording = open_recording(table("time,x\n5,1\n5,2\n4,3\n6,4\n"), time_unit="ns")
+    recording = open_recording(table("time,x\n5,1\n5,2\n4,3\n6,4\n"), TableOptions(time_unit="ns"))
     assert [row[:2] for row in rows(recording)] == [(5, 5), (5, 5), (5, 4), (6, 6)]
     assert rows(recording) == rows(recording)
 
 
 def test_an_available_column_is_kept(table):
-    recording = open_recording(table("valid,available,x\n5,9,1\n5,8,2\n"), time_unit="ns")
+    recording = open_recording(
+        table("valid,available,x\n5,9,1\n5,8,2\n"), TableOptions(time_unit="ns")
+    )
     assert [row[:2] for row in rows(recording)] == [(9, 5), (8, 5)]
     assert recording.schema.names == ("x",)
 
 
 def test_the_time_column_can_be_named(table):
     path = table("when,x\n5,1\n")
-    assert len(rows(open_recording(path, time_column="when"))) == 1
+    assert len(rows(open_recording(path, TableOptions(time_column="when")))) == 1
     with pytest.raises(WireError, match="no column is called valid") as caught:
         open_recording(path)
     assert "when, x" in caught.value.hint
     with pytest.raises(WireError, match="there is no column 'y'"):
-        open_recording(path, time_column="y")
+        open_recording(path, TableOptions(time_column="y"))
 
 
 @pytest.mark.parametrize(
@@ -146,7 +149,7 @@ def test_a_declared_type_is_checked(table):
 
 def test_ndjson_tables(table):
     text = '{"time": 1, "x": 1, "id": 7}\n\n{"time": 2, "x": 1.5, "y": "a", "id": 8}\n'
-    recording = open_recording(table(text, "table.ndjson.gz"), time_unit="s")
+    recording = open_recording(table(text, "table.ndjson.gz"), TableOptions(time_unit="s"))
     assert types(recording) == {"x": "float", "id": "integer", "y": "string"}
     assert rows(recording) == [
         (SECOND, SECOND, {"x": 1.0, "id": 7, "y": None}),
@@ -182,7 +185,9 @@ def test_arrow_files(table):
     data = pa.table({"time": [1, 2], "x": [1.0, None]})
     with pa.ipc.new_file(sink, data.schema) as writer:
         writer.write_table(data)
-    recording = open_recording(table(sink.getvalue().to_pybytes(), "t.arrow"), time_unit="s")
+    recording = open_recording(
+        table(sink.getvalue().to_pybytes(), "t.arrow"), TableOptions(time_unit="s")
+    )
     assert rows(recording) == [(SECOND, SECOND, {"x": 1.0}), (2 * SECOND, 2 * SECOND, {"x": None})]
 
 

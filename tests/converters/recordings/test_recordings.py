@@ -1,6 +1,7 @@
 """Recordings of many streams: what is accepted, what each holds, and their common order."""
 
 import json
+import os
 from itertools import pairwise
 
 import pytest
@@ -13,7 +14,9 @@ from dyknow.converters.recordings.many_streams import (
     has_many_streams,
     in_order,
     open_recordings,
+    open_stream,
 )
+from dyknow.converters.recordings.table_options import TableOptions
 from dyknow.converters.wire import Incoming
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import SECOND
@@ -156,6 +159,28 @@ def test_slices_are_seconds_unless_told(tmp_path):
     path = tmp_path / "many.ndjson"
     lines = [{"stream": s, "t": i * 0.25, "x": i} for i in range(12) for s in ("a", "b")]
     path.write_text("\n".join(map(json.dumps, lines)))
-    merged = list(in_order(open_recordings([path], time_unit="s")))
+    merged = list(in_order(open_recordings([path], TableOptions(time_unit="s"))))
     assert [(name, len(part.batch)) for name, part in merged] == [("a", 4), ("b", 4)] * 3
     assert merged[2][1].batch.available[0] == SECOND
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("open_it", [open_stream, lambda path, _: open_recordings([path])])
+def test_a_pipe_is_refused_before_it_is_read(tmp_path, open_it):
+    """Its first line was looked at, and waited for."""
+    os.mkfifo(tmp_path / "a.ndjson")
+    with pytest.raises(WireError, match="is a pipe"):
+        open_it(tmp_path / "a.ndjson", "a")
+
+
+def test_a_stream_of_a_file(tmp_path):
+    path = tmp_path / "many.ndjson"
+    path.write_text(MANY)
+    every = open_recordings([path])
+    assert [rows(open_stream(path, name)) for name in every] == [
+        rows(each) for each in every.values()
+    ]
+    with pytest.raises(WireError, match="no stream 'other' in this recording"):
+        open_stream(path, "other")
+    (tmp_path / "b.csv").write_text("t,x\n1,2\n")
+    assert open_stream(tmp_path / "b.csv", "other").rows == 1

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from dyknow.converters.recordings import time_order
 from dyknow.converters.recordings.piped import open_pipe
 from dyknow.converters.recordings.recording import open_recording
+from dyknow.converters.recordings.table_options import TableOptions
 from dyknow.converters.recordings.time_order import in_time_order
 
 SMALL = settings(
@@ -20,7 +21,7 @@ def table(path, times, stamps=None):
     head = "valid,available,n,name"
     rows = [f"{t},{a},{n},row {n}" for n, (t, a) in enumerate(zip(times, stamps, strict=True))]
     path.write_text("\n".join([head, *rows]) + "\n")
-    return open_recording(path, time_unit="ns")
+    return open_recording(path, TableOptions(time_unit="ns"))
 
 
 def rows_of(recording):
@@ -59,11 +60,11 @@ def test_the_note_says_what_becomes_of_rows_that_are_left(tmp_path, stamped):
     """A row with an available time of its own keeps it, and comes late."""
     path = tmp_path / "a.csv"
     path.write_text("valid,available,n\n3,3,0\n1,1,1\n" if stamped else "valid,n\n3,0\n1,1\n")
-    recording = open_recording(path, time_unit="ns")
+    recording = open_recording(path, TableOptions(time_unit="ns"))
     taken = [int(time) for incoming in recording for time in incoming.batch.available]
     assert taken == ([3, 1] if stamped else [3, 3])
     with path.open("rb") as file:
-        piped = open_pipe(file, time_unit="ns")
+        piped = open_pipe(file, TableOptions(time_unit="ns"))
         assert len(list(piped.recording)) > 0
     for note in (in_time_order(recording, sort=False).note, piped.note):
         assert note.startswith("not sorted: 1 of 2 rows were out of order, and each ")

@@ -190,7 +190,7 @@ def test_without_pyulog_it_says_what_to_install(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(WireError, match="needs pyulog") as caught:
         open_ulog(write(TWO_TOPICS))
-    assert caught.value.hint == "pip install dyknow[px4]"
+    assert caught.value.hint == "pip install 'dyknow[px4]'"
 
 
 @pytest.mark.skipif(not REAL.exists(), reason="the recorded flight in shared/data is not here")

@@ -1,0 +1,75 @@
+"""Lines of text files, which may be compressed: gzip is known by its first bytes, not by a name.
+
+A compressed file is decompressed as it is read, a line at a time. The bound on lines therefore
+bounds the memory for any file, however far it expands.
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import TextIOWrapper
+from pathlib import Path
+from typing import IO, AnyStr, Final, cast
+
+from ..csv_table import UNPACKING, TextChunk, read_csv_lines
+from ..errors import WireError
+from ..wire import BOM
+from .csv_dialect import detect_delimiter
+
+LONGEST_LINE: Final = 1 << 24
+"""Most characters of a line, which bounds memory for input without line feeds."""
+GZIP: Final = b"\x1f\x8b"
+
+
+def read_csv(path: Path, delimiter: str) -> Iterator[TextChunk]:
+    """The cells of a CSV file, as `read_csv_lines`."""
+    with _unpacked(path) as file, _text(file) as text:
+        yield from read_csv_lines(_bounded(text), delimiter)
+
+
+def csv_delimiter(path: Path) -> str:
+    """The delimiter of a CSV file by its header. Raises `WireError` if two may be it."""
+    try:
+        with _unpacked(path) as file, _text(file) as text:
+            return detect_delimiter(next(_bounded(text), ""))
+    except (UnicodeDecodeError, *UNPACKING) as error:
+        raise WireError(1, f"the table cannot be read: {error}") from error
+
+
+def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a file that are not blank, with their numbers from 1."""
+    number = 0
+    try:
+        with _unpacked(path) as file:
+            for number, line in enumerate(_bounded(file), 1):
+                if number == 1:
+                    line = line.removeprefix(BOM)
+                if line.strip():
+                    yield number, line
+    except UNPACKING as error:
+        raise WireError(number + 1, f"the table cannot be read: {error}") from error
+
+
+@contextmanager
+def _unpacked(path: Path) -> Iterator[IO[bytes]]:
+    with path.open("rb") as file:
+        if file.peek(len(GZIP)).startswith(GZIP):
+            with gzip.open(file) as unpacked:
+                yield cast(IO[bytes], unpacked)
+        else:
+            yield file
+
+
+def _text(file: IO[bytes]) -> IO[str]:
+    return TextIOWrapper(file, encoding="utf-8-sig", newline="")
+
+
+def _bounded(file: IO[AnyStr]) -> Iterator[AnyStr]:
+    number = 0
+    while line := file.readline(LONGEST_LINE + 1):
+        number += 1
+        if len(line) > LONGEST_LINE:
+            raise WireError(number, f"a line has more than {LONGEST_LINE:,} characters")
+        yield line

@@ -1,0 +1,80 @@
+"""A first SSL text for a recorded stream: known features by the names of fields, others to fill in.
+
+The text is valid SSL as it stands. A field becomes a feature if the ontology has a feature of its
+name (case and ``_`` aside) whose range fits the field's type, and in the unit that the ontology
+states. Other fields are comments, which become declarations when the ``#`` is taken away.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from ....converters.recordings.overview import Overview
+from ....languages.ssl.annotation_text import term_words
+from ....languages.ssl.printer import field_words
+from ....ontology.units import format_unit
+from ....ontology.vocabulary import FeatureInfo, Vocabulary
+from ....rdf.namespaces import XSD, local_name
+from ....streams.sample import Field, FieldType
+
+SORT: Final = "Thing"
+OBJECT: Final = "object1"
+_RANGES: Final = {XSD + "string": {FieldType.STRING}, XSD + "boolean": {FieldType.BOOLEAN}}
+_NUMBERS: Final = {FieldType.FLOAT, FieldType.INTEGER}
+
+
+def known_features(overview: Overview, vocabulary: Vocabulary) -> dict[str, str]:
+    """The feature (its IRI) of each field that has the name of one."""
+    by_name = {_key(local_name(iri)): iri for iri in reversed(vocabulary.features())}
+    found: dict[str, str] = {}
+    for field in overview.schema.fields:
+        info = vocabulary.feature(by_name.get(_key(field.name), ""))
+        is_new = info is not None and info.iri not in found.values()
+        if info is not None and is_new and field.name != overview.id_field and _fits(info, field):
+            found[field.name] = info.iri
+    return found
+
+
+def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
+    """The SSL text of stream ``name``, with comments that say what is left to do."""
+    known = known_features(overview, vocabulary)
+    whose = OBJECT if overview.id_field is None else SORT
+    others = [f.name for f in overview.schema.fields if f.name not in {*known, overview.id_field}]
+    lines = [f"# Put the name of the object in place of {OBJECT}."]
+    after = []
+    if overview.id_field is not None:
+        lines = [f"# Put the sort of the objects in place of {SORT}, and check the units."]
+        after = [f"for every {SORT} = {field_words(overview.id_field)}"]
+    features = [_declared(field, iri, whose, vocabulary) for field, iri in known.items()]
+    if features:
+        lines += [f"stream {name} contains", "  " + ",\n  ".join(features)]
+        lines += [f"  # , FEATURE({whose}) = {field_words(field)}" for field in others]
+        return "\n".join([*lines, *after])
+    lines += [f"# stream {name} contains"]
+    marks = [" ", *[","] * len(others)]
+    lines += [
+        f"#   {mark} FEATURE({whose}) = {field_words(field)}"
+        for mark, field in zip(marks, others, strict=False)
+    ]
+    return "\n".join([*lines, *(f"# {line}" for line in after)])
+
+
+def _declared(field: str, iri: str, whose: str, vocabulary: Vocabulary) -> str:
+    info = vocabulary.feature(iri)
+    unit = f" [{format_unit(info.unit)}]" if info is not None and info.unit else ""
+    return f"{term_words(iri)}({whose}) = {field_words(field)}{unit}"
+
+
+def _fits(info: FeatureInfo, field: Field) -> bool:
+    """Whether a value of the field can be one of the feature."""
+    if info.arity not in (None, 1):
+        return False
+    if info.unit:
+        return field.type in _NUMBERS
+    if info.range is None or not info.range.startswith(XSD):
+        return True
+    return field.type in _RANGES.get(info.range, _NUMBERS)
+
+
+def _key(name: str) -> str:
+    return name.replace("_", "").lower()
