@@ -1,4 +1,4 @@
-"""``dyknow ontology``: add domain ontologies, list the loaded ones, check them."""
+"""``dyknow ontology``: add domain ontologies and single terms, list, check."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 
 from ...ontology.formats import FORMATS
 from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
+from .ontology_terms import add_feature, add_sort
 from .output import (
     DEFAULT_URL,
     Json,
@@ -25,7 +26,11 @@ _OF_FORMATS = {"turtle": TURTLE, "rdfxml": RDF_XML, "jsonld": JSON_LD, "ntriples
 MEDIA_TYPES = {suffix: _OF_FORMATS[format] for suffix, format in FORMATS.items()}
 """The media type of an ontology file, by its suffix."""
 
-ontology = typer.Typer(help="Domain ontologies: add, list, check.", no_args_is_help=True)
+ontology = typer.Typer(
+    help="Domain ontologies: add, add-feature, add-sort, list, check.", no_args_is_help=True
+)
+ontology.command()(add_feature)
+ontology.command()(add_sort)
 
 
 @ontology.command()

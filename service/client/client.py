@@ -387,6 +387,10 @@ class Client(Connection):
         names: list[str] = self._send("GET", "/ontologies").json()
         return names
 
+    def vocabulary(self) -> dict[str, Any]:
+        """Return the ``sorts``, ``features`` and ``events`` that texts may name."""
+        return self._object("GET", "/vocabulary")
+
     def ontology_report(self) -> dict[str, Any]:
         """Validate the stream space: ``conforms``, and the ``violations``."""
         return self._object("GET", "/ontologies/report")
