@@ -37,7 +37,7 @@ from .requests.subscriptions import Subscriptions
 from .specification.specifications import Specifications
 from .units.backlog import Backlog, Turns
 from .units.work_time import BusyTime, Stopwatch
-from .users import Users
+from .users import TermUsers, Users
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +178,14 @@ class Parts:
             self.changed,
             check_name=self.declared.check_name,
             users=Users(self.requests, self.queries, self.subscriptions, self.kpl),
+        )
+        self.users_of_terms = TermUsers(
+            self.annotations,
+            self.templates,
+            self.requests,
+            self.queries,
+            self.subscriptions,
+            self.kpl,
         )
         self.evaluation = Evaluation(
             self.configuration, self.backlog, self.requests, self.queries, self.subscriptions
