@@ -63,6 +63,7 @@ READ = (
     "GET /transformations/{name}",
     "GET /ontologies",
     "GET /ontologies/report",
+    "GET /ontologies/{name:path}",
     "GET /explain",
     "GET /sparql",
     "GET /status",

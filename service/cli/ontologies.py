@@ -1,4 +1,4 @@
-"""``dyknow ontology``: add domain ontologies and single terms, list, check."""
+"""``dyknow ontology``: domain ontologies and single terms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ MEDIA_TYPES = {suffix: _OF_FORMATS[format] for suffix, format in FORMATS.items()
 """The media type of an ontology file, by its suffix."""
 
 ontology = typer.Typer(
-    help="Domain ontologies: add, add-feature, add-sort, list, check.", no_args_is_help=True
+    help="Domain ontologies: add, add-feature, add-sort, list, show, remove, check.",
+    no_args_is_help=True,
 )
 ontology.command()(add_feature)
 ontology.command()(add_sort)
@@ -71,6 +72,24 @@ def list_ontologies(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         return
     for name in found:
         show_text(name)
+
+
+Name = Annotated[str, typer.Argument(help="The ontology's IRI, or its short name.")]
+
+
+@ontology.command()
+def show(name: Name, url: Url = DEFAULT_URL) -> None:
+    """Print the triples of an ontology as Turtle."""
+    with connect(url) as client:
+        show_text(client.ontology(name))
+
+
+@ontology.command()
+def remove(name: Name, url: Url = DEFAULT_URL) -> None:
+    """Remove an ontology, unless something uses its terms: then list what does."""
+    with connect(url) as client:
+        client.remove_ontology(name)
+    show_text(f"removed {name}")
 
 
 @ontology.command()

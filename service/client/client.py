@@ -387,6 +387,15 @@ class Client(Connection):
         names: list[str] = self._send("GET", "/ontologies").json()
         return names
 
+    def ontology(self, name: str) -> str:
+        """Return the triples of a loaded ontology as Turtle."""
+        path = f"/ontologies/{_part(name)}"
+        return self._send("GET", path, headers={"Accept": TURTLE}).text
+
+    def remove_ontology(self, name: str) -> None:
+        """Remove an ontology. One whose terms are used stays: 409, and ``problem["used_by"]``."""
+        self._send("DELETE", f"/ontologies/{_part(name)}")
+
     def vocabulary(self) -> dict[str, Any]:
         """Return the ``sorts``, ``features`` and ``events`` that texts may name."""
         return self._object("GET", "/vocabulary")
