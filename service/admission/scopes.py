@@ -107,6 +107,7 @@ ADMIN = (
     "PATCH /transformations/{name}",
     "DELETE /transformations/{name}",
     "POST /ontologies",
+    "DELETE /ontologies/{name:path}",
 )
 
 NEEDED: Mapping[str, Scope | None] = (
