@@ -749,5 +749,5 @@ class Engine:
             generator,
             self._parts.configuration.namespaces[name],
             self._parts.application.producer_of(name),
-            self._parts.manager.annotations.get(name),
+            self._parts.manager.annotations.get(name) or self._parts.annotation_of_feature(name),
         )

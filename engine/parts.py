@@ -264,12 +264,15 @@ class Parts:
         generator = self.configuration.streams.get(name)
         return 0 if generator is None else generator.subscribers
 
+    def annotation_of_feature(self, name: str) -> StreamAnnotation | None:
+        """The annotation of the stream of a subscription to a feature; None for another stream.
+        Matching does not see it: the stream carries what other streams have."""
+        found = self.rematching.of_stream(name)
+        return None if found is None else found.rdf(self.ontology.vocabulary)
+
     def _annotation_of_answer(self, name: str) -> StreamAnnotation | None:
         """The annotation by which the samples of an answer convert to triples."""
-        found = self.rematching.of_stream(name)
-        if found is None:
-            return self.requests.rdf_of(name)
-        return found.rdf(self.ontology.vocabulary)
+        return self.annotation_of_feature(name) or self.requests.rdf_of(name)
 
     def _query_converter(self, name: str) -> SampleConverter | None:
         return self.queries.converter(name)
