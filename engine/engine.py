@@ -749,5 +749,6 @@ class Engine:
             generator,
             self._parts.configuration.namespaces[name],
             self._parts.application.producer_of(name),
-            self._parts.manager.annotations.get(name) or self._parts.annotation_of_feature(name),
+            self._parts.manager.annotations.get(name),
+            self._parts.contents_of(name),
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..continuous.columns.budget import Budget
 from ..converters.to_triples import SampleConverter
-from ..languages.ssl.annotation import StreamAnnotation
+from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
@@ -264,15 +264,21 @@ class Parts:
         generator = self.configuration.streams.get(name)
         return 0 if generator is None else generator.subscribers
 
-    def annotation_of_feature(self, name: str) -> StreamAnnotation | None:
-        """The annotation of the stream of a subscription to a feature; None for another stream.
-        Matching does not see it: the stream carries what other streams have."""
+    def contents_of(self, name: str) -> tuple[Content, ...]:
+        """What a stream contains, by its annotation. That of a subscription to a feature has none,
+        since matching must not see it; it contains the feature."""
+        annotation = self.manager.annotations.get(name)
+        if annotation is not None:
+            return annotation.contents
         found = self.rematching.of_stream(name)
-        return None if found is None else found.rdf(self.ontology.vocabulary)
+        return () if found is None else found.contents(self.ontology.vocabulary)
 
     def _annotation_of_answer(self, name: str) -> StreamAnnotation | None:
         """The annotation by which the samples of an answer convert to triples."""
-        return self.annotation_of_feature(name) or self.requests.rdf_of(name)
+        found = self.rematching.of_stream(name)
+        if found is None:
+            return self.requests.rdf_of(name)
+        return found.rdf(self.ontology.vocabulary)
 
     def _query_converter(self, name: str) -> SampleConverter | None:
         return self.queries.converter(name)

@@ -72,6 +72,11 @@ def test_numbers_have_units_for_people(dyknow: Any, speeds: Client) -> None:
     feature = ("follow", "--feature", "speed", "--sort", "UAV", *from_start)
     assert "object=uav2  speed=540 km.h-1\n" in dyknow(*feature).stdout
     assert "speed=540 km.h-1\n" in dyknow(*feature, *policy).stdout
+    wanted = speeds.subscribe_to("speed", sort="UAV")["stream"]
+    # Known to every client, and no annotation: matching finds the stream behind it.
+    (port,) = speeds.stream(wanted)["ports"]
+    assert (port["field"], port["unit"]) == ("speed", "km.h-1")
+    assert speeds.stream(wanted)["annotation"] is None
     for told in (dyknow(*feature, "--json"), dyknow("events", REQUEST, *from_start, "--json")):
         assert "km.h-1" not in told.stdout.splitlines()[-1]
 
