@@ -307,17 +307,27 @@ class Ontology:
         return graph if self.has_ontology(graph.value) else None
 
     def ontologies_naming(self, terms: Set[str], graph: NamedNode) -> tuple[str, ...]:
-        """Return the loaded ontologies, except that of ``graph``, that refer to a term."""
-        nodes = {NamedNode(term) for term in terms}
-        others = (iri for iri in self.ontologies() if iri != graph.value)
-        return tuple(
-            iri
-            for iri in others
-            if any(
-                triple.predicate in nodes or triple.object in nodes
-                for triple in self._quads.graph(NamedNode(iri))
-            )
-        )
+        """Return the loaded ontologies, except that of ``graph``, that refer to a term which none
+        of them describes. Cost: the triples that name a term."""
+        others = {NamedNode(iri) for iri in self._hashes()} - {graph}
+        found: set[NamedNode] = set()
+        for node in map(NamedNode, terms):
+            if not self._graphs_with(others, node, None, None):
+                found |= self._graphs_with(others, None, node, None)
+                found |= self._graphs_with(others, None, None, node)
+        return tuple(sorted(each.value for each in found))
+
+    def _graphs_with(
+        self,
+        among: Set[NamedNode],
+        subject: NamedNode | None,
+        predicate: NamedNode | None,
+        object: NamedNode | None,
+    ) -> set[NamedNode]:
+        """Return those of some graphs that have a triple of this pattern."""
+        quads = self._quads.store.quads_for_pattern(subject, predicate, object)
+        names = (quad.graph_name for quad in quads)
+        return {name for name in names if isinstance(name, NamedNode) and name in among}
 
     def turtle(self, graph: NamedNode) -> str:
         """Return the triples of a loaded ontology as Turtle, by subject. Comments of the loaded
