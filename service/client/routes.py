@@ -1,4 +1,8 @@
-"""The verbs of both clients, one for each HTTP route (docs/reference/http.md)."""
+"""The verbs of both clients, one for each HTTP route (docs/reference/http.md).
+
+The file is long because it is a list: a verb is its arguments, a docstring and a request, and none
+needs another. Most verbs return the flow of one request; those with several are generators.
+"""
 
 from __future__ import annotations
 
