@@ -57,7 +57,7 @@ format: $(VENV)/installed-dev
 lock: ## renew the lock files from the ranges in pyproject.toml
 	$(PYTHON) -m venv $(VENV) && $(PIP) install uv
 	$(BIN)/uv pip compile pyproject.toml --group build $(LOCK) -o requirements.lock
-	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra arrow --extra px4 --extra mcap --extra rosbag $(LOCK) -o requirements-dev.lock
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra arrow --extra px4 --extra mcap --extra pandas --extra rosbag $(LOCK) -o requirements-dev.lock
 LOCK := --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-header
 
 $(VENV)/installed: requirements.lock pyproject.toml

@@ -19,10 +19,12 @@ if TYPE_CHECKING:
     from .engine.processes.registry import sink as sink
     from .engine.processes.registry import source as source
     from .engine.recorded_run import run as run
+    from .service.client.client import AsyncClient as AsyncClient
     from .service.client.client import Client as Client
     from .streams.single_sample import Sample as Sample
 
 __all__ = [
+    "AsyncClient",
     "Client",
     "Report",
     "Sample",
@@ -36,6 +38,7 @@ __all__ = [
 ]
 
 _WHERE = {
+    "AsyncClient": "service.client.client",
     "Client": "service.client.client",
     "Report": "engine.model.process_reports",
     "Sample": "streams.single_sample",

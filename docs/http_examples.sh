@@ -66,6 +66,8 @@ curl $URL/ontologies -H 'Content-Type: text/turtle' -d '
   @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
   <http://example.org/harbour> a owl:Ontology .
   dyknow:Ship a owl:Class ; rdfs:subClassOf dyknow:Vehicle .'
+curl $URL/ontologies/http%3A%2F%2Fexample.org%2Fharbour
+curl -X DELETE $URL/ontologies/http%3A%2F%2Fexample.org%2Fharbour
 curl $URL/annotations -H 'Content-Type: text/plain' \
   -d 'stream s5 contains speed(UAV) = spd [m.s-1] for every UAV = id'
 curl $URL/annotations -H 'Content-Type: application/json' -d '{"stream": "s6", "contents": [

@@ -23,6 +23,7 @@ from ..languages.ssl.annotation import CheckedAnnotation
 from ..matching.gc_pause import gc_paused
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
+from ..ontology.shipped_files import is_shipped
 from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
@@ -41,6 +42,9 @@ from .model.beginning import parse_beginning
 from .model.errors import (
     BadArguments,
     Conflict,
+    OntologyInUse,
+    Refused,
+    UnknownOntology,
 )
 from .model.status_changes import Change, ChangeKind
 from .model.stream_statistics import rate_of, stream_view
@@ -563,6 +567,45 @@ class Engine:
 
     def take_ontology(self, prepared: PreparedOntology) -> None:
         """Install an ontology that `Ontology.prepare` parsed, maybe in another thread."""
+        self._install(prepared)
+
+    def removable_ontology(self, name: str) -> str:
+        """Return the IRI of a loaded ontology that users may remove; ``name`` may be its short
+        name. Raises `UnknownOntology`, and `Refused` for a shipped one."""
+        graph = self.ontology.loaded(name)
+        if graph is None:
+            raise UnknownOntology(
+                f"there is no ontology {name!r}", "GET /ontologies lists the loaded ones"
+            )
+        if is_shipped(graph):
+            raise Refused(
+                f"<{graph.value}> is part of DyKnow: each start loads it",
+                "load an ontology of your own beside it",
+            )
+        return graph.value
+
+    def remove_ontology(self, name: str) -> None:
+        """Remove a loaded ontology. Raises `UnknownOntology`, `Refused` for a shipped one, and
+        `OntologyInUse` while a text, a request or another ontology names its terms."""
+        iri = self.removable_ontology(name)
+        self.take_removal(name, self.ontology.prepare_removal(iri))
+
+    def take_removal(self, name: str, prepared: PreparedOntology) -> None:
+        """Remove an ontology by what `Ontology.prepare_removal` computed, maybe in another
+        thread."""
+        iri = self.removable_ontology(name)
+        users = self._parts.users_of_terms({*prepared.lost, iri})
+        ontologies = self.ontology.ontologies_naming(prepared.lost, prepared.graph)
+        users = (*users, *(f"ontology {other}" for other in ontologies))
+        if users:
+            raise OntologyInUse(
+                f"the terms of ontology <{iri}> are used by {', '.join(users)}",
+                users,
+                "remove or cancel these first",
+            )
+        self._install(prepared)
+
+    def _install(self, prepared: PreparedOntology) -> None:
         self.ontology.install(prepared)
         self._parts.rdf.forget_all()
         self._parts.templates.publish()
@@ -713,5 +756,6 @@ class Engine:
             self._parts.configuration.namespaces[name],
             self._parts.application.producer_of(name),
             self._parts.manager.annotations.get(name),
+            self._parts.contents_of(name),
             self._parts.configuration.statements.get(name),
         )

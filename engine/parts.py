@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..continuous.columns.budget import Budget
 from ..converters.to_triples import ToTriples
-from ..languages.ssl.annotation import StreamAnnotation
+from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
@@ -37,7 +37,7 @@ from .requests.subscriptions import Subscriptions
 from .specification.specifications import Specifications
 from .units.backlog import Backlog, Turns
 from .units.work_time import BusyTime, Stopwatch
-from .users import Users
+from .users import TermUsers, Users
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +179,14 @@ class Parts:
             check_name=self.declared.check_name,
             users=Users(self.requests, self.queries, self.subscriptions, self.kpl),
         )
+        self.users_of_terms = TermUsers(
+            self.annotations,
+            self.templates,
+            self.requests,
+            self.queries,
+            self.subscriptions,
+            self.kpl,
+        )
         self.evaluation = Evaluation(
             self.configuration, self.backlog, self.requests, self.queries, self.subscriptions
         )
@@ -255,6 +263,15 @@ class Parts:
         not depend on them."""
         generator = self.configuration.streams.get(name)
         return 0 if generator is None else generator.subscribers
+
+    def contents_of(self, name: str) -> tuple[Content, ...]:
+        """What a stream contains, by its annotation. That of a subscription to a feature has none,
+        since matching must not see it; it contains the feature."""
+        annotation = self.manager.annotations.get(name)
+        if annotation is not None:
+            return annotation.contents
+        found = self.rematching.of_stream(name)
+        return () if found is None else found.contents(self.ontology.vocabulary)
 
     def _annotation_of_answer(self, name: str) -> StreamAnnotation | None:
         """The annotation by which the samples of an answer convert to triples."""

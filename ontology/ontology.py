@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import chain
@@ -22,12 +22,14 @@ from pyoxigraph import (
     NamedNode,
     Quad,
     QuerySolutions,
+    RdfFormat,
     Store,
     Triple,
+    serialize,
 )
 
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import OWL
+from ..rdf.namespaces import OWL, PREFIXES
 from . import graphs
 from .closure import cached_closure, closure_key
 from .closure_queries import QueryResults, answer
@@ -64,15 +66,17 @@ back-pressure."""
 
 @dataclass(frozen=True, slots=True)
 class PreparedOntology:
-    """An ontology that is parsed and closed, but not installed yet. ``hashes`` are those of all
-    texts that will be loaded with it, ``implied`` are the triples that they entail together.
-    ``successor`` replaces an in-memory store."""
+    """An ontology that is parsed and closed, but not installed yet; or one that is to be removed,
+    without triples. ``hashes`` are those of all texts that will be loaded then, ``implied`` are the
+    triples that they entail together. ``successor`` replaces an in-memory store. ``lost`` are the
+    terms that a removal takes away or changes."""
 
     graph: NamedNode
     triples: frozenset[Triple]
     hashes: dict[str, str]
     implied: frozenset[Triple]
     successor: Successor | None
+    lost: frozenset[str] = frozenset()
 
 
 class Ontology:
@@ -184,16 +188,40 @@ class Ontology:
         triples = reasoning.read(text, format, graph)
         # Reads without the lock: if the ontologies change meanwhile, `install` refuses.
         hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
+        return self._prepared(graph, triples, hashes, reasoning)
+
+    def prepare_removal(self, name: str, *, reasoning: Reasoning = DIRECT) -> PreparedOntology:
+        """Do the slow part of removing the loaded ontology ``name`` without changing anything;
+        `install` does the rest. Thread-safe. Raises the errors of ``reasoning``."""
+        graph = _ontology_graph(name)
+        return self._prepared(graph, frozenset(), _without(self._hashes(), graph), reasoning)
+
+    def _prepared(
+        self,
+        graph: NamedNode,
+        triples: frozenset[Triple],
+        hashes: dict[str, str],
+        reasoning: Reasoning,
+    ) -> PreparedOntology:
         asserted = self._asserted_triples({graph: triples}, hashes)
         kept_closure = self._kept_closure(closure_key(hashes))
         implied = reasoning.entail(asserted) if kept_closure is None else kept_closure
-        successor = None
-        if self.path is None:
+        is_removed = graph.value not in hashes
+        successor, lost = None, frozenset[str]()
+        if self.path is None or is_removed:
+            # This may raise, so it comes before `_successor`, whose iterator a traceback would
+            # keep: only the thread that made an iterator may drop it.
             try:
-                successor = self._successor(graph, triples, hashes, (asserted, implied))
+                vocabulary = Vocabulary.from_triples(chain(asserted, implied))
             except UnitError as error:
                 raise OntologyError(str(error)) from error
-        return PreparedOntology(graph, triples, hashes, implied, successor)
+            if is_removed:
+                described = self._quads.graph(graph)
+                named = {t.subject.value for t in described if isinstance(t.subject, NamedNode)}
+                lost = frozenset(iri for iri in named if not self._base.agrees(vocabulary, iri))
+            if self.path is None:
+                successor = self._successor(graph, triples, hashes, (asserted, implied), vocabulary)
+        return PreparedOntology(graph, triples, hashes, implied, successor, lost)
 
     def _successor(
         self,
@@ -201,10 +229,8 @@ class Ontology:
         triples: frozenset[Triple],
         hashes: dict[str, str],
         stated_and_implied: tuple[frozenset[Triple], frozenset[Triple]],
+        vocabulary: Vocabulary,
     ) -> Successor:
-        # This may raise, so it comes before the iterator: a traceback would keep the iterator,
-        # which only the thread that made it may drop.
-        vocabulary = Vocabulary.from_triples(chain(*stated_and_implied))
         with self._lock:
             # The iterator reads a snapshot: the store as it is now.
             now = self._quads.store.quads_for_pattern(None, None, None, None)
@@ -214,13 +240,14 @@ class Ontology:
         return build_successor(position, now, replaced, stated_and_implied, asserted, vocabulary)
 
     def install(self, prepared: PreparedOntology) -> None:
-        """Install a prepared ontology. Raises `OntologyError` if it contradicts the vocabulary, or
-        if other ontologies were loaded since."""
+        """Install a prepared ontology, or remove it. Raises `OntologyError` if it contradicts the
+        vocabulary, or if other ontologies were loaded or removed since."""
         with self._lock:
-            graph = prepared.graph.value
-            if {**self._hashes(), graph: prepared.hashes[graph]} != prepared.hashes:
+            graph = prepared.graph
+            if _without(self._hashes(), graph) != _without(prepared.hashes, graph):
                 raise OntologyError(
-                    "another ontology was loaded meanwhile", hint="load this one again"
+                    "another ontology was loaded or removed meanwhile",
+                    hint="send the request again",
                 )
             if not self._adopt(prepared.successor):
                 self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
@@ -273,6 +300,47 @@ class Ontology:
     def has_ontology(self, iri: str) -> bool:
         """Return whether a loaded ontology has this name, so that ``FROM <iri>`` means it."""
         return iri in self._hashes()
+
+    def loaded(self, name: str) -> NamedNode | None:
+        """Return the graph of the loaded ontology ``name``, an IRI or a short name; None if there
+        is none."""
+        try:
+            graph = graphs.ontology_graph(name)
+        except ValueError:
+            return None
+        return graph if self.has_ontology(graph.value) else None
+
+    def ontologies_naming(self, terms: Set[str], graph: NamedNode) -> tuple[str, ...]:
+        """Return the loaded ontologies, except that of ``graph``, that refer to a term which none
+        of them describes. Cost: the triples that name a term."""
+        others = {NamedNode(iri) for iri in self._hashes()} - {graph}
+        found: set[NamedNode] = set()
+        for node in map(NamedNode, terms):
+            if not self._graphs_with(others, node, None, None):
+                found |= self._graphs_with(others, None, node, None)
+                found |= self._graphs_with(others, None, None, node)
+        return tuple(sorted(each.value for each in found))
+
+    def _graphs_with(
+        self,
+        among: Set[NamedNode],
+        subject: NamedNode | None,
+        predicate: NamedNode | None,
+        object: NamedNode | None,
+    ) -> set[NamedNode]:
+        """Return those of some graphs that have a triple of this pattern."""
+        quads = self._quads.store.quads_for_pattern(subject, predicate, object)
+        names = (quad.graph_name for quad in quads)
+        return {name for name in names if isinstance(name, NamedNode) and name in among}
+
+    def turtle(self, graph: NamedNode) -> str:
+        """Return the triples of a loaded ontology as Turtle, by subject. Comments of the loaded
+        text are not kept."""
+        triples = sorted(self._quads.graph(graph), key=str)
+        # Turtle is UTF-8.
+        text = serialize(triples, format=RdfFormat.TURTLE, prefixes=PREFIXES)
+        assert text is not None
+        return text.decode()
 
     def closed_store(self) -> Store:
         """Return the static side of continuous queries: the default graph of a store of its own.
@@ -496,6 +564,10 @@ def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:
     loaded = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
     closed = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(closure_key(hashes)))
     return frozenset(loaded | {closed})
+
+
+def _without(hashes: dict[str, str], graph: NamedNode) -> dict[str, str]:
+    return {iri: digest for iri, digest in hashes.items() if iri != graph.value}
 
 
 def _ontology_graph(name: str) -> NamedNode:

@@ -39,6 +39,11 @@ def shipped_ontologies() -> tuple[ShippedOntology, ...]:
     )
 
 
+def is_shipped(graph: NamedNode) -> bool:
+    """Return whether the package contains the ontology of this graph; each start loads it."""
+    return any(ontology.graph == graph for ontology in shipped_ontologies())
+
+
 def shapes_text() -> str:
     """Return the SHACL shapes of a well-formed stream space, as Turtle."""
     return (_HERE / "shapes.ttl").read_text(encoding="utf-8")

@@ -135,6 +135,17 @@ class Vocabulary:
         """Return all features below the feature, with itself."""
         return self._subfeatures.get(iri) or frozenset({iri})
 
+    def agrees(self, other: Vocabulary, iri: str) -> bool:
+        """Return whether ``other`` says the same of a term: its kind, what contains it, and the
+        range, unit, domain and arity of a feature."""
+        return (
+            self._sorts.get(iri) == other._sorts.get(iri)
+            and self._features.get(iri) == other._features.get(iri)
+            and self._superfeatures.get(iri) == other._superfeatures.get(iri)
+            and self._objects.get(iri) == other._objects.get(iri)
+            and (iri in self._events) == (iri in other._events)
+        )
+
     def has_members(self, sort: str) -> bool:
         """Return whether the ontology names an object of the sort. Cost: O(objects)."""
         return any(sort in sorts for sorts in self._objects.values())

@@ -196,9 +196,14 @@ class TemplateLibrary:
 
 def shipped_templates() -> tuple[str, ...]:
     """Return the texts of the templates in the package, by file name."""
+    return tuple(shipped_texts().values())
+
+
+def shipped_texts() -> dict[str, str]:
+    """Return the same texts by name: ``high_speed``, that of the file without its suffix."""
     folder = files(__package__) / "library"
     found = sorted(
         (entry for entry in folder.iterdir() if entry.name.endswith(".rq")),
         key=lambda entry: entry.name,
     )
-    return tuple(entry.read_text("utf-8") for entry in found)
+    return {entry.name.removesuffix(".rq"): entry.read_text("utf-8") for entry in found}

@@ -19,6 +19,7 @@ from ...continuous.algebra.options import Options
 from ...languages.errors import LanguageError
 from ...languages.ssl import ast, parse_ssl
 from ...languages.templates import parse_any_template
+from ...ontology.graphs import ontology_graph
 from ...rdf.namespaces import local_name, shorten
 from ..engine import Engine
 from ..model.beginning import Beginning, parse_beginning, start_from_retained
@@ -43,6 +44,7 @@ from .commands import (
     RegisterQuery,
     RegisterTemplate,
     RegisterTransformations,
+    RemoveOntology,
     RemoveQuery,
     RemoveStream,
     RemoveTemplate,
@@ -74,6 +76,7 @@ _REMOVING: dict[type[Command], tuple[str, ...]] = {
     RemoveStream: ("stream", "annotation"),
     RemoveTransformation: (_UNIT,),
     RemoveTemplate: ("template",),
+    RemoveOntology: ("ontology",),
 }
 """Commands whose only member names an object to remove, and the kinds that it may have."""
 
@@ -284,6 +287,8 @@ def _spellings(key: Key) -> Iterable[str]:
     """The spellings of the name that users may write."""
     if key.kind == "template":
         return key.name, shorten(key.name), local_name(key.name)
+    if key.kind == "ontology":
+        return key.name, ontology_graph(key.name).value
     return (key.name,)
 
 

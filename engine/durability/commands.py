@@ -484,6 +484,17 @@ class LoadOntology(Command, frozen=True, tag="load ontology"):
         engine.take_ontology(prepared)
 
 
+class RemoveOntology(Command, frozen=True, tag="remove ontology"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.remove_ontology(self.name)
+
+    def apply_prepared(self, engine: Engine, prepared: PreparedOntology) -> None:
+        """`apply` with the closure of the other ontologies."""
+        engine.take_removal(self.name, prepared)
+
+
 class RegisterTransformations(Command, frozen=True, tag="register transformations"):
     described: tuple[DescribedTransformation, ...]
     replace: bool = False
@@ -559,6 +570,7 @@ AnyCommand: TypeAlias = (
     | RemoveKpl
     | ApplySpecification
     | LoadOntology
+    | RemoveOntology
     | RegisterTransformations
     | RegisterAnnotatedTransformation
     | ChangeTransformation
@@ -598,7 +610,7 @@ def execute(engine: Engine, command: Command, parsed: ParsedBody | None = None) 
     match command, parsed:
         case Publish(), Incoming():
             return command.apply_decoded(engine, parsed)
-        case LoadOntology(), PreparedOntology():
+        case LoadOntology() | RemoveOntology(), PreparedOntology():
             return command.apply_prepared(engine, parsed)
         case ApplySpecification(), Specification():
             return command.apply_prepared(engine, parsed)

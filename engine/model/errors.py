@@ -58,6 +58,12 @@ class UnknownFeature(DyknowError):
     title = "unknown term"
 
 
+class UnknownOntology(DyknowError):
+    """No loaded ontology has this name."""
+
+    title = "unknown ontology"
+
+
 class AlreadyExists(DyknowError):
     """The name is taken."""
 
@@ -74,6 +80,14 @@ class BadArguments(DyknowError):
     """Invalid arguments of a request."""
 
     title = "wrong arguments"
+
+
+class OntologyInUse(Conflict):
+    """An ontology cannot be removed: ``used_by`` lists what names its terms."""
+
+    def __init__(self, detail: str, used_by: tuple[str, ...], hint: str = "") -> None:
+        super().__init__(detail, hint)
+        self.used_by = used_by
 
 
 class NoPlan(DyknowError):
@@ -121,5 +135,12 @@ class UnknownDeclaration(DyknowError):
     title = "unknown declaration"
 
 
-UNKNOWN = (UnknownStream, UnknownTemplate, UnknownTransformation, UnknownRequest, UnknownQuery)
+UNKNOWN = (
+    UnknownStream,
+    UnknownTemplate,
+    UnknownTransformation,
+    UnknownRequest,
+    UnknownQuery,
+    UnknownOntology,
+)
 """The errors of removing something that does not exist."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ...continuous.estimation.input_rates import ASSUMED_SUBJECTS, Flow, PredicateRate
-from ...languages.ssl.annotation import StreamAnnotation
+from ...languages.ssl.annotation import Content, StreamAnnotation
 from ...rdf.namespaces import RDF_TYPE
 from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND
@@ -20,6 +20,7 @@ def stream_view(
     namespace: str,
     producer: str | None,
     annotation: StreamAnnotation | None,
+    contents: tuple[Content, ...],
     time_property: str | None,
 ) -> StreamView:
     """Return the stream's present state; ``producer`` is the name of the process that makes it,
@@ -53,7 +54,7 @@ def stream_view(
         rate=rate_of(generator),
         lag=last_available - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
-        contents=() if annotation is None else annotation.contents,
+        contents=contents,
         producer=producer,
         subscribers=generator.subscribers + generator.listeners,
         time_property=time_property,

@@ -61,8 +61,8 @@ class StreamView:
     """The present state of a stream. Times in ns; ``rate`` in samples per second of available time
     (over at least a second). ``first_available`` is the oldest retained available time.
     ``is_idle``: it had no samples for ``idle``, so readers do not wait for it. ``contents`` are the
-    features that the annotation gives to fields; ``annotation`` is its text. ``time_property``: as
-    in `StreamDeclaration`."""
+    features that the annotation gives to fields, and the feature of a subscription;
+    ``annotation`` is its text. ``time_property``: as in `StreamDeclaration`."""
 
     name: str
     fields: tuple[Field, ...]

@@ -173,16 +173,18 @@ class AdaptiveSubscription:
         )
 
     def rdf(self, vocabulary: Vocabulary) -> StreamAnnotation:
-        """Return the annotation by which its samples convert to triples: the wanted feature, in
-        the feature's unit."""
-        name = self.output.name
+        """Return the annotation by which its samples convert to triples. Cost: some 0.2 ms."""
+        contents = self.contents(vocabulary)
+        return with_ssl_source(StreamAnnotation(self.output.name, contents, ""), vocabulary)
+
+    def contents(self, vocabulary: Vocabulary) -> tuple[Content, ...]:
+        """Return what its samples contain: the wanted feature, in the feature's unit."""
         want = self.wish.want
         info = vocabulary.feature(want.feature)
         unit = None if info is None else info.unit
         others = [Role(s.sort, s.object, f"{OBJECT}{i}") for i, s in enumerate(want.others, 2)]
         roles = (Role(want.wanted_sort, None, OBJECT), *others)
-        contents = (Content(want.feature, value_field(want), unit or (), roles),)
-        return with_ssl_source(StreamAnnotation(name, contents, ""), vocabulary)
+        return (Content(want.feature, value_field(want), unit or (), roles),)
 
 
 def value_field(want: Want) -> str:

@@ -8,7 +8,7 @@ The ontology stores registrations with a name over a restart; `accepted_commands
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
@@ -32,9 +32,11 @@ from ..model.errors import (
     AlreadyExists,
     BadArguments,
     Conflict,
+    DyknowError,
     NoResult,
     UnknownQuery,
 )
+from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
 from ..planning import explanations
@@ -350,6 +352,27 @@ class RegisteredQueries:
             wanted = self._starter.needs(query)
             matches = self._plans.match(wanted.wants, "fast", explained=True)
             return explanations.explain_matched_query(query, wanted, matches, *context)
+
+    def naming(self, terms: Set[str]) -> tuple[str, ...]:
+        """The queries that name one of ``terms``, with those that could not be restored."""
+        registrations = {name: lost.registration for name, lost in self._lost.items()}
+        registrations |= {name: one.registration for name, one in self._running.items()}
+        return tuple(
+            name
+            for name, registration in registrations.items()
+            if names_any(self._named(registration.submission.source), terms)
+        )
+
+    def _named(self, source: str) -> object:
+        """A value with all terms that a text names. A text that is not valid any more names none:
+        it cannot lose anything."""
+        try:
+            query = parse_registered(source)
+            if isinstance(query, ContinuousQuery):
+                return query
+            return bound_of(query, source, self._ontology).needs
+        except (LanguageError, DyknowError):
+            return ()
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
         """The query whose results are a stream, as ``query NAME``."""

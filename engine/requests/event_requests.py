@@ -7,7 +7,7 @@ unit over them. Equal requests share one stream.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
@@ -30,6 +30,7 @@ from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan, UnknownRequest
+from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
 from ..planning import explanations
@@ -189,6 +190,13 @@ class EventRequests:
     def of_event(self, event: str) -> tuple[str, ...]:
         """The ids of the running requests for ``event`` (an IRI)."""
         return tuple(r.id for r in self._requests.values() if r.request.event == event)
+
+    def naming(self, terms: Set[str]) -> tuple[str, ...]:
+        """The ids of the running requests whose event or arguments are one of ``terms``."""
+        requests = self._requests.values()
+        return tuple(
+            r.id for r in requests if names_any((r.request.event, r.request.arguments), terms)
+        )
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
         """The ids of the requests whose answer is ``stream``."""

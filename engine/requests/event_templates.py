@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 
 from ...languages.csparql.ast import EventRequest, Template
 from ...languages.mtl import FormulaTemplate
@@ -12,10 +12,12 @@ from ...ontology.ontology import Ontology
 from ...rdf.namespaces import shorten
 from ...templates.library import NoSuchTemplate, TemplateExists, TemplateLibrary, TemplateRefused
 from ...templates.parameters import parameter_uses
+from ...templates.reasoning import template_wants
 from ...templates.transformations import event_transformation
 from ..catalog.name_resolution import did_you_mean
 from ..configuration.configuration import C_SPARQL, MTL, PATTERN
 from ..model.errors import AlreadyExists, Conflict, Refused, UnknownEvent, UnknownTemplate
+from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind, KnownTransformation
 from ..model.views import TemplateView
 from ..planning.explanations import window_text
@@ -99,6 +101,21 @@ class EventTemplates:
                 did_you_mean(error.suggestions)
                 or (f"there are {names}" if names else "register one with POST /templates"),
             ) from error
+
+    def naming(self, terms: Set[str]) -> dict[str, str]:
+        """The templates that name one of ``terms``: the IRI of the event, and its short name."""
+        library = (self._library.get(name) for name in self._library.names())
+        return {
+            template.name: shorten(template.name)
+            for template in library
+            if names_any(self._named(template), terms)
+        }
+
+    def _named(self, template: AnyTemplate) -> object:
+        """A value with all terms that a template names."""
+        if isinstance(template, Template):
+            return template.query
+        return template_wants(template, self._ontology.vocabulary)
 
     def publish(self) -> None:
         """Publish the inputs and outputs of all templates to matching. All, since the event concept

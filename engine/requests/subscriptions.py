@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 
 from ...languages.kpl import format_policy, parse_policy
@@ -13,6 +13,7 @@ from ..configuration.configuration import POLICY, Configuration
 from ..configuration.policy_keys import policy_keys
 from ..model.beginning import Beginning, check_retained, resolve_duration
 from ..model.errors import UnknownRequest
+from ..model.named_terms import names_any
 from ..model.views import AdaptiveView, Since, SubscriptionView
 from ..units.merge import object_fields
 from ..units.policy import AdaptationUnit, counts_of
@@ -127,6 +128,14 @@ class Subscriptions:
     def ids(self) -> tuple[str, ...]:
         """The ids of the running subscriptions, oldest first."""
         return tuple(self._subscriptions)
+
+    def naming(self, terms: Set[str]) -> tuple[str, ...]:
+        """The ids of the subscriptions to a feature that want one of ``terms``."""
+        return tuple(
+            id
+            for id, one in self._subscriptions.items()
+            if isinstance(one, AdaptiveSubscription) and names_any(one.wish.want, terms)
+        )
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
         """The ids of the subscriptions whose samples are those of ``stream``: they read it without

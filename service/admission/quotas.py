@@ -34,9 +34,7 @@ REQUESTS = Quota(
 )
 DECLARATIONS = Quota("max_declarations", "declarations in KPL", "DELETE /kpl/{name}")
 TRANSFORMATIONS = Quota("max_transformations", "transformations", "DELETE /transformations/{name}")
-ONTOLOGIES = Quota(
-    "max_ontologies", "ontologies", "none can be: replace one, POST /ontologies?name=IRI"
-)
+ONTOLOGIES = Quota("max_ontologies", "ontologies", "DELETE /ontologies/{name}")
 QUOTAS = (STREAMS, TEMPLATES, REQUESTS, DECLARATIONS, TRANSFORMATIONS, ONTOLOGIES)
 
 MAKES: Mapping[str, Collection[Quota]] = {

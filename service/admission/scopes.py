@@ -63,6 +63,7 @@ READ = (
     "GET /transformations/{name}",
     "GET /ontologies",
     "GET /ontologies/report",
+    "GET /ontologies/{name:path}",
     "GET /explain",
     "GET /sparql",
     "GET /status",
@@ -106,6 +107,7 @@ ADMIN = (
     "PATCH /transformations/{name}",
     "DELETE /transformations/{name}",
     "POST /ontologies",
+    "DELETE /ontologies/{name:path}",
 )
 
 NEEDED: Mapping[str, Scope | None] = (

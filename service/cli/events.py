@@ -29,6 +29,8 @@ from .parameters import NOW, Beginning
 if TYPE_CHECKING:
     from ..client.client import Client, Event
 
+NO_UNIT = "no_unit"
+"""The unit of plain counts and ratios."""
 STRATEGY: Any = typer.Option(
     help="The strategy that chooses a plan: fast, cost, quality, weighted; with parameters: "
     "weighted:cost=1,quality=10, cost:subscribers=0.1."
@@ -83,7 +85,9 @@ def events(
                 err().print("waiting for events; Ctrl-C ends", markup=False)
             # An earlier equal request may share the stream: skip the events before this one.
             begin = view["position"] if since == NOW else "start"
-            seen = show_events(client.events(view["stream"], since=begin), count, as_json)
+            units = None if as_json else stream_units(client, view["stream"])
+            messages = client.events(view["stream"], since=begin)
+            seen = show_events(messages, count, as_json, units)
             if not seen and since == NOW and not as_json:
                 # The streams that it reads have ended, so it ends at once.
                 hint = "the recording has ended; --since start begins with its past"
@@ -169,16 +173,28 @@ def _list(client: Client, as_json: bool) -> None:
             show_text(f"{each['id']} {each['state']}: {each['failure']}")
 
 
-def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> int:
-    """Show the events until the stream's end, at most ``count``; returns their number. Raises
-    ``typer.Exit(1)`` if the stream ends because its source failed."""
+def stream_units(client: Client, stream: str) -> dict[str, str]:
+    """Return the units of a stream's fields, by its annotation."""
+    ports = client.stream(stream)["ports"]
+    return {port["field"]: port["unit"] for port in ports if port["unit"] not in (None, NO_UNIT)}
+
+
+def show_events(
+    messages: Iterable[Event],
+    count: int | None,
+    as_json: bool,
+    units: Mapping[str, str] | None = None,
+) -> int:
+    """Show the events until the stream's end, at most ``count``, with the ``units`` of fields for
+    people; returns their number. Raises ``typer.Exit(1)`` if the stream ends because its source
+    failed."""
     seen, has_failed = 0, False
     for message in messages:
         has_failed |= message.kind == "end" and message.data.get("reason") == "failed"
         if as_json:
             show_json({"event": message.kind, "id": message.id, **message.data})
         elif message.kind == "sample":
-            show_text(sample_line(str(message.data["valid"]), message.values))
+            show_text(sample_line(str(message.data["valid"]), message.values, units))
         elif message.kind == "gap":
             first, last = message.data.get("from"), message.data.get("to")
             reason = message.data.get("reason", "")
@@ -196,9 +212,11 @@ def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> 
     return seen
 
 
-def sample_line(valid: str, values: Mapping[str, Any]) -> str:
-    """Format a sample: ``19:12:55Z  name=value``."""
-    return f"{clock_of(valid)}  {show_values(values)}"
+def sample_line(
+    valid: str, values: Mapping[str, Any], units: Mapping[str, str] | None = None
+) -> str:
+    """Format a sample: ``19:12:55Z  name=value unit``."""
+    return f"{clock_of(valid)}  {show_values(values, units)}"
 
 
 def _switch_words(switch: Mapping[str, Any]) -> str:

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .events import STRATEGY, show_emptiness, show_events, stoppable
+from .events import (
+    STRATEGY,
+    show_emptiness,
+    show_events,
+    stoppable,
+    stream_units,
+)
 from .output import DEFAULT_URL, Json, Url, connect, err, ignore_gone
 from .parameters import NOW, Beginning
 
@@ -77,7 +83,8 @@ def follow(
         else:
             view = client.subscribe(stream or "", policy, since=since)
         try:
-            show_events(_events(client, view), count, as_json)
+            units = None if as_json else stream_units(client, _carrier(view))
+            show_events(_events(client, view), count, as_json, units)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
@@ -92,6 +99,13 @@ def _why_empty(client: Client, stream: str) -> str | None:
     """Why the query or request behind a stream has never given a sample; None of other streams."""
     known = (*client.queries(), *client.requests())
     return next((each["empty"] for each in known if each["stream"] == stream), None)
+
+
+def _carrier(view: dict[str, Any]) -> str:
+    """Return the stream whose annotation holds for a subscription: a policy keeps the fields of
+    its source."""
+    carrier: str = view["source"] if view.get("adaptive") is None else view["stream"]
+    return carrier
 
 
 def _events(client: Client, view: dict[str, Any]) -> Iterator[Event]:

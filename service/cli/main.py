@@ -113,7 +113,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "ontology": (
         "ontologies",
-        "Domain ontologies: add, list, check.",
+        "Domain ontologies: add, add-feature, add-sort, list, show, remove, check.",
     ),
     "kpl": (
         "kpl",

@@ -1,4 +1,4 @@
-"""``dyknow ontology``: add domain ontologies, list the loaded ones, check them."""
+"""``dyknow ontology``: domain ontologies and single terms."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 
 from ...ontology.formats import FORMATS
 from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
+from .ontology_terms import add_feature, add_sort
 from .output import (
     DEFAULT_URL,
     Json,
@@ -25,7 +26,12 @@ _OF_FORMATS = {"turtle": TURTLE, "rdfxml": RDF_XML, "jsonld": JSON_LD, "ntriples
 MEDIA_TYPES = {suffix: _OF_FORMATS[format] for suffix, format in FORMATS.items()}
 """The media type of an ontology file, by its suffix."""
 
-ontology = typer.Typer(help="Domain ontologies: add, list, check.", no_args_is_help=True)
+ontology = typer.Typer(
+    help="Domain ontologies: add, add-feature, add-sort, list, show, remove, check.",
+    no_args_is_help=True,
+)
+ontology.command()(add_feature)
+ontology.command()(add_sort)
 
 
 @ontology.command()
@@ -66,6 +72,24 @@ def list_ontologies(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         return
     for name in found:
         show_text(name)
+
+
+Name = Annotated[str, typer.Argument(help="The ontology's IRI, or its short name.")]
+
+
+@ontology.command()
+def show(name: Name, url: Url = DEFAULT_URL) -> None:
+    """Print the triples of an ontology as Turtle."""
+    with connect(url) as client:
+        show_text(client.ontology(name))
+
+
+@ontology.command()
+def remove(name: Name, url: Url = DEFAULT_URL) -> None:
+    """Remove an ontology, unless something uses its terms: then list what does."""
+    with connect(url) as client:
+        client.remove_ontology(name)
+    show_text(f"removed {name}")
 
 
 @ontology.command()

@@ -135,9 +135,16 @@ def show_table(
     console.print(table)
 
 
-def show_values(values: Mapping[str, object]) -> str:
-    """Format values as ``name=value``."""
-    return "  ".join(f"{name}={_plain(value)}" for name, value in values.items())
+def show_values(values: Mapping[str, object], units: Mapping[str, str] | None = None) -> str:
+    """Format values as ``name=value``, numbers with their unit: ``speed=105 km.h-1``."""
+    return "  ".join(
+        f"{name}={_plain(value)}{_unit_of(name, value, units)}" for name, value in values.items()
+    )
+
+
+def _unit_of(name: str, value: object, units: Mapping[str, str] | None) -> str:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return f" {units[name]}" if units and is_number and name in units else ""
 
 
 def fail(

@@ -11,6 +11,7 @@ from .output import (
     Json,
     Url,
     connect,
+    fail,
     show_json,
     show_lines,
     show_table,
@@ -23,7 +24,16 @@ template = typer.Typer(help="Event templates: add, list, show, remove.", no_args
 
 @template.command()
 def add(
-    source: Annotated[str, typer.Argument(help="REGISTER TEMPLATE text, its file, or - .")],
+    source: Annotated[
+        str | None, typer.Argument(help="REGISTER TEMPLATE text, its file, or - .")
+    ] = None,
+    library: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of a text, a template of the package: high_speed, low_altitude.",
+            metavar="NAME",
+        ),
+    ] = None,
     replace: Annotated[
         str | None, typer.Option(help="Replace the template of this name.", metavar="NAME")
     ] = None,
@@ -31,7 +41,9 @@ def add(
     as_json: Json = False,
 ) -> None:
     """Register a template."""
-    text = text_or_file(source)
+    if (source is None) == (library is None):
+        raise typer.BadParameter("pass a text, or --library with the name of a shipped template")
+    text = _shipped(library) if library is not None else text_or_file(source or "")
     with connect(url) as client:
         found = client.register_template(text, replace=replace)
     if as_json:
@@ -78,3 +90,12 @@ def remove(
     with connect(url) as client:
         client.remove_template(name)
     show_text(f"removed {name}")
+
+
+def _shipped(name: str) -> str:
+    from ...templates.library import shipped_texts
+
+    texts = shipped_texts()
+    if name not in texts:
+        raise fail(f"the package has no template {name!r}", f"it has {', '.join(texts)}")
+    return texts[name]

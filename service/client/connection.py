@@ -1,98 +1,23 @@
-"""Connections to the service: errors, retries, event streams. `Client` adds the routes."""
+"""Connections to the service: they run the flows of verbs, and follow event streams."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Generator, Iterator
 from types import TracebackType
 from typing import Any, Self
 
 import httpx
-import msgspec
-from httpx_sse import EventSource, ServerSentEvent
+import httpx_sse
 
 from ..config.defaults import TOKEN, URL
-from ..config.media_types import JSON, POSITION
+from .errors import ServiceError
+from .event_streams import AsyncEvents, Event, Events, EventSource, Following
+from .flows import Flow, Request, T
 
-RETRY_FIRST = 0.2
-RETRY_LONGEST = 5.0
-SILENCE = 60.0
-"""Seconds without a byte, not even a ping, after which an event stream counts as broken."""
-
-_REDUNDANT_TITLES = ("unknown ", "no such route", "method not allowed", "empty body")
-"""Beginnings of titles that a problem's detail repeats: "there is no stream 'x'"."""
-
-
-class ServiceError(Exception):
-    """An error response of the service: what happened, where, and what to do next."""
-
-    def __init__(
-        self,
-        status: int,
-        title: str,
-        detail: str,
-        *,
-        hint: str = "",
-        line: int | None = None,
-        column: int | None = None,
-        excerpt: str = "",
-        problem: Mapping[str, Any] | None = None,
-    ) -> None:
-        super().__init__(detail)
-        self.status = status
-        self.title = title
-        self.detail = detail
-        self.hint = hint
-        self.line = line
-        self.column = column
-        self.excerpt = excerpt
-        self.problem = dict(problem or {})
-        """The whole problem document."""
-
-    @property
-    def _kind(self) -> str:
-        """The title, unless the detail repeats it."""
-        return "" if self.title.startswith(_REDUNDANT_TITLES) else f"{self.title}: "
-
-    def __str__(self) -> str:
-        place = ""
-        if self.line is not None:
-            place = f"line {self.line}" + ("" if self.column is None else f", column {self.column}")
-            place += ": "
-        lines = [f"{self._kind}{place}{self.detail}"]
-        if self.excerpt:
-            lines.append(self.excerpt)
-        missing = [item for item in self.problem.get("missing") or () if item not in self.detail]
-        if missing:
-            lines += ["missing:", *(f"  - {item}" for item in missing)]
-        if self.hint:
-            lines.append(f"hint: {self.hint}")
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A message of an event stream: ``kind`` is sample, rematched, gap or end; ``data`` its JSON.
-
-    ``id`` is that of the last sample so far.
-    """
-
-    kind: str
-    id: str
-    data: Mapping[str, Any] = field(repr=False)
-
-    @property
-    def values(self) -> Mapping[str, Any]:
-        """The named values of a sample."""
-        values: Mapping[str, Any] = self.data.get("values", {})
-        return values
-
-    @property
-    def rdf(self) -> str:
-        """The sample as N-Triples."""
-        return str(self.data.get("rdf", ""))
+__all__ = ["AsyncConnection", "Connection", "Event", "ServiceError"]
 
 
 class Connection:
@@ -115,15 +40,7 @@ class Connection:
         self.url = url.rstrip("/")
         self._sleep = sleep
         self._timeout = timeout
-        token = os.environ.get(TOKEN, "") if token is None else token
-        # trust_env=False: a proxy from the environment cannot reach an address on this machine.
-        self._http = httpx.Client(
-            base_url=self.url,
-            headers={"Authorization": f"Bearer {token.strip()}"} if token else {},
-            timeout=timeout,
-            transport=transport,
-            trust_env=False,
-        )
+        self._http = httpx.Client(**_options(self.url, token, timeout), transport=transport)
 
     def __enter__(self) -> Self:
         return self
@@ -140,114 +57,144 @@ class Connection:
         """Close the connections."""
         self._http.close()
 
-    def _follow(
-        self, path: str, since: str | None, resume: bool, streams: Sequence[str] = ()
-    ) -> Iterator[Event]:
-        """Yield the events of ``path`` until its end; of several ``streams`` until the last end."""
-        last: str | None = None
-        # The switches since the last sample: the service sends them again after a reconnection.
-        switches: list[Event] = []
-        ended: set[str] = set()
-        wait = RETRY_FIRST
-        timeout = httpx.Timeout(self._timeout, read=SILENCE)
+    def _run(self, flow: Flow[T]) -> T:
+        """Send the requests of a flow, and return its result."""
+        try:
+            request = next(flow)
+            while True:
+                try:
+                    response = self._perform(request)
+                except httpx.TransportError as error:
+                    request = flow.throw(error)
+                else:
+                    request = flow.send(response)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+    def _follow_source(self, source: EventSource) -> Events:
+        """Return the events of a source, which begins with the first one asked for."""
+        return Events(source, self._follow(Following(source, self._timeout)))
+
+    def _perform(self, request: Request) -> httpx.Response:
+        if request.after:
+            self._sleep(request.after)
+        return self._http.request(request.method, request.path, **request.arguments)
+
+    def _follow(self, following: Following) -> Generator[Event]:
         while True:
-            headers = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
-            if last is not None:
-                headers["Last-Event-ID"] = last
-            parameters: dict[str, Any] = {"stream": list(streams)} if streams else {}
-            if since is not None and last is None:
-                parameters["since"] = since
             try:
-                with self._http.stream(
-                    "GET", path, headers=headers, params=parameters, timeout=timeout
-                ) as response:
-                    if response.status_code >= 500 and last is not None and resume:
-                        raise httpx.RemoteProtocolError("the service is not ready")
-                    _check(response)
-                    # The start's id: a connection that breaks before the first sample loses none.
-                    last = last or response.headers.get(POSITION)
-                    for message in EventSource(response).iter_sse():
-                        if not message.data:
-                            continue
-                        wait = RETRY_FIRST
-                        event = _event(message)
-                        if event.kind == "sample":
-                            last = event.id
-                            switches.clear()
-                            ended.discard(str(event.data.get("stream")))
-                        elif event.kind == "rematched":
-                            if event in switches:
-                                continue
-                            switches.append(event)
-                        yield event
-                        if event.kind == "end":
-                            ended.add(str(event.data.get("stream")))
-                            if len(ended) >= len(set(streams)):
+                with self._http.stream(**following.request()) as response:
+                    if not response.is_success:
+                        response.read()
+                    following.begin(response)
+                    for message in httpx_sse.EventSource(response).iter_sse():
+                        event = following.take(message)
+                        if event is not None:
+                            yield event
+                            if following.is_over:
                                 return
-                if not resume:
+                if not following.resumes:
                     return
             except httpx.TransportError:
-                # The first connection must succeed: retries cannot mend a wrong address.
-                if not resume or last is None:
+                if not following.survives:
                     raise
-            self._sleep(wait)
-            wait = min(wait * 2, RETRY_LONGEST)
+            self._sleep(following.next_wait())
 
-    def _send_until_room(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        """Send, and repeat while the service is full (429), and once after a broken connection."""
-        broken = False
+
+class AsyncConnection:
+    """The same for ``asyncio``: one connection pool for one event loop."""
+
+    def __init__(
+        self,
+        url: str = URL,
+        *,
+        token: str | None = None,
+        timeout: float = 30.0,
+        transport: httpx.AsyncBaseTransport | None = None,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        self.url = url.rstrip("/")
+        self._sleep = sleep
+        self._timeout = timeout
+        self._http = httpx.AsyncClient(**_options(self.url, token, timeout), transport=transport)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def _run(self, flow: Flow[T]) -> T:
+        """Send the requests of a flow, and return its result."""
+        try:
+            request = next(flow)
+            while True:
+                try:
+                    response = await self._perform(request)
+                except httpx.TransportError as error:
+                    request = flow.throw(error)
+                else:
+                    request = flow.send(response)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+    def _follow_source(self, source: EventSource) -> AsyncEvents:
+        """Return the events of a source, which begins with the first one asked for."""
+        return AsyncEvents(source, self._follow(Following(source, self._timeout)))
+
+    async def _perform(self, request: Request) -> httpx.Response:
+        if request.after:
+            await self._sleep(request.after)
+        arguments = request.arguments
+        if isinstance(content := arguments.get("content"), Iterator):
+            # A generator of bodies: httpx reads an asynchronous one only.
+            arguments = {**arguments, "content": _asynchronous(content)}
+        return await self._http.request(request.method, request.path, **arguments)
+
+    async def _follow(self, following: Following) -> AsyncGenerator[Event]:
         while True:
             try:
-                return self._send(method, path, **arguments)
-            except ServiceError as error:
-                if error.status != 429:
+                async with self._http.stream(**following.request()) as response:
+                    if not response.is_success:
+                        await response.aread()
+                    following.begin(response)
+                    async for message in httpx_sse.EventSource(response).aiter_sse():
+                        event = following.take(message)
+                        if event is not None:
+                            yield event
+                            if following.is_over:
+                                return
+                if not following.resumes:
+                    return
+            except httpx.TransportError:
+                if not following.survives:
                     raise
-                self._sleep(float(error.problem.get("retry_after", 1)))
-            except (httpx.ReadError, httpx.RemoteProtocolError):
-                if broken:
-                    raise
-                broken = True
-
-    def _send(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        response = self._http.request(method, path, **arguments)
-        _check(response)
-        return response
-
-    def _object(self, method: str, path: str, **arguments: Any) -> dict[str, Any]:
-        value: dict[str, Any] = self._send(method, path, **arguments).json()
-        return value
-
-    def _list(self, method: str, path: str, **arguments: Any) -> list[dict[str, Any]]:
-        headers = {"Accept": JSON, **arguments.pop("headers", {})}
-        items: list[dict[str, Any]] = self._send(method, path, headers=headers, **arguments).json()
-        return items
+            await self._sleep(following.next_wait())
 
 
-def _event(message: ServerSentEvent) -> Event:
-    return Event(message.event, message.id, msgspec.json.decode(message.data))
+def _options(url: str, token: str | None, timeout: float) -> dict[str, Any]:
+    """Return the arguments that both kinds of pools have."""
+    token = os.environ.get(TOKEN, "") if token is None else token
+    return {
+        "base_url": url,
+        "headers": {"Authorization": f"Bearer {token.strip()}"} if token else {},
+        "timeout": timeout,
+        # A proxy from the environment cannot reach an address on this machine.
+        "trust_env": False,
+    }
 
 
-def _check(response: httpx.Response) -> None:
-    """Raises `ServiceError` for an error response."""
-    if response.is_success:
-        return
-    response.read()
-    try:
-        problem = response.json()
-    except ValueError:
-        problem = {}
-    if not isinstance(problem, dict) or "title" not in problem:
-        # The response of a proxy, or of another service at this address.
-        problem = {"title": response.reason_phrase or "error", "detail": response.text[:500]}
-    if "retry-after" in response.headers:
-        problem["retry_after"] = response.headers["retry-after"]
-    raise ServiceError(
-        response.status_code,
-        str(problem["title"]),
-        str(problem.get("detail", "")),
-        hint=str(problem.get("hint", "")),
-        line=problem.get("line"),
-        column=problem.get("column"),
-        excerpt=str(problem.get("excerpt", "")),
-        problem=problem,
-    )
+async def _asynchronous(bodies: Iterator[bytes]) -> AsyncIterator[bytes]:
+    for body in bodies:
+        yield body

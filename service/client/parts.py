@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from typing import Any, Final, TypeVar
 
 from ..config.text_bounds import MOST_CONTENTS, MOST_DECLARATIONS
-from .connection import ServiceError
+from .errors import ServiceError
+from .flows import Flow, T
 
-T = TypeVar("T")
+S = TypeVar("S")
 SHORT: Final = 1024
 """Characters of a text that is within all bounds: a declaration takes more than eight, a unit in
 XML fourteen. Shorter texts need no import of the parsers."""
@@ -62,16 +63,24 @@ def description_parts(
     return [*parts, part]
 
 
-def send_parts(parts: Sequence[T], send: Callable[[T], Any]) -> Iterator[Any]:
-    """Yield the response to each part. Raises `ServiceError` with the number of parts that took
-    effect before the failed one: parts are atomic, their sequence is not."""
-    for number, part in enumerate(parts):
+def send_parts(parts: Sequence[S], send: Callable[[S], Flow[T]]) -> Flow[list[T]]:
+    """Send the parts in order, and return the result of each. Raises `ServiceError` with the number
+    of parts that took effect before the failed one: parts are atomic, their sequence is not."""
+    results: list[T] = []
+    for part in parts:
         try:
-            yield send(part)
+            results.append((yield from send(part)))
         except ServiceError as error:
             if len(parts) > 1:
-                raise _of_part(error, number, len(parts)) from error
+                raise _of_part(error, len(results), len(parts)) from error
             raise
+    return results
+
+
+def send_lists(parts: Sequence[S], send: Callable[[S], Flow[list[T]]]) -> Flow[list[T]]:
+    """Do the same, and return the items of all results."""
+    results = yield from send_parts(parts, send)
+    return list(chain.from_iterable(results))
 
 
 def _of_part(error: ServiceError, done: int, count: int) -> ServiceError:
@@ -92,8 +101,3 @@ def _of_part(error: ServiceError, done: int, count: int) -> ServiceError:
         excerpt=error.excerpt,
         problem=problem,
     )
-
-
-def joined(responses: Iterator[list[T]]) -> list[T]:
-    """Concatenate the lists of several responses."""
-    return list(chain.from_iterable(responses))

@@ -21,7 +21,7 @@ from starlette.routing import Match
 from ...converters.arrow.stream import ArrowMissing
 from ...converters.errors import AheadOfClock, ConversionError, WireError
 from ...engine.model import errors as engine_errors
-from ...engine.model.errors import DyknowError, NoPlan
+from ...engine.model.errors import DyknowError, NoPlan, OntologyInUse
 from ...journal.errors import JournalError, JournalFull
 from ...languages.errors import LanguageError
 from ...ontology.errors import OntologyError, QueryRefused
@@ -63,6 +63,7 @@ class ProblemModel(BaseModel):
     )
     oldest: str | None = Field(None, description="the available time of the oldest sample kept")
     missing: list[str] | None = Field(None, description="what semantic matching would need")
+    used_by: list[str] | None = Field(None, description="what uses the terms of an ontology")
     errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
 
 
@@ -118,6 +119,7 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownFeature, 404),
     (engine_errors.UnknownDeclaration, 404),
     (engine_errors.UnknownQuery, 404),
+    (engine_errors.UnknownOntology, 404),
     (engine_errors.NoResult, 404),
     (engine_errors.AlreadyExists, 409),
     (engine_errors.Conflict, 409),
@@ -147,7 +149,15 @@ def problem_of(error: Exception) -> Problem:
         case DyknowError():
             status = next((code for kind, code in _STATUS if isinstance(error, kind)), 400)
             missing = list(error.missing) if isinstance(error, NoPlan) else None
-            return Problem(status, error.title, error.detail, hint=error.hint, missing=missing)
+            users = list(error.used_by) if isinstance(error, OntologyInUse) else None
+            return Problem(
+                status,
+                error.title,
+                error.detail,
+                hint=error.hint,
+                missing=missing,
+                used_by=users,
+            )
         case Forgotten():
             oldest = None if error.oldest is None else format_time(error.oldest)
             return Problem(

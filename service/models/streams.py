@@ -220,7 +220,9 @@ class StreamModel(BaseModel):
     rate: float = Field(description="recent samples per second of available time")
     lag: str | None = Field(description="how far the stream is behind the clock")
     annotation: str | None = Field(description="the SSL text")
-    ports: list[PortModel] = Field(description="the features that the annotation gives to fields")
+    ports: list[PortModel] = Field(
+        description="the features that the annotation gives to fields; that of a subscription to it"
+    )
     producer: str | None = Field(description="the unit that makes the stream")
     subscribers: int
     samples: str

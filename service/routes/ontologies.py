@@ -7,10 +7,12 @@ from typing import Annotated, Any
 
 import anyio
 import anyio.to_thread
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.responses import PlainTextResponse
 from pyoxigraph import Literal, NamedNode, Store
 
-from ...engine.durability.commands import LoadOntology
+from ...engine.durability.commands import LoadOntology, RemoveOntology
+from ...engine.model.errors import UnknownOntology
 from ...ontology.errors import OntologyError
 from ...ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ...ontology.ontology import PreparedOntology
@@ -19,7 +21,8 @@ from ...ontology.reasoning import Reasoning
 from ...ontology.units import format_unit
 from ...ontology.vocabulary import THING, Vocabulary
 from ...rdf.namespaces import OWL, PREFIXES, RDF_TYPE, RDFS, shorten
-from ..http.negotiation import ONTOLOGY_FORMATS, content_type, utf8
+from ..config.media_types import TURTLE
+from ..http.negotiation import ONTOLOGY_FORMATS, accepted, content_type, utf8
 from ..http.problems import Problem, responses
 from ..models import (
     FeatureModel,
@@ -51,6 +54,9 @@ BODY: dict[str, Any] = {
         },
     }
 }
+TEXT_RESPONSE: dict[int | str, dict[str, Any]] = {
+    200: {"content": {TURTLE: {"schema": {"type": "string"}}}}
+}
 _ONTOLOGY = NamedNode(OWL + "Ontology")
 _COMMENT = NamedNode(RDFS + "comment")
 # The base of relative IRIs: an ontology that a text calls <> has no IRI of its own.
@@ -59,6 +65,7 @@ _OTHER_NAME_HINT = (
     "the system describes the stream space in it; load your ontology under another name"
 )
 _NAME_HINT = "name it: ?name=<IRI>, or --name IRI"
+Name = Annotated[str, Path(description="the ontology's IRI, or its short name")]
 
 
 @router.get("/vocabulary")
@@ -183,6 +190,44 @@ async def report(service: Context) -> OntologyReportModel:
             for each in report.violations
         ],
     )
+
+
+@router.get(
+    "/ontologies/{name:path}",
+    response_class=PlainTextResponse,
+    responses=TEXT_RESPONSE | responses(404, 406),
+)
+async def read_ontology(name: Name, request: Request, service: Context) -> Response:
+    """Return a loaded ontology's triples as Turtle. Comments of the loaded text are not kept."""
+    accepted(request, (TURTLE,))
+    ontology = service.engine.ontology
+    graph = ontology.loaded(name)
+    if graph is None:
+        raise UnknownOntology(
+            f"there is no ontology {name!r}", "GET /ontologies lists the loaded ones"
+        )
+    text = await anyio.to_thread.run_sync(ontology.turtle, graph, limiter=_ONE_AT_A_TIME)
+    return PlainTextResponse(text, media_type=TURTLE)
+
+
+@router.delete("/ontologies/{name:path}", status_code=204, responses=responses(403, 404, 409, 503))
+async def remove_ontology(name: Name, request: Request, service: Context) -> Response:
+    """Remove a loaded ontology; its terms are unknown at once. 403: a shipped one. 409: something
+    names its terms; ``used_by`` lists templates, annotations, queries, requests and so on.
+
+    A separate process computes the entailments of the other ontologies.
+    """
+    documents, ontology = service.isolation.documents, service.engine.ontology
+    prepared: PreparedOntology | None = None
+    # One that is not loaded may wait since a restart: the command removes it then.
+    if ontology.loaded(name) is not None:
+        iri = service.engine.removable_ontology(name)
+        prepared = await while_connected(
+            request,
+            lambda: documents.run(lambda: ontology.prepare_removal(iri, reasoning=documents)),
+        )
+    await service.do(RemoveOntology(name), prepared)
+    return Response(status_code=204)
 
 
 def _own_name(text: str, format: TextFormat, reasoning: Reasoning) -> str:

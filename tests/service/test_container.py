@@ -3,10 +3,12 @@ checks. No engine is at hand; `docker/check` tries the rest without one."""
 
 from __future__ import annotations
 
+import configparser
 import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -17,6 +19,7 @@ import httpx
 import pytest
 import yaml
 from places import ROOT
+from waiting import HANGS
 
 from dyknow.engine.engine import Engine
 from dyknow.service.admission.tokens import (
@@ -35,12 +38,8 @@ from dyknow.service.server import GRACE, running
 from dyknow.streams.time import Clock
 
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
-UNIT = (
-    (ROOT / "docs" / "how-to" / "deploy.md")
-    .read_text()
-    .partition("```ini\n")[2]
-    .partition("```")[0]
-)
+UNIT = ROOT / "docker" / "dyknow.service"
+GIB = 1 << 30
 
 
 @pytest.fixture(scope="module")
@@ -197,16 +196,63 @@ def test_the_health_check_says_whether_it_is_ready(
     assert check() != 0
 
 
-def test_the_unit_of_systemd_is_one_of_this_program() -> None:
-    lines = dict(line.split("=", 1) for line in UNIT.splitlines() if "=" in line)
-    program, command, *options = shlex.split(lines["ExecStart"])
+def test_the_container_has_limits_that_suffice(service: dict[str, Any]) -> None:
+    """docs/reference/metrics.md, "Memory": at least a gibibyte."""
+    limits = service["deploy"]["resources"]["limits"]
+    assert int(limits["memory"].removesuffix("G")) * GIB >= GIB
+    assert float(limits["cpus"]) >= 1
+    assert limits["pids"] >= 100
+
+
+@pytest.fixture(scope="module")
+def unit() -> configparser.SectionProxy:
+    """The section of the service; a name that is there twice would be an error."""
+    found = configparser.ConfigParser(interpolation=None)
+    found.optionxform = str  # type: ignore[assignment, method-assign]
+    found.read_string(UNIT.read_text())
+    return found["Service"]
+
+
+def test_the_unit_of_systemd_is_one_of_this_program(unit: configparser.SectionProxy) -> None:
+    program, command, *options = shlex.split(unit["ExecStart"])
     assert program.endswith("/dyknow")
     known = command_of(command)
     # The folder of the tokens is of that machine.
     made = [each if each != "/etc/dyknow/tokens" else __file__ for each in options]
-    assert str(known.make_context(command, made).params["data"]).startswith("/var/lib/")
-    environment = dict(each.split("=", 1) for each in shlex.split(lines["Environment"]))
+    data = known.make_context(command, made).params["data"]
+    assert str(data) == f"/var/lib/{unit['StateDirectory']}"
+    environment = dict(each.split("=", 1) for each in shlex.split(unit["Environment"]))
+    # Not a setting: numba reads it.
+    assert environment.pop("NUMBA_CACHE_DIR") == f"/var/cache/{unit['CacheDirectory']}"
     settings = settings_of(environment)
-    assert int(lines["TimeoutStopSec"]) > settings.drain + GRACE
-    assert int(lines["LimitNOFILE"]) >= settings.max_connections + RESERVED
-    assert "-HUP" in lines["ExecReload"]
+    assert int(unit["TimeoutStopSec"]) > settings.drain + GRACE
+    assert int(unit["LimitNOFILE"]) >= settings.max_connections + RESERVED
+    assert "-HUP" in unit["ExecReload"]
+    assert int(unit["MemoryMax"].removesuffix("G")) * GIB >= GIB
+
+
+def test_the_unit_of_systemd_may_write_its_own_folders_only(
+    unit: configparser.SectionProxy,
+) -> None:
+    assert unit["ProtectSystem"] == "strict"
+    assert unit["User"] not in ("", "root")
+    assert unit["CapabilityBoundingSet"] == ""
+    assert "ReadWritePaths" not in unit
+    for name in ("NoNewPrivileges", "ProtectHome", "PrivateTmp", "PrivateDevices"):
+        assert unit[name] == "yes", name
+    # The compiler of the loops makes memory that is written and then run.
+    assert "MemoryDenyWriteExecute" not in unit
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd-analyze")
+def test_systemd_knows_every_line_of_the_unit(tmp_path: Path) -> None:
+    path = tmp_path / UNIT.name
+    # The program is where the unit is installed, not here.
+    path.write_text(UNIT.read_text().replace("/opt/dyknow/bin/dyknow", sys.executable))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--recursive-errors=no", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=HANGS,
+    )
+    assert (done.returncode, done.stderr) == (0, "")

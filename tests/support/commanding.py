@@ -153,6 +153,7 @@ class _Life:
             lambda: c.EndStream(pick.choice("st")),
             lambda: c.RegisterTemplate(FAST, replace=pick.random() < 0.5),
             lambda: c.LoadOntology(SORTS + "dyknow:uav3 a dyknow:UAV .", f"{IRI}objects"),
+            lambda: c.RemoveOntology(f"{IRI}objects"),
         )
         return pick.choice(makers)()
 

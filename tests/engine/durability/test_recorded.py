@@ -34,12 +34,14 @@ from dyknow.engine.durability.commands import (
     ApplySpecification,
     CancelEvent,
     DeclareStream,
+    LoadOntology,
     OpenStream,
     Publish,
     RegisterQuery,
     RegisterTemplate,
     RegisterTransformations,
     RemoveKpl,
+    RemoveOntology,
     RemoveQuery,
     RemoveStream,
     RemoveTemplate,
@@ -691,6 +693,7 @@ def test_whatever_another_version_refuses_can_be_taken_back(
         recorded.do(RemoveTransformation("half"))
         recorded.do(RemoveStream("gone"))
         recorded.do(RemoveStream("described"))
+        recorded.do(RemoveOntology("ships"))
 
     first = opened(tmp_path, processes=summing(total))
     declare(first, "s")
@@ -702,6 +705,7 @@ def test_whatever_another_version_refuses_can_be_taken_back(
     first.do(RegisterTransformations((summed("half"), summed("third"))))
     first.do(DeclareStream(StreamDeclaration("gone", (Field("v", FieldType.FLOAT),))))
     first.do(Annotate("stream described contains speed(UAV) = v for every UAV = id"))
+    first.do(LoadOntology("<urn:a> <urn:b> <urn:c> .", "ships"))
     if removed == "in the log":
         remove(first)
     cut_off(first)
@@ -711,7 +715,7 @@ def test_whatever_another_version_refuses_can_be_taken_back(
 
     with monkeypatch.context() as patched:
         patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
-        for name in ("register_template", "declare", "annotate"):
+        for name in ("register_template", "declare", "annotate", "load_ontology"):
             patched.setattr(Engine, name, refuse)
         patched.setattr(RegisteredQueries, "start", refuse)
         patched.setattr(RegisteredTransformations, "register_all", refuse)
@@ -729,6 +733,7 @@ def test_whatever_another_version_refuses_can_be_taken_back(
     assert back.engine.has_stream("gone") == back.engine.has_stream("described") == is_there
     names = {view.name for view in back.engine.transformations.views()}
     assert ("half" in names, "third" in names) == (is_there, True)
+    assert (back.engine.ontology.loaded("ships") is not None) == is_there
     cut_off(back)
 
 

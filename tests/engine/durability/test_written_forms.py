@@ -120,6 +120,7 @@ EXAMPLES = [
     c.RemoveKpl("x", True),
     c.ApplySpecification(b"<specification/>"),
     c.LoadOntology("<urn:a> <urn:b> <urn:c> .", "http://example.org/o", "ntriples"),
+    c.RemoveOntology("http://example.org/o"),
     c.RegisterTransformations(
         (DescribedTransformation("t", (PORT,), PORT, "Scaled", {"factor": "2"}, 2.0, 0.5),), True
     ),

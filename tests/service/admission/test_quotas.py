@@ -223,6 +223,8 @@ def test_ontologies(http: httpx.Client) -> None:
     assert "max_ontologies is " in problem.json()["detail"]
     assert load("first").status_code == 201
     assert "http://e.org/second" not in http.get("/ontologies").json()
+    assert http.delete("/ontologies/http%3A%2F%2Fe.org%2Ffirst").status_code == 204
+    assert load("second").status_code == 201
 
 
 def test_refusals_are_counted(full: Client, http: httpx.Client) -> None:

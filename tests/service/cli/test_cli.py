@@ -13,6 +13,7 @@ from typer.testing import CliRunner, Result
 from dyknow.service.cli import app
 from dyknow.service.cli.recordings.triples_file import read_timed_triples
 from dyknow.service.client.client import Client
+from dyknow.templates.library import shipped_texts
 
 TEMPLATE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
@@ -257,6 +258,23 @@ def test_templates(dyknow: Any, template: str) -> None:
     dyknow("template", "remove", "HighSpeedEvent")
     assert "no templates" in dyknow("template", "list").stdout
     dyknow("template", "show", "HighSpeedEvent", status=1)
+
+
+def test_templates_of_the_package(dyknow: Any, client: Client) -> None:
+    added = dyknow("template", "add", "--library", "high_speed").stdout
+    assert added.strip() == "registered HighSpeedEvent(?o, ?type, ?threshold)"
+    dyknow("template", "add", "--library", "low_altitude")
+    dyknow("template", "add", "--library", "high_speed", "--replace", "HighSpeedEvent")
+    assert len(client.templates()) == 2
+    unknown = dyknow("template", "add", "--library", "hihg_speed", status=1).stderr
+    assert "it has high_speed, low_altitude" in unknown
+    dyknow("template", "add", "text", "--library", "high_speed", status=2)
+    dyknow("template", "add", status=2)
+
+
+def test_help_lists_the_templates_of_the_package() -> None:
+    told = " ".join(CliRunner().invoke(app, ["template", "add", "--help"]).output.split())
+    assert all(name in told for name in shipped_texts())
 
 
 def test_errors_show_the_place(dyknow: Any) -> None:

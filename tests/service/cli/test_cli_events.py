@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from dyknow.service.cli import app
+from dyknow.service.cli.output import show_values
 from dyknow.service.client.client import Client
 
 TEMPLATE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS
@@ -56,6 +57,41 @@ def test_joining_a_request_does_not_show_its_past(dyknow: Any, speeds: Client) -
     # Whoever asks now has seen nothing; the past is there for those who want it.
     assert dyknow("events", REQUEST).stdout == ""
     assert "uav2" in dyknow("events", REQUEST, "--since", "start").stdout
+
+
+def test_numbers_have_units_for_people(dyknow: Any, speeds: Client) -> None:
+    """Of an event, of a stream, of a stream under a policy, and of a feature, which is in the
+    ontology's unit though its stream is not."""
+    speeds.annotate(SSL.replace("km.h-1", "m.s-1"))
+    publish(speeds, range(1, 11))
+    from_start = ("--since", "start", "-n", "1")
+    assert "id=uav2  speed=540 km.h-1\n" in dyknow("events", REQUEST, *from_start).stdout
+    assert "id=uav2  spd=150 m.s-1\n" in dyknow("follow", "s5", *from_start).stdout
+    policy = ("--policy", "sample every 1s")
+    assert "spd=150 m.s-1\n" in dyknow("follow", "s5", *policy, *from_start).stdout
+    feature = ("follow", "--feature", "speed", "--sort", "UAV", *from_start)
+    assert "object=uav2  speed=540 km.h-1\n" in dyknow(*feature).stdout
+    assert "speed=540 km.h-1\n" in dyknow(*feature, *policy).stdout
+    wanted = speeds.subscribe_to("speed", sort="UAV")["stream"]
+    # Known to every client, and no annotation: matching finds the stream behind it.
+    (port,) = speeds.stream(wanted)["ports"]
+    assert (port["field"], port["unit"]) == ("speed", "km.h-1")
+    assert speeds.stream(wanted)["annotation"] is None
+    for told in (dyknow(*feature, "--json"), dyknow("events", REQUEST, *from_start, "--json")):
+        assert "km.h-1" not in told.stdout.splitlines()[-1]
+
+
+def test_texts_truth_values_and_plain_counts_have_no_unit(dyknow: Any, client: Client) -> None:
+    assert show_values({"n": 2, "b": True, "t": "x", "none": None}, {"b": "m", "t": "m"}) == (
+        "n=2  b=yes  t=x  none=-"
+    )
+    client.load_ontology(
+        "dyknow:crew a :UnaryFeature ; rdfs:range xsd:integer ; :hasUnit 'no_unit' .", "crews"
+    )
+    client.put_stream("crews", {"id": "string", "n": "integer"})
+    client.annotate("stream crews contains crew(UAV) = n for every UAV = id")
+    client.publish("crews", [{"valid": 1, "available": 1, "id": "uav2", "n": 3}])
+    assert dyknow("follow", "crews", "--since", "start", "-n", "1").stdout.endswith("n=3\n")
 
 
 def test_a_request_is_given_up_by_its_id(dyknow: Any, speeds: Client) -> None:

@@ -8,7 +8,7 @@ import pytest
 import dyknow
 from dyknow.service.cli.main import COMMANDS, command
 
-COMPUTING = ("numba", "numpy", "rdflib", "pyoxigraph", "fastapi", "dyknow.engine.engine")
+COMPUTING = ("numba", "numpy", "pandas", "rdflib", "pyoxigraph", "fastapi", "dyknow.engine.engine")
 """What takes long to import, and is for who computes."""
 
 

@@ -470,7 +470,10 @@ def test_the_command(http: httpx.Client, url: str, client: Client, as_json: bool
         assert [line["event"] for line in lines] == ["rematched", "sample"] * 2
         assert lines[2]["after"] == ["s2"]
     else:
-        assert [line.split("speed=")[1] for line in said.stdout.splitlines()] == ["1", "2"]
+        assert [line.split("speed=")[1] for line in said.stdout.splitlines()] == [
+            "1 km.h-1",
+            "2 km.h-1",
+        ]
         assert "s1 → s2: quality of s1 is 0.25" in said.stderr
         assert "nothing → s1" in said.stderr
     assert client.subscriptions() == []
