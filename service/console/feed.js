@@ -84,51 +84,68 @@ setInterval(() => {
 
 /** Messages of streams whose past is being read: they are noted after it. */
 const early = new Map();
+/** The available time of the last sample of each stream. */
+const latest = new Map();
 
 function take(messages) {
   for (const each of messages) {
     if (each.event === "gap") live.gap(each);
     else if (each.event !== "sample") continue;
     else if (early.has(each.stream)) early.get(each.stream).push(each);
-    else live.note(each.stream, each.valid, each.values);
+    else note(each);
   }
   dirty = true;
 }
 
-/** Add kept samples of streams to `rings`, in the order of their valid times. Return the available
-    time of the last one of each. */
-async function fill(rings, names, parameters) {
-  const ends = new Map();
-  const lists = await Promise.all(names.map(async (name) => {
-    const limit = place(byName.value.get(name)) ? PAST_POSITIONS : PAST_EVENTS;
-    const path = address(`/streams/${encodeURIComponent(name)}/samples`, { limit, ...parameters });
-    const samples = await ask(path).catch(() => []);
-    if (samples.length) ends.set(name, samples.at(-1).available);
-    return samples.map(({ available, valid, ...values }) => [name, valid, values]);
-  }));
-  const samples = lists.flat().sort((a, b) => (a[1] < b[1] ? -1 : 1));
-  for (const sample of samples) rings.note(...sample);
-  return ends;
+function note({ stream, available, valid, values }) {
+  latest.set(stream, available);
+  live.note(stream, valid, values);
 }
 
-/** Show the past of streams that are followed from now on, each sample once. */
-async function begin(names) {
-  for (const name of names) early.set(name, []);
-  const ends = await fill(live, names, {});
-  // ISO times of different lengths compare as texts without their Z.
-  const isLater = (time, end) => !end || time.slice(0, -1) > end.slice(0, -1);
+/** The kept samples of streams, in the order of their valid times; `bounds` of a stream are the
+    parameters of its history. */
+async function kept(names, bounds) {
+  const lists = await Promise.all(names.map(async (stream) => {
+    const path = address(`/streams/${encodeURIComponent(stream)}/samples`, bounds(stream));
+    const samples = await ask(path).catch(() => []);
+    return samples.map(({ available, valid, ...values }) => ({ stream, available, valid, values }));
+  }));
+  return lists.flat().sort((a, b) => (a.valid < b.valid ? -1 : 1));
+}
+
+// ISO times of different lengths compare as texts without their Z.
+const isLater = (time, end) => !end || time.slice(0, -1) > end.slice(0, -1);
+
+let connection = 0;
+/** Show what streams had before a connection that has begun, each sample once: the past of those
+    that were not followed, and of others what came since their last one. */
+async function begin(names, own) {
+  const known = new Map(latest);
+  const past = await kept(names, (name) => {
+    if (known.has(name)) return { from: known.get(name) };
+    return { limit: place(byName.value.get(name)) ? PAST_POSITIONS : PAST_EVENTS };
+  });
+  if (own !== connection) return; // another connection has begun, and reads the same again
+  for (const each of past) if (isLater(each.available, known.get(each.stream))) note(each);
+  const ends = new Map();
+  for (const { stream, available } of past) {
+    if (isLater(available, ends.get(stream))) ends.set(stream, available);
+  }
   for (const name of names) {
     const messages = early.get(name);
     early.delete(name);
-    take(messages.filter((each) => isLater(each.available, ends.get(name))));
+    take(messages.filter((each) => isLater(each.available, ends.get(name) ?? known.get(name))));
   }
+  following.value = names;
   dirty = true;
 }
 
 // -- which streams are followed ----------------------------------------------------------------------
 
+/** The streams whose samples are shown from their past on. */
+export const following = signal([]);
+
 let stop = null, followed = [];
-const filled = new Set();
 effect(() => {
   if (!streams.value.length) return;
   const names = new Set([...requests.value.map((request) => request.stream), extra.value]);
@@ -140,11 +157,15 @@ effect(() => {
   followed = wanted;
   stop?.();
   stop = null;
-  const fresh = wanted.filter((name) => !filled.has(name));
-  fresh.forEach((name) => filled.add(name));
-  if (fresh.length) begin(fresh);
+  connection++;
   if (wanted.length) {
-    stop = follow(address("/follow", { stream: wanted }), take, (state) => { feedState.value = state; });
+    stop = follow(address("/follow", { stream: wanted }), take, (state, isNew) => {
+      feedState.value = state;
+      if (!isNew) return;
+      // What comes from here on is sent; what came before is read.
+      for (const name of wanted) early.set(name, []);
+      begin(wanted, ++connection);
+    });
   }
 });
 
@@ -168,8 +189,9 @@ export async function play(time) {
   }
   const rings = new Rings(), iso = (at) => new Date(at).toISOString();
   const bounds = { valid_from: iso(time - PLAYED_PAST), valid_to: iso(time), limit: PAST_POSITIONS };
-  await fill(rings, followed, bounds);
+  const samples = await kept(followed, () => bounds);
   if (own !== wish) return; // another time has been chosen since
+  for (const each of samples) rings.note(each.stream, each.valid, each.values);
   shown.value = rings;
   tick.value++;
 }

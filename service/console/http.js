@@ -67,8 +67,9 @@ export function follow(path, take, state = () => {}) {
     const headers = last ? { "Last-Event-ID": last } : {};
     const answer = await fetch(path, { signal: stop.signal, headers });
     if (!answer.ok) throw new Problem(answer.status, await answer.json().catch(() => ({})));
+    const isNew = last === null;
     last ??= answer.headers.get("Dyknow-Position");
-    state("open");
+    state("open", isNew);
     wait = FIRST_WAIT;
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
     let rest = "";

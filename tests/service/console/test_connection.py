@@ -70,7 +70,11 @@ class CuttingProxy:
             if self.is_cut:
                 client.close()
                 continue
-            server = socket.create_connection(("127.0.0.1", self._port))
+            try:
+                server = socket.create_connection(("127.0.0.1", self._port))
+            except OSError:  # the service has ended before its page
+                client.close()
+                continue
             self._sockets += [client, server]
             for one, other in ((client, server), (server, client)):
                 threading.Thread(target=self._pass, args=(one, other), daemon=True).start()
@@ -99,7 +103,7 @@ class CuttingProxy:
         self._listening.close()
 
 
-OPEN_FEED = "import('/console/feed.js').then((m) => m.feedState.value === 'open')"
+OPEN_FEED = "import('/console/feed.js').then((m) => m.following.value.includes('numbers'))"
 SEEN = """(async () => { const { shown } = await import('/console/feed.js');
   return shown.value.events.filter((each) => !each.gap).map((each) => each.values.v); })()"""
 
