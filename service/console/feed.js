@@ -82,6 +82,9 @@ setInterval(() => {
   }
 }, TICK);
 
+// ISO times of different lengths compare as texts without their Z.
+const isLater = (time, end) => !end || time.slice(0, -1) > end.slice(0, -1);
+
 /** Messages of streams whose past is being read: they are noted after it. */
 const early = new Map();
 /** The available time of the last sample of each stream. */
@@ -110,11 +113,8 @@ async function kept(names, bounds) {
     const samples = await ask(path).catch(() => []);
     return samples.map(({ available, valid, ...values }) => ({ stream, available, valid, values }));
   }));
-  return lists.flat().sort((a, b) => (a.valid < b.valid ? -1 : 1));
+  return lists.flat().sort((a, b) => (isLater(a.valid, b.valid) ? 1 : -1));
 }
-
-// ISO times of different lengths compare as texts without their Z.
-const isLater = (time, end) => !end || time.slice(0, -1) > end.slice(0, -1);
 
 let connection = 0;
 /** Show what streams had before a connection that has begun, each sample once: the past of those

@@ -128,6 +128,38 @@ def test_a_cut_connection_loses_no_sample(open_page: OPEN) -> None:
         proxy.close()
 
 
+HOLD_FOLLOWING = """window.own = window.own ?? window.fetch; window.asked = 0; window.go = false;
+window.fetch = async (path, ...rest) => {
+  if (String(path).includes('/follow')) {
+    window.asked += 1;
+    while (!window.go) await new Promise((done) => setTimeout(done, 20));
+  }
+  return window.own(path, ...rest);
+}; true"""
+
+
+def test_samples_come_while_other_streams_begin_to_be_followed(open_page: OPEN) -> None:
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        page = open_page(f"{url}/#live")
+        page.wait_text("streams")
+        page.run(HOLD_FOLLOWING)
+        declare(http)
+        page.wait("window.asked === 1")
+        publish(http, 0, 10)
+        page.run("window.go = true")
+        page.wait(f"{SEEN}.then((each) => each.length === 10)")
+        page.run(HOLD_FOLLOWING)
+        assert http.put("/streams/others", json={"fields": {"v": "integer"}}).status_code == 201
+        assert http.post("/subscriptions", json={"stream": "others"}).status_code == 201
+        page.wait("window.asked === 1")
+        publish(http, 10, 10)
+        page.run("window.go = true")
+        page.wait(f"{SEEN}.then((each) => each.length === 20)")
+        publish(http, 20, 10)
+        page.wait(f"{SEEN}.then((each) => each.length === 30)")
+        assert page.run(SEEN) == list(range(30))
+
+
 def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN) -> None:
     with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
         port = int(url.rpartition(":")[2])
