@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from typing import Final, TypeAlias
+from collections.abc import Iterator
+from typing import Final, TypeAlias, TypeVar
 from typing import Literal as OneOf
 
-from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
+from pyoxigraph import BlankNode, Literal, NamedNode, Quad, RdfFormat, Triple, parse
 
 from .document_guard import check_document
 from .errors import OntologyError
 from .turtle import HEADER_LINES, to_standard_turtle
 
+T = TypeVar("T")
 TextFormat: TypeAlias = OneOf["turtle", "rdfxml", "jsonld", "ntriples"]
 
 LARGEST_TEXT: Final = 16 * 1024 * 1024
@@ -51,6 +53,29 @@ def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Tr
         if not isinstance(triple.object, NamedNode | BlankNode | Literal):
             raise OntologyError("triples about triples (RDF 1.2) are not supported")
     return triples
+
+
+def nquads_of_json_ld(text: bytes) -> Iterator[bytes]:
+    """Yield the statements of JSON-LD as lines of N-Quads, with blank nodes by order of appearance.
+
+    Raises `OntologyError` as `read_triples`. The parser may take long, and may overflow its stack:
+    call it in a worker for texts of strangers.
+    """
+    check_document(text.decode(errors="replace"), "jsonld")
+    names: dict[BlankNode, BlankNode] = {}
+
+    def named(term: T) -> T | BlankNode:
+        if not isinstance(term, BlankNode):
+            return term
+        return names.setdefault(term, BlankNode(f"b{len(names)}"))
+
+    try:
+        for quad in parse(text, RdfFormat.JSON_LD):
+            graph, subject = named(quad.graph_name), named(quad.subject)
+            found = Quad(subject, quad.predicate, named(quad.object), graph)
+            yield f"{found} .\n".encode()
+    except SyntaxError as error:
+        raise _refusal(error, 0) from error
 
 
 def _refusal(error: SyntaxError, header: int) -> OntologyError:

@@ -23,6 +23,8 @@ from ..inference import TimeReader
 from ..wire import Incoming
 from .mcap import open_mcap
 from .names import valid_name
+from .rdf_file import FORMATS as RDF
+from .rdf_file import is_rdf_file, open_rdf
 from .recording import (
     ARROW,
     CSV,
@@ -42,7 +44,7 @@ from .ulog import open_ulog
 
 STREAM: Final = "stream"
 """The key of a line that names the sample's stream."""
-_TABLES: Final = (*CSV, *NDJSON, *ARROW, *PARQUET)
+_TABLES: Final = (*CSV, *NDJSON, *ARROW, *PARQUET, *RDF)
 _ULOG: Final = ".ulg"
 _MCAP: Final = ".mcap"
 _BAGS: Final = (".bag", ".db3")
@@ -117,7 +119,7 @@ def open_recordings(
             kinds = (types or {}).get(name)
             opened = {}
             try:
-                opened[name] = open_recording(path, options, kinds)
+                opened[name] = open_table(path, options, kinds)
             except EmptyTable:
                 if not skip_empty:
                     raise
@@ -132,6 +134,16 @@ def open_recordings(
     return Recordings(dict(sorted(found.items())), dropouts, lost, tuple(notes))
 
 
+def open_table(
+    path: Path, options: TableOptions = GUESSED, types: Mapping[str, FieldType] | None = None
+) -> Recording:
+    """The recording of one stream: a table, or a file of RDF, of which the time column is the
+    property that gives times. Raises as `open_recording`."""
+    if is_rdf_file(path):
+        return open_rdf(path, options.time_column or "")
+    return open_recording(path, options, types)
+
+
 def open_stream(path: Path | str, name: str, options: TableOptions = GUESSED) -> Recording:
     """The recording of stream ``name`` in a file: a table, whatever its name, or one of the streams
     of a log or of lines that name theirs.
@@ -141,7 +153,7 @@ def open_stream(path: Path | str, name: str, options: TableOptions = GUESSED) ->
     """
     path = Path(path)
     if not has_many_streams(path):
-        return open_recording(path, options)
+        return open_table(path, options)
     found = open_recordings([path], options)
     if name not in found:
         raise WireError(

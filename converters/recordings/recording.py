@@ -74,6 +74,8 @@ class Recording:
     """The column of the valid times."""
     rounding: Tally = field(default_factory=Tally, repr=False)
     """Which numbers float fields have rounded, as far as it was read."""
+    is_rdf: bool = False
+    """Whether its rows are statements of RDF."""
 
     @property
     def out_of_order_effect(self) -> str:

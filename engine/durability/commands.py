@@ -57,13 +57,12 @@ from ..model.views import (
 from ..processes.external_io import Outcome, Reading
 from ..units.backlog import TurnRecord
 
-BatchKind: TypeAlias = Literal["ndjson", "arrow", "ntriples", "nquads", "turtle", "trig", "jsonld"]
+BatchKind: TypeAlias = Literal["ndjson", "arrow", "ntriples", "nquads", "turtle", "trig"]
 RDF_FORMATS: Final[dict[BatchKind, RdfFormat]] = {
     "ntriples": RdfFormat.N_TRIPLES,
     "nquads": RdfFormat.N_QUADS,
     "turtle": RdfFormat.TURTLE,
     "trig": RdfFormat.TRIG,
-    "jsonld": RdfFormat.JSON_LD,
 }
 """The kinds of batches for streams of RDF."""
 

@@ -106,7 +106,10 @@ Sort = Annotated[
 
 
 TimeColumn = Annotated[
-    str | None, typer.Option(help="The column of valid times. Default: by its name.")
+    str | None,
+    typer.Option(
+        help="The column of valid times; of RDF the property (IRI). Default: by its name."
+    ),
 ]
 TimeUnit = Annotated[
     str | None, typer.Option(help="s, ms, us or ns. Default: by the size of the numbers.")

@@ -9,11 +9,13 @@ from msgspec.structs import replace
 
 from ...converters.errors import AheadOfClock
 from ...engine.durability.commands import BatchKind, DeclareStream, Publish
+from ..admission.gate import client_key
 from ..config.media_types import ARROW, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG, TURTLE
 from ..http.negotiation import content_type
 from ..http.problems import Problem, responses
 from ..models import AcceptedModel, StreamIn
 from ..runtime.context import Context, Service
+from ..workers.route_calls import while_connected
 from .fast_route import direct
 from .streams import default_retention
 
@@ -23,9 +25,9 @@ RDF_KINDS: Final[dict[str, BatchKind]] = {
     NQUADS: "nquads",
     TURTLE: "turtle",
     TRIG: "trig",
-    JSON_LD: "jsonld",
+    JSON_LD: "nquads",
 }
-"""The media types of RDF."""
+"""The media types of RDF. JSON-LD becomes N-Quads in a worker."""
 KEY_LENGTH = 200
 """The longest Idempotency-Key."""
 LINE = '{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "speed": 31.5}\n'
@@ -103,8 +105,11 @@ async def publish_samples(
             headers={"Retry-After": "1"},
         )
     kinds = KINDS | RDF_KINDS
-    kind = kinds[content_type(request, tuple(kinds))]
-    body = await request.body()
+    media_type = content_type(request, tuple(kinds))
+    kind, body = kinds[media_type], await request.body()
+    if media_type == JSON_LD:
+        texts, sender = service.isolation.json_ld, client_key(request)
+        body = await while_connected(request, lambda: texts.nquads(body, sender))
     # `decode` checks the stream again: it may have been declared anew while the body arrived.
     batch = Publish(name, kind, body, service.clock(), idempotency_key)
     # First: decoding adds texts to the stream's dictionary, in vain if the log has no room.

@@ -35,7 +35,7 @@ from ...ontology.closure_queries import answer
 from ...ontology.deep_hierarchies import MARKERS
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.query_guard import Dataset, check_user_query
-from ...ontology.reading import TextFormat, read_triples
+from ...ontology.reading import TextFormat, nquads_of_json_ld, read_triples
 from ..http.sparql_formats import TABLES, write_graph
 from .messages import (
     Answer,
@@ -48,6 +48,7 @@ from .messages import (
     Misread,
     Query,
     Read,
+    ReadJsonLd,
     ReadSpecification,
     Refused,
     Row,
@@ -84,6 +85,7 @@ class Worker:
         closed = self.answer(Entail(read.rows, 1000))
         assert isinstance(closed, Table)
         self.answer(Ask("SELECT", "", None, b"", [], 1, 1))
+        self.answer(ReadJsonLd(b'{"@id": "urn:a", "urn:p": {}}', 1, 1000))
         self.answer(ReadSpecification(_EMPTY_SPECIFICATION, 1, 1))
 
     def answer(self, work: Work) -> Answer:
@@ -100,6 +102,8 @@ class Worker:
                     return _read(work)
                 case Entail():
                     return _entail(work)
+                case ReadJsonLd():
+                    return _read_json_ld(work)
                 case ReadSpecification():
                     return _read_specification(work)
         except _LimitExceeded as exceeded:
@@ -181,6 +185,13 @@ def _entail(work: Entail) -> Answer:
     if sum(1 for triple in added if triple.predicate not in MARKERS) > work.most:
         return TooMuch("triples", work.most)
     return Table([], sorted(rows_of(added), key=str))
+
+
+def _read_json_ld(work: ReadJsonLd) -> Answer:
+    sink = _Sink(work.size)
+    for line in _limited(nquads_of_json_ld(work.text), work.statements, "statements"):
+        sink.write(line)
+    return Written(sink.content())
 
 
 def _read_specification(work: ReadSpecification) -> Answer:

@@ -84,6 +84,15 @@ class Entail(msgspec.Struct, tag="entail", frozen=True):
     most: int
 
 
+class ReadJsonLd(msgspec.Struct, tag="read json-ld", frozen=True):
+    """A text of JSON-LD, of which at most ``statements`` are read, and written as N-Quads of at
+    most ``size`` bytes."""
+
+    text: bytes
+    statements: int
+    size: int
+
+
 class ReadSpecification(msgspec.Struct, tag="read specification", frozen=True):
     """A specification in XML, decoded, with at most ``parts`` insertions, as many removals, and
     ``elements`` elements."""
@@ -93,7 +102,7 @@ class ReadSpecification(msgspec.Struct, tag="read specification", frozen=True):
     elements: int
 
 
-Work: TypeAlias = Follow | Query | Ask | Read | Entail | ReadSpecification
+Work: TypeAlias = Follow | Query | Ask | Read | Entail | ReadJsonLd | ReadSpecification
 
 
 class Job(msgspec.Struct, frozen=True):

@@ -12,6 +12,7 @@ from ...continuous.columns.budget import Budget
 from ...ontology.ontology import Ontology
 from ..config.settings import MEBIBYTE, Settings
 from ..turns.window_turns import WindowTurns
+from .json_ld import IsolatedJsonLd
 from .oxigraph_client import IsolatedAsking
 from .pool import Pool
 from .rdf_documents import WAITING, IsolatedReasoning
@@ -79,6 +80,8 @@ class Isolation:
         # A separate pool: an ontology occupies its worker for many seconds.
         self._specifications = Pool(1, settings.worker_memory, WAITING)
         self.specifications = IsolatedSpecifications(self._specifications)
+        # With these: both take a moment for a text of the usual form.
+        self.json_ld = IsolatedJsonLd(self._specifications, settings.batch_limits)
         self._own: Mapping[str, Pool] = {
             "sparql": self._sparql,
             "documents": self._documents,

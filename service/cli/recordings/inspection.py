@@ -66,7 +66,10 @@ def show_streams(found: Inspected, written: Path | None) -> None:
         show_text("")
     recordings = found.recordings
     show_losses(recordings.dropouts, recordings.lost, recordings.notes)
-    show_text(_skeletons(found) if written is None else f"The SSL text is in {written}.")
+    if _is_rdf(found):
+        show_text("RDF says itself what it means: it needs no SSL text.")
+    else:
+        show_text(_skeletons(found) if written is None else f"The SSL text is in {written}.")
     if not found.file.is_dir() or is_log(found.file):
         show_text("\nnext:")
         for command in _next(found, written):
@@ -128,6 +131,10 @@ def _feature(field: str, its: Overview, features: Mapping[str, str]) -> str:
     return shorten(features[field]) if field in features else "-"
 
 
+def _is_rdf(found: Inspected) -> bool:
+    return all(recording.is_rdf for recording in found.recordings.values())
+
+
 def _skeletons(found: Inspected) -> str:
     texts = [ssl_skeleton(name, its, found.vocabulary) for name, its in found.streams.items()]
     return "\n\n".join(texts)
@@ -144,6 +151,8 @@ def _next(found: Inspected, written: Path | None) -> list[str]:
     file, first = str(found.file), next(iter(found.streams))
     text = found.file.name.partition(".")[0] + ".ssl" if written is None else str(written)
     streams = ["--stream", first] if not has_many_streams(found.file) else []
+    if _is_rdf(found):
+        return [shlex.join(["dyknow", "replay", file, *streams, *words])]
     write = shlex.join(["dyknow", "inspect", file, *words, "--skeleton", text])
     play = shlex.join(["dyknow", "replay", file, *streams, *words, "--ssl", text])
     return [write, play] if written is None else [play]

@@ -26,9 +26,10 @@ from ....converters.recordings.many_streams import (
     has_many_streams,
     is_log,
     open_recordings,
+    open_table,
 )
 from ....converters.recordings.piped import Piped, Readable, open_pipe
-from ....converters.recordings.recording import Recording, open_recording
+from ....converters.recordings.recording import Recording
 from ....converters.recordings.table_options import TableOptions
 from ....converters.recordings.time_order import TimeOrder, in_time_order
 from ....converters.wire import Rounded
@@ -311,10 +312,10 @@ def _open(
     """Open the streams of the file; fields of existing streams keep their types."""
     if not has_many_streams(file):
         there = _existing(client, _only(wanted))
-        recording = open_recording(file, tables)
+        recording = open_table(file, tables)
         types = _types(there, recording.schema.names)
-        if types:
-            recording = open_recording(file, tables, types)
+        if types and not recording.is_rdf:
+            recording = open_table(file, tables, types)
         return _Opened({wanted[0]: _Track(recording, there)})
     found = open_recordings([file], tables, utc=utc)
     names = _chosen(wanted, found)
@@ -369,6 +370,9 @@ def _declare(
     existing stream."""
     fields = [{"name": f.name, "type": f.type.value} for f in track.recording.schema.fields]
     there = track.there
+    if track.recording.is_rdf:
+        _declare_rdf(client, name, there, lateness, idle, ahead)
+        return
     if there is None:
         bound = HOUR if ahead is None else ahead
         client.put_stream(name, fields, lateness=lateness or 0, idle=idle, ahead=bound)
@@ -386,6 +390,28 @@ def _declare(
         retention=there["retention"],
         namespace=there["namespace"],
     )
+
+
+def _declare_rdf(
+    client: Client,
+    name: str,
+    there: Mapping[str, Any] | None,
+    lateness: str | None,
+    idle: str | None,
+    ahead: int | None,
+) -> None:
+    """The same for a recording of RDF: a stream has its fields by its kind."""
+    options = {"lateness": lateness, "idle": idle, "ahead": ahead}
+    given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    if there is not None and there["kind"] == "rdf":
+        if not given:
+            return
+        kept = ("lateness", "idle", "ahead", "retention")
+        client.put_rdf_stream(
+            name, time=there["time"], **{**{key: there[key] for key in kept}, **given}
+        )
+        return
+    client.put_rdf_stream(name, **given)
 
 
 @dataclass(slots=True)

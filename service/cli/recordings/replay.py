@@ -17,7 +17,8 @@ def replay(
         Path,
         typer.Argument(
             help="CSV, NDJSON, Arrow or Parquet; a log of PX4 (.ulg), MCAP or ROS (.bag, .db3, a "
-            "folder); NDJSON of many streams; a pipe, or - for standard input, of CSV or NDJSON.",
+            "folder); NDJSON of many streams; RDF with times (.nq .trig .ttl .nt .jsonld); a pipe, "
+            "or - for standard input, of CSV or NDJSON.",
             callback=existing,
         ),
     ],

@@ -6,6 +6,7 @@ import logging
 import socket
 import struct
 from collections.abc import Iterator
+from functools import partial
 from urllib.parse import urlsplit
 
 import anyio
@@ -182,6 +183,16 @@ def test_a_missing_scope_is_named(http: httpx.Client) -> None:
     assert "needs scope admin" in answer.json()["detail"]
     assert 'error="insufficient_scope", scope="admin"' in answer.headers["www-authenticate"]
     assert http.get("/streams/x", headers=bearer(READ)).status_code == 404
+
+
+def test_who_publishes_may_not_make_a_stream_by_it(admin: Client, http: httpx.Client) -> None:
+    turtle = {"Content-Type": "text/turtle"}
+    send = partial(http.post, "/streams/new/samples", content="<urn:a> <urn:p> 1 .")
+    refused = send(params={"create": "rdf"}, headers=turtle | bearer(PUBLISH))
+    assert refused.status_code == 403
+    assert refused.json()["title"] == "scope missing"
+    assert send(params={"create": "rdf"}, headers=turtle | bearer(ADMIN)).status_code == 202
+    assert send(params={"create": "rdf"}, headers=turtle | bearer(PUBLISH)).status_code == 202
 
 
 def test_who_publishes_need_not_read(admin: Client, http: httpx.Client) -> None:

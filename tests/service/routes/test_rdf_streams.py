@@ -8,6 +8,8 @@ import json
 import httpx
 import pytest
 
+from dyknow.service.workers import json_ld
+
 NTRIPLES, NQUADS, TRIG = "application/n-triples", "application/n-quads", "application/trig"
 TURTLE, JSON_LD = "text/turtle", "application/ld+json"
 PROV = "http://www.w3.org/ns/prov#generatedAtTime"
@@ -265,3 +267,32 @@ def test_annotated_samples_are_timestamped_graphs_too(http: httpx.Client) -> Non
         f"{graph} {{ <http://www.ida.liu.se/dyknow/u> <http://www.ida.liu.se/dyknow/speed> "
         '"5"^^<http://www.w3.org/2001/XMLSchema#double> . }',
     ]
+
+
+def test_json_ld_that_ends_or_occupies_its_worker_harms_nobody(
+    rdf: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(json_ld, "SECONDS", 1.0)
+    chain = {f"c{i}": f"c{i + 1}:x" for i in range(20_000)} | {"c20000": "urn:z"}
+    ends = send(rdf, json.dumps({"@context": chain, "c0": 1}), JSON_LD)
+    assert (ends.status_code, "stopped" in ends.json()["detail"]) == (400, True), ends.text
+    terms = {f"t{i}": f"urn:t{i}" for i in range(6_000)}
+    scoped = {**terms, "p": {"@id": "urn:p", "@context": {"a": "urn:a"}}}
+    many = [{"p": {"a": 1}}] * 6_000
+    takes_long = send(rdf, json.dumps({"@context": scoped, "@graph": many}), JSON_LD)
+    assert takes_long.status_code == 400, takes_long.text
+    assert "stopped" in takes_long.json()["detail"]
+    assert samples(rdf) == []
+    assert send(rdf, '{"@id": "urn:a", "urn:p": 1}', JSON_LD).status_code == 202
+
+
+def test_json_ld_may_be_sent_again_under_its_key(rdf: httpx.Client) -> None:
+    text = '{"@id": "urn:a", "urn:p": {"urn:q": [1, {}]}}'
+    for _ in range(2):
+        answer = rdf.post(
+            "/streams/speeds/samples",
+            content=text,
+            headers={"Content-Type": JSON_LD, "Idempotency-Key": "k"},
+        )
+        assert answer.json() == {"accepted": 3}
+    assert len(samples(rdf)) == 3
