@@ -95,7 +95,7 @@ def test_the_metadata_is_whole(wheel: Path) -> None:
     assert found.get_payload().strip() == (ROOT / "README.md").read_text().strip()
     assert found.get_all("Classifier") == PROJECT["classifiers"]
     assert len(found.get_all("Project-URL", [])) == len(PROJECT["urls"])
-    assert set(found.get_all("Provides-Extra", [])) == {"arrow", "pandas", "px4"}
+    assert set(found.get_all("Provides-Extra", [])) == {"arrow", "mcap", "pandas", "px4", "rosbag"}
 
 
 def test_the_wheel_alone_runs(wheel: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import anyio.to_thread
 import numpy as np
@@ -40,14 +40,17 @@ _SAMPLE, _VALUE = 64, 24
 RDF_KINDS = (NTRIPLES, NQUADS, TRIG)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class RdfWriter:
-    """Writes samples as RDF. ``stream`` is the IRI of their stream; ``triples`` returns the
-    N-Triples of each sample, in lines; ``is_rdf``: they are statements, which may have a graph."""
+    """Writes the samples of one answer as RDF, in order of available time. ``stream`` is the IRI of
+    their stream; ``triples`` returns the N-Triples of each sample, in lines; ``is_rdf``: they are
+    statements, which may have a graph."""
 
     stream: str
     triples: Callable[[SampleBatch], list[str]]
     is_rdf: bool = False
+    _timed: set[tuple[str, int]] = field(default_factory=set)
+    """The graphs of the last available time whose time is written."""
 
     def written(self, batch: SampleBatch, kind: str) -> str:
         """The samples as N-Triples, or as timestamped graphs in N-Quads or TriG: the samples of one
@@ -61,12 +64,12 @@ class RdfWriter:
             own = batch.columns[GRAPH].tolist()
             names = [str(graph or name) for graph, name in zip(own, names, strict=True)]
         lines: list[str] = []
-        timed: set[tuple[str, int]] = set()
         for name, time, text in zip(names, times, texts, strict=True):
             if not text:
                 continue
-            if (name, time) not in timed:
-                timed.add((name, time))
+            if (name, time) not in self._timed:
+                self._timed = {each for each in self._timed if each[1] == time}
+                self._timed.add((name, time))
                 lines.append(f'{name} {GENERATED} "{format_time(time)}"^^<{XSD}dateTime> .')
             statements = text.split("\n")
             if kind == TRIG:

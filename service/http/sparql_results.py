@@ -13,18 +13,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from fastapi import Request, Response
 from pyoxigraph import (
     BlankNode,
+    DefaultGraph,
     Literal,
     NamedNode,
+    Quad,
     QueryResultsFormat,
     Triple,
     parse_query_results,
+    serialize,
 )
 
 from ...continuous.operators.results import WindowResult
+from ...converters.rdf.ntriples import GENERATED
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import PREFIXES, XSD
 from ...streams.time import format_time
-from ..config.media_types import JSON, SPARQL_JSON, SPARQL_XML
+from ..config.media_types import JSON, NQUADS, SPARQL_JSON, SPARQL_XML, TRIG
 from . import sparql_formats
 from .negotiation import accepted
 from .problems import Problem
@@ -38,6 +42,7 @@ WINDOW_END = "window_end"
 ANSWER = "answer"
 """The column of the answers of ASK there."""
 _STRING = XSD + "string"
+_DATE_TIME = NamedNode(XSD + "dateTime")
 
 
 def answer(body: bytes | None, kind: str) -> Response:
@@ -66,14 +71,16 @@ def many_windows(
     form: str,
     variables: Sequence[str],
     most: int,
+    stream: str,
 ) -> Response:
     """The answer with the results of several windows: one table, whose first column is the end of
-    a row's window, or one graph. ``variables`` are the columns if no window has solutions.
+    a row's window, or one graph; in N-Quads and TriG a timestamped graph for each window, named
+    after ``stream`` (an IRI). ``variables`` are the columns if no window has solutions.
 
     Raises `Problem` as `one_window`.
     """
     if form in ("CONSTRUCT", "DESCRIBE"):
-        return _graph(request, results, most)
+        return _graph(request, results, most, stream)
     told = next(
         (each.solutions.variables for each in results if each.solutions is not None), variables
     )
@@ -105,21 +112,35 @@ def _table(
     return answer(_written(told, RESULTS[kind]), kind)
 
 
-def _graph(request: Request, results: Sequence[WindowResult], most: int) -> Response:
+def _graph(
+    request: Request, results: Sequence[WindowResult], most: int, stream: str = ""
+) -> Response:
+    """One graph; with ``stream`` (an IRI), in formats of several graphs, a timestamped graph for
+    each window."""
     kind = accepted(request, tuple(GRAPHS))
-    triples: dict[Triple, None] = {}
+    is_timed = bool(stream) and kind in (TRIG, NQUADS)
+    quads: dict[Quad, None] = {}
     size = 0
     for result in results:
         assert result.triples is not None
+        graph: NamedNode | DefaultGraph = DefaultGraph()
+        if is_timed and len(result.triples):
+            end = format_time(result.end)
+            graph = NamedNode(f"{stream}/{end}")
+            quads[Quad(graph, GENERATED, Literal(end, datatype=_DATE_TIME))] = None
         for _, subject, predicate, object in result.triples:
             assert isinstance(subject, NamedNode | BlankNode)
-            triple = Triple(subject, predicate, object)
-            if triple not in triples:
+            quad = Quad(subject, predicate, object, graph)
+            if quad not in quads:
                 size += sum(len(term.value) for term in (subject, predicate, object))
                 if size > most:
                     raise result_too_large(f"{most} bytes")
-                triples[triple] = None
-    return graph_answer(triples, kind)
+                quads[quad] = None
+    if is_timed:
+        prefixes = PREFIXES if kind == TRIG else {}
+        written = serialize(quads, format=GRAPHS[kind], prefixes=dict(prefixes))
+        return answer(written, kind)
+    return graph_answer((quad.triple for quad in quads), kind)
 
 
 def graph_answer(

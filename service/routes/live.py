@@ -15,7 +15,7 @@ from ..http.problems import Problem, problem_of, responses
 from ..models import AcceptedModel
 from ..runtime.context import Context, Service
 from ..runtime.live_ingest import LiveLines, LiveSamples, LiveTables
-from .publish import BODY
+from .publish import SAMPLES_BODY
 
 router = APIRouter(tags=["samples"])
 
@@ -25,7 +25,7 @@ router = APIRouter(tags=["samples"])
     status_code=202,
     response_model=AcceptedModel,
     response_model_exclude_none=True,
-    openapi_extra=BODY,
+    openapi_extra=SAMPLES_BODY,
     responses=responses(403, 404, 408, 409, 413, 415, 429, 503),
 )
 async def publish_live(

@@ -31,21 +31,23 @@ RDF_KINDS: Final[dict[str, BatchKind]] = {
 KEY_LENGTH = 200
 """The longest Idempotency-Key."""
 LINE = '{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "speed": 31.5}\n'
-BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            NDJSON: {
-                "schema": {
-                    "type": "string",
-                    "description": "one sample per line: valid, available (optional), all fields",
-                },
-                "example": LINE,
-            },
-            ARROW: {"schema": {"type": "string", "format": "binary"}},
-            **{kind: {"schema": {"type": "string", "description": "RDF"}} for kind in RDF_KINDS},
+_CONTENT: Final[dict[str, Any]] = {
+    NDJSON: {
+        "schema": {
+            "type": "string",
+            "description": "one sample per line: valid, available (optional), all fields",
         },
-    }
+        "example": LINE,
+    },
+    ARROW: {"schema": {"type": "string", "format": "binary"}},
+}
+_RDF_CONTENT: Final = {
+    kind: {"schema": {"type": "string", "description": "RDF"}} for kind in RDF_KINDS
+}
+SAMPLES_BODY: Final[dict[str, Any]] = {"requestBody": {"required": True, "content": _CONTENT}}
+"""Samples, and no RDF."""
+BODY: Final[dict[str, Any]] = {
+    "requestBody": {"required": True, "content": _CONTENT | _RDF_CONTENT}
 }
 
 

@@ -9,8 +9,10 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
+from ...converters.objects import object_iri
 from ...engine.durability.accepted_commands import QUERY, query_view
 from ...engine.durability.commands import RegisterQuery, RemoveQuery
+from ...rdf.namespaces import DYKNOW
 from ...streams.time import format_time
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
 from ..http.json_lists import listed
@@ -171,7 +173,8 @@ async def read_results(
     """Return the result of the last closed window; 404 while there is none.
 
     With `from`, `to` or `limit`: the results of the kept windows that end in that range, as a table
-    with the first column `window_end`, or as one graph. SELECT: JSON, XML, CSV, TSV. ASK: JSON,
+    with the first column `window_end`, or as one graph; in N-Quads and TriG each window is a
+    timestamped graph. SELECT: JSON, XML, CSV, TSV. ASK: JSON,
     XML, for one window. CONSTRUCT: Turtle, N-Triples, JSON-LD. Terms are the query's own.
     """
     queries, most = service.engine.queries, service.settings.sparql_bytes
@@ -185,7 +188,7 @@ async def read_results(
     variables = tuple(field.name for field in view.fields)
     results = queries.results(name, time_of(start, "from"), time_of(end, "to"), limit)
     return await anyio.to_thread.run_sync(
-        many_windows, request, results, view.form, variables, most
+        many_windows, request, results, view.form, variables, most, object_iri(name, DYKNOW)
     )
 
 

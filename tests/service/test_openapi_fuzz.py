@@ -20,6 +20,8 @@ from dyknow.service.config.settings import Settings
     "application/rdf+xml",
     "application/ld+json",
     "application/n-triples",
+    "application/n-quads",
+    "application/trig",
 )
 def plain_text(ctx: schemathesis.SerializationContext, value: Any) -> bytes:
     return value if isinstance(value, bytes) else str(value).encode(errors="replace")

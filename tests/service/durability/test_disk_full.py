@@ -116,6 +116,7 @@ WRITES = {
     ("PATCH", "/transformations/{name}"): ("/transformations/t", '{"cost": 2}', {}),
     ("DELETE", "/transformations/{name}"): ("/transformations/t", b"", {}),
     ("POST", "/ontologies"): ("/ontologies?name=x", "<urn:a> <urn:b> <urn:c> .", TURTLE),
+    ("DELETE", "/ontologies/{name}"): ("/ontologies/gone", b"", {}),
     ("POST", "/kpl"): ("/kpl", "source float pos", TEXT),
     ("DELETE", "/kpl/{name}"): ("/kpl/pos", b"", {}),
     ("POST", "/specifications"): (
@@ -130,6 +131,8 @@ WRITES = {
 def test_every_route_that_writes_is_refused_with_507_and_documents_it(http, fill):
     declare(http)
     http.post("/templates", content=_body("high"), headers=TEXT).raise_for_status()
+    gone = http.post("/ontologies?name=gone", content="<urn:a> <urn:b> <urn:c> .", headers=TURTLE)
+    gone.raise_for_status()
     schema = http.get("/openapi.json").json()
     writing = {
         (method.upper(), path)

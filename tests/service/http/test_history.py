@@ -19,12 +19,13 @@ from hypothesis import strategies as st
 from dyknow.converters.arrow.stream import decode_arrow
 from dyknow.service.client.client import Client
 from dyknow.service.client.connection import ServiceError
-from dyknow.service.config.media_types import ARROW, CSV, JSON, NDJSON, NTRIPLES
+from dyknow.service.config.media_types import ARROW, CSV, JSON, NDJSON, NQUADS, NTRIPLES, TRIG
 from dyknow.service.config.settings import Settings
 from dyknow.service.http import history_encoding
 from dyknow.service.http.history_encoding import (
     PIECE_BYTES,
     PIECE_SAMPLES,
+    RdfWriter,
     history_answer,
     pieces,
 )
@@ -36,7 +37,7 @@ from dyknow.streams.sample import (
     batch_from_rows,
 )
 
-KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES)
+KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG)
 FIELDS = Schema((Field("t", FieldType.STRING), Field("v", FieldType.FLOAT)))
 LINES = {"Content-Type": NDJSON}
 
@@ -148,9 +149,9 @@ def test_in_pieces_it_says_what_it_says_in_one(
 ) -> None:
     async def both() -> tuple[list[bytes], list[bytes]]:
         given = batch(*[100] * count)
-        whole = await body_of(await history_answer(kind, given, told))
+        whole = await body_of(await history_answer(kind, given, RdfWriter("urn:s", told)))
         monkeypatch.setattr(history_encoding, "PIECE_BYTES", 500)
-        return whole, await body_of(await history_answer(kind, given, told))
+        return whole, await body_of(await history_answer(kind, given, RdfWriter("urn:s", told)))
 
     whole, parts = asyncio.run(both())
     assert (len(whole), len(parts)) == (1, max(1, (count + 1) // 2))
@@ -173,7 +174,7 @@ def test_nothing_is_encoded_before_it_is_asked_for(
             yield part
 
     async def some() -> list[int]:
-        answer = await history_answer(kind, batch(*[PIECE_BYTES] * 10), told)
+        answer = await history_answer(kind, batch(*[PIECE_BYTES] * 10), RdfWriter("urn:s", told))
         assert isinstance(answer, StreamingResponse)
         before = taken
         return [before, *[taken async for _ in answer.body_iterator]]

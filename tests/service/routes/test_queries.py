@@ -209,6 +209,23 @@ def test_a_graph_in_each_format(flying: httpx.Client, kind: str, words: str) -> 
     assert words in many.text
 
 
+@pytest.mark.parametrize("kind", ["application/trig", "application/n-quads"])
+def test_windows_are_timestamped_graphs_that_a_stream_of_rdf_takes(
+    flying: httpx.Client, kind: str
+) -> None:
+    register(flying, FAST)
+    play(flying)
+    windows = flying.get("/queries/fast/results?limit=100", headers={"Accept": kind})
+    rows = flying.get("/streams/fast/samples", headers={"Accept": "application/json"}).json()
+    sent = flying.post(
+        "/streams/copy/samples?create=rdf", content=windows.content, headers={"Content-Type": kind}
+    )
+    assert sent.json() == {"accepted": len(rows)}
+    copied = flying.get("/streams/copy/samples", headers={"Accept": "application/json"}).json()
+    assert [each["valid"] for each in copied] == [each["valid"] for each in rows]
+    assert len({each["graph"] for each in copied}) == len({each["valid"] for each in rows})
+
+
 def test_a_graph_that_rdf_xml_cannot_express(flying: httpx.Client) -> None:
     register(flying, FAST.replace("CONSTRUCT { ?o dyknow:speed", "CONSTRUCT { ?o <http://e.org/1>"))
     play(flying)
