@@ -29,6 +29,7 @@ TABLES = (
     "bombs.py",
     "journal.py",
     "ingest.py",
+    "rdf.py",
     "accuracy.py",
     "policies.py",
     "joining.py",

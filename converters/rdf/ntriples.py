@@ -89,6 +89,8 @@ class TripleReader(TermTable):
         self.dictionary = dictionary
         self._least = least
         self._known: dict[bytes, int] = {}
+        self.size = 0
+        """Bytes of the spellings that it has remembered so far."""
         dictionary.follow(self)
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
@@ -247,6 +249,7 @@ class TripleReader(TermTable):
                 kind, value = split_term(term, self.dictionary.transient_id)
                 if kind is Kind.TERM:
                     known[text] = value
+                    self.size += len(text)
                 else:
                     numbers[text] = int(kind), object_bits(kind, value)
         if not numbers:

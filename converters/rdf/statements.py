@@ -7,6 +7,7 @@ docs/reference/formats.md.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -41,6 +42,10 @@ SCHEMA: Final = Schema(
 )
 NUMBERS: Final = {kind: DATATYPES[kind].value.removeprefix(XSD) for kind in Kind if kind.is_number}
 """The texts of `DATATYPE`."""
+MOST_TERMS: Final = 1 << 14
+"""Terms that a thread remembers from one text to the next."""
+MOST_SPELLED: Final = 1 << 20
+"""And bytes of their spellings."""
 EXACT: Final = 2**53
 """The greatest integer up to which a float64 holds all."""
 _TIMED: Final = (RdfFormat.N_QUADS, RdfFormat.TRIG, RdfFormat.JSON_LD)
@@ -64,7 +69,7 @@ def decode_statements(
     Cost: 2 ns a byte and some Python for each distinct term, of N-Triples and N-Quads; 3 µs a
     statement in other formats.
     """
-    reader = TripleReader(TermDictionary())
+    reader = _reader()
     found = reader.statements(data, format, None if limits is None else limits.samples)
     times: Times | None = None
     if format in _TIMED and _has_graph_times(found, reader.dictionary):
@@ -82,6 +87,17 @@ def decode_statements(
     texts = _Texts(found, reader.dictionary, limits)
     batch = SampleBatch(times, times, texts.columns(pools))
     return Incoming(batch, stamped, valid_on_arrival=stamped, has_nodes=texts.has_nodes)
+
+
+_own: Final = threading.local()
+
+
+def _reader() -> TripleReader:
+    """The reader of this thread. It remembers the terms of earlier texts, up to a bound."""
+    reader: TripleReader | None = getattr(_own, "reader", None)
+    if reader is None or len(reader.dictionary) > MOST_TERMS or reader.size > MOST_SPELLED:
+        reader = _own.reader = TripleReader(TermDictionary())
+    return reader
 
 
 def with_named_nodes(batch: SampleBatch, number: int) -> SampleBatch:
@@ -228,12 +244,16 @@ class _Texts:
     ) -> None:
         self._found = found
         self._dictionary = dictionary
-        terms = dictionary.terms()
         self._nodes: dict[Term, str] = {}
+        objects = np.where(found.kind == Kind.TERM, found.object, NO_TERM)
+        # Graphs have no term -1, which is the last entry here.
+        is_used = np.zeros(len(dictionary) + 1, np.bool_)
+        for ids in (found.subject, found.predicate, objects, found.graph):
+            is_used[ids] = True
+        terms = [dictionary.term(id) for id in np.flatnonzero(is_used[:-1]).tolist()]
         if any(isinstance(term, BlankNode) for term in terms):
-            objects = np.where(found.kind == Kind.TERM, found.object, NO_TERM)
             for id in np.stack([found.graph, found.subject, objects], axis=1).ravel().tolist():
-                if id != NO_TERM and isinstance(term := terms[id], BlankNode):
+                if id != NO_TERM and isinstance(term := dictionary.term(id), BlankNode):
                     self._nodes.setdefault(term, f"_:b{len(self._nodes)}")
         if limits is not None:
             for term in terms:
@@ -302,9 +322,16 @@ def _coded(
 ) -> Column:
     """A column of the texts of ids."""
     rows = np.flatnonzero(~null)
-    used, place = np.unique(ids[rows], return_inverse=True)
+    present = ids[rows]
+    # Ids are small: a table by id is quicker than sorting them. Codes are given in order of
+    # appearance, since ids depend on earlier texts, and a replay has to give the same codes.
+    table = np.full(int(present.max()) + 1 if len(rows) else 0, -1, np.int32)
+    table[present[::-1]] = np.arange(len(rows), dtype=np.int32)[::-1]
+    used = np.flatnonzero(table >= 0)
+    used = used[np.argsort(table[used])]
+    table[used] = pool.encode([text(id) for id in used.tolist()])
     codes = np.zeros(len(ids), np.int32)
-    codes[rows] = pool.encode([text(id) for id in used.tolist()])[place]
+    codes[rows] = table[present]
     return Column(FieldType.STRING, codes, _null(null), pool)
 
 

@@ -140,3 +140,20 @@ def test_the_earliest_time_that_leads_to_a_subject_is_its_own(links, own):
     assert Counter(found) == Counter(
         (f"<urn:{s}>", times[s], times[s]) for s in [*(s for s, _ in links), *own]
     )
+
+
+@given(bodies(graphs=True), bodies(graphs=True))
+@LIMITS
+def test_codes_do_not_depend_on_earlier_texts(earlier, data):
+    """A thread remembers terms, and a replay has to give the codes of then."""
+    found = []
+    for texts in ([data], [earlier, data], [data, earlier, data]):
+        for text in texts:
+            pools = {}
+            try:
+                batch = decode_statements(text, RdfFormat.N_QUADS, pools).batch
+            except WireError:
+                batch = None
+        codes = {} if batch is None else {n: c.values.tolist() for n, c in batch.columns.items()}
+        found.append((codes, {name: pool.strings() for name, pool in pools.items()}))
+    assert found[0] == found[1] == found[2]
