@@ -52,6 +52,7 @@ READ = (
     "GET /queries",
     "GET /queries/{name}",
     "GET /queries/{name}/results",
+    "GET /queries/{name}/results/events",
     "GET /queries/{name}/partial",
     "GET /queries/{name}/why",
     "GET /kpl",

@@ -25,7 +25,8 @@ SILENCE = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message of an event stream: ``kind`` is sample, rematched, gap or end; ``data`` its JSON.
+    """A message of an event stream: ``kind`` is sample, result, rematched, gap or end; ``data`` is
+    its JSON.
 
     ``id`` is that of the last sample so far.
     """
@@ -119,7 +120,7 @@ class Following:
         event = Event(message.event, message.id, msgspec.json.decode(message.data))
         stream = str(event.data.get("stream"))
         match event.kind:
-            case "sample":
+            case "sample" | "result":
                 self._last = event.id
                 self._switches.clear()
                 self._ended.discard(stream)

@@ -375,6 +375,14 @@ class Routes:
         return read_object("GET", f"/subscriptions/{_part(id)}")
 
     @feed
+    def query_events(
+        self, name: str, *, since: str | None = None, resume: bool = True
+    ) -> EventSource:
+        """Yield the results of a query as they come, an event a window: `result`, whose ``data``
+        has ``window_end`` and SPARQL JSON, or N-Triples in ``graph``. Resumes as `events`."""
+        return EventSource(f"/queries/{_part(name)}/results/events", since, resume)
+
+    @feed
     def subscription_events(
         self, id: str, *, since: str | None = None, resume: bool = True
     ) -> EventSource:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from fastapi import Request, Response
 from pyoxigraph import (
@@ -102,14 +103,33 @@ def _table(
     request: Request, variables: Sequence[str], rows: Sequence[Mapping[str, Term]], most: int
 ) -> Response:
     kind = accepted(request, tuple(RESULTS))
+    told = json.dumps(_table_json(variables, rows, most))
+    return answer(_written(told, RESULTS[kind]), kind)
+
+
+def result_json(result: WindowResult, most: int) -> dict[str, Any]:
+    """The result of a window as SPARQL JSON; a graph as N-Triples, under ``graph``. Raises a 422
+    `Problem` as `one_window`."""
+    if result.solutions is not None:
+        return _table_json(result.solutions.variables, result.solutions.rows(), most)
+    if result.triples is None:
+        return {"head": {}, "boolean": bool(result.answer)}
+    lines = [f"{s} {p} {o} ." for _, s, p, o in result.triples]
+    if sum(map(len, lines)) > most:
+        raise result_too_large(f"{most} bytes")
+    return {"graph": "\n".join(lines)}
+
+
+def _table_json(
+    variables: Sequence[str], rows: Sequence[Mapping[str, Term]], most: int
+) -> dict[str, Any]:
     bindings, size = [], 0
     for row in rows:
         bindings.append({name: _json_term(term) for name, term in row.items()})
         size += sum(len(told["value"]) for told in bindings[-1].values())
         if size > most:
             raise result_too_large(f"{most} bytes")
-    told = json.dumps({"head": {"vars": list(variables)}, "results": {"bindings": bindings}})
-    return answer(_written(told, RESULTS[kind]), kind)
+    return {"head": {"vars": list(variables)}, "results": {"bindings": bindings}}
 
 
 def _graph(

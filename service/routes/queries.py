@@ -9,9 +9,11 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
+from ...continuous.operators.results import WindowResult
 from ...converters.objects import object_iri
 from ...engine.durability.accepted_commands import QUERY, query_view
 from ...engine.durability.commands import RegisterQuery, RemoveQuery
+from ...engine.model.errors import Conflict
 from ...rdf.namespaces import DYKNOW
 from ...streams.time import format_time
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
@@ -34,6 +36,8 @@ from ..models import (
     text_schema,
 )
 from ..runtime.context import Context
+from ..sse.window_results import result_stream
+from .follow import EVENTS, SINCE
 
 router = APIRouter(tags=["queries"])
 
@@ -190,6 +194,39 @@ async def read_results(
     return await anyio.to_thread.run_sync(
         many_windows, request, results, view.form, variables, most, object_iri(name, DYKNOW)
     )
+
+
+@router.get(
+    "/queries/{name}/results/events", responses={**EVENTS, **responses(404, 406, 409, 410, 429)}
+)
+async def follow_results(
+    name: Name,
+    request: Request,
+    service: Context,
+    since: Annotated[str | None, Query(description=SINCE)] = None,
+) -> Response:
+    """Send the results of windows as server-sent events, from now on: `result` with `window_end`
+    and SPARQL JSON (`head`, `results` or `boolean`), of a CONSTRUCT with N-Triples in `graph`.
+
+    Ids and `since` are those of the query's stream, so `Last-Event-ID` resumes. A `gap` tells of a
+    window that is no longer kept, or too large. 409: a monitor or a pattern, which have no windows.
+    """
+    queries = service.engine.queries
+    if not queries.view(name).form:
+        raise Conflict(f"{name!r} has no windows", f"follow its stream: GET /streams/{name}/events")
+
+    def kept(end: int) -> WindowResult | None:
+        if not queries.has(name):
+            return None
+        found = queries.results(name, end, end, None)
+        return found[-1] if found else None
+
+    stream, key, most = queries.view(name).stream, service.client_key(request), service.settings
+    response = result_stream(
+        service.feeds, request, key, stream or name, since, kept, most.sparql_bytes
+    )
+    await service.commands.try_commit()
+    return response
 
 
 @router.get(

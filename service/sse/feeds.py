@@ -256,6 +256,10 @@ class Cursor:
         if self._feed is not None:
             self._feeds.leave(self._feed, client)
 
+    def piece(self, feed: Feed, number: int, until: int) -> tuple[int, bytes]:
+        """Return the messages of one piece of samples: see `Feed.messages`."""
+        return feed.messages(number, until)
+
     def take(self) -> bytes | None:
         """Return the next messages; None while there are none. Contract: after `join`."""
         feed, number = self._feed, self.number
@@ -274,7 +278,7 @@ class Cursor:
         if number <= newest:
             mark = self._markers.next
             until = newest if mark is None else min(newest, mark)
-            last, data = feed.messages(number, until)
+            last, data = self.piece(feed, number, until)
             self.number = last + 1
             self.end_reason = None  # a stream that ended may have gone on
             return data
