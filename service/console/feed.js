@@ -92,8 +92,10 @@ const latest = new Map();
 
 function take(messages) {
   for (const each of messages) {
-    if (each.event === "gap") live.gap(each);
-    else if (each.event !== "sample") continue;
+    if (each.event === "gap") {
+      live.gap(each);
+      epoch = null; // what comes is of another one, and the gap has said so
+    } else if (each.event !== "sample") continue;
     else if (early.has(each.stream)) early.get(each.stream).push(each);
     else note(each);
   }
@@ -116,7 +118,14 @@ async function kept(names, bounds) {
   return lists.flat().sort((a, b) => (isLater(a.valid, b.valid) ? 1 : -1));
 }
 
-let connection = 0;
+let connection = 0, epoch = null;
+/** Show a gap where the service has begun anew; `position` is that of a new connection. */
+function noteEpoch(position) {
+  const now = position.split("-").slice(0, -2).join("-");
+  if (epoch !== null && now !== epoch) live.gap({ detail: "the service has begun anew" });
+  epoch = now;
+}
+
 /** Show what streams had before a connection that has begun, each sample once: the past of those
     that were not followed, and of others what came since their last one. */
 async function begin(names, own) {
@@ -159,9 +168,10 @@ effect(() => {
   stop = null;
   connection++;
   if (wanted.length) {
-    stop = follow(address("/follow", { stream: wanted }), take, (state, isNew) => {
+    stop = follow(address("/follow", { stream: wanted }), take, (state, position) => {
       feedState.value = state;
-      if (!isNew) return;
+      if (!position) return;
+      noteEpoch(position);
       // What comes from here on is sent; what came before is read.
       for (const name of wanted) early.set(name, []);
       begin(wanted, ++connection);

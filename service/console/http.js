@@ -69,7 +69,7 @@ export function follow(path, take, state = () => {}) {
     if (!answer.ok) throw new Problem(answer.status, await answer.json().catch(() => ({})));
     const isNew = last === null;
     last ??= answer.headers.get("Dyknow-Position");
-    state("open", isNew);
+    state("open", isNew ? last : null);
     wait = FIRST_WAIT;
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
     let rest = "";

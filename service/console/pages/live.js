@@ -71,12 +71,15 @@ function Running({ chosen }) {
       ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
 }
 
+/** A gap of the connection concerns all streams. */
+const isOfAll = (event) => event.gap && !event.name;
+
 function Feed({ chosen, object, select, all, setAll, isWanted }) {
   const [find, setFind] = useState(""), [asked, setAsked] = useState(null), frozen = useRef(null), byScroll = useRef(false);
   if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: pace.value.total };
   else frozen.current = null;
   const text = find.toLowerCase();
-  const fits = (event) => isWanted(event.name) && (!object || event.object === object)
+  const fits = (event) => isOfAll(event) || isWanted(event.name) && (!object || event.object === object)
     && (!text || String(event.object).toLowerCase().includes(text));
   const events = (frozen.current?.events ?? shown.value.events).filter(fits).reverse();
   const names = new Map(requests.value.map((request) => [request.stream, request.name]));

@@ -160,7 +160,9 @@ def test_samples_come_while_other_streams_begin_to_be_followed(open_page: OPEN) 
         assert page.run(SEEN) == list(range(30))
 
 
-def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN) -> None:
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN, is_late: bool) -> None:
+    """Also where the page learns first that its streams are not there yet (``is_late``)."""
     with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
         port = int(url.rpartition(":")[2])
         declare(http)
@@ -174,15 +176,17 @@ def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN) -> N
     page.wait_text("No connection")
     page.wait("document.title.startsWith('(1) ')")
     with service(port, "e2") as url, httpx.Client(base_url=url, trust_env=False) as http:
+        if is_late:
+            page.wait("import('/console/state.js').then((m) => m.streams.value.length === 1)")
         declare(http)
         page.wait_text("Nothing is wrong")
         page.run("location.hash = 'live'")
-        until = time.monotonic() + 30
+        page.wait("document.querySelector('.line.gap') !== null")
+        until = time.monotonic() + 60
         while page.run(SEEN)[-1] < 1_000:
             assert time.monotonic() < until
             publish(http, 1_000, 5)
             time.sleep(0.2)
-        page.wait("document.querySelector('.line.gap') !== null")
 
 
 def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> None:
