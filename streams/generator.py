@@ -267,11 +267,11 @@ class StreamGenerator:
 
         With ``now`` (ns) the samples are stamped with it on arrival, all with one instant, which is
         later than that of every earlier batch; with ``stamps_valid`` it is their valid time, too.
-        Otherwise they bring their own available times, in
-        any order within the lateness; what comes later than that, or before a watermark, is counted
-        as late and not used; `late_stream` gets it. A row equal to one already taken is counted as
-        a duplicate and not used, as long as its available time is not late. Raises `SampleError`,
-        taking nothing, when stamping would pass the end of 64-bit time.
+        Otherwise they bring their own available times, in any order within the lateness; what comes
+        later than that, or before a watermark, is counted as late and not used; `late_stream` gets
+        it. A row equal to one already taken is counted as a duplicate and not used, as long as its
+        available time is not late. Raises `SampleError`, taking nothing, when stamping would pass
+        the end of 64-bit time.
         """
         return self._offer(batch, now, distinct=True, stamps_valid=stamps_valid)
 

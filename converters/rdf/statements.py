@@ -128,9 +128,9 @@ def check_statements(batch: SampleBatch) -> None:
             _refuse(~column.present, f"a statement has a {name}")
         assert column.pool is not None
         used = np.unique(column.values[column.present]).tolist()
-        texts = [column.pool[code] for code in used]
-        for code, text, term in zip(used, texts, _parsed(texts), strict=True):
-            if not isinstance(term, _ALLOWED[name]):
+        for code in used:
+            text = column.pool[code]
+            if not isinstance(parse_term(text), _ALLOWED[name]):
                 rows = column.present & (column.values == code)
                 _refuse(rows, f"field {name!r}: {text[:40]!r} is no {_WORDS[name]} of N-Triples")
     object, number, datatype = (batch.columns[name].present for name in (OBJECT, NUMBER, DATATYPE))
@@ -162,7 +162,7 @@ _WORDS: Final = {
 
 def parse_term(text: str) -> Term | None:
     """The term with this text of N-Triples; None if it is no such text."""
-    if text.startswith("<"):
+    if text.startswith("<") and text.endswith(">"):
         try:
             return NamedNode(text[1:-1])
         except ValueError:
@@ -177,10 +177,6 @@ def parse_term(text: str) -> Term | None:
         return None
     term = quads[0].object if len(quads) == 1 else None
     return term if isinstance(term, NamedNode | BlankNode | Literal) else None
-
-
-def _parsed(texts: list[str]) -> list[Term | None]:
-    return [parse_term(text) for text in texts]
 
 
 def _refuse(rows: NDArray[np.bool_], message: str) -> None:

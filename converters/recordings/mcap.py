@@ -6,7 +6,6 @@ Called by `many_streams.open_recordings`. Messages in JSON are read, and those o
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import msgspec
 
 from ..errors import WireError
-from .topics import TopicLog, Topics
+from .topics import DAMAGED, TopicLog, Topics
 
 
 def open_mcap(path: Path | str) -> TopicLog:
@@ -46,23 +45,7 @@ def open_mcap(path: Path | str) -> TopicLog:
                 topics.add(channel.topic, members, message.log_time, message.publish_time)
         except WireError:
             raise
-        # What the libraries raise for damaged data; lz4 raises RuntimeError.
-        except (
-            McapError,
-            ZstdError,
-            msgspec.MsgspecError,
-            struct.error,
-            OSError,  # of a position before the file
-            EOFError,
-            LookupError,
-            ValueError,
-            TypeError,
-            AttributeError,
-            AssertionError,
-            RuntimeError,
-            OverflowError,
-            MemoryError,
-        ) as error:
+        except (McapError, ZstdError, msgspec.MsgspecError, *DAMAGED) as error:
             raise WireError(
                 None,
                 f"{path.name}: this is no MCAP log, or it is damaged or cut off: {error}",

@@ -7,11 +7,10 @@ messages are in the bag, or those of the newest ROS 2 apply.
 from __future__ import annotations
 
 import sqlite3
-import struct
 from pathlib import Path
 
 from ..errors import WireError
-from .topics import TopicLog, Topics
+from .topics import DAMAGED, TopicLog, Topics
 
 METADATA = "metadata.yaml"
 """The file that makes a folder a bag of ROS 2."""
@@ -51,17 +50,7 @@ def open_rosbag(path: Path | str) -> TopicLog:
         zstd.ZstdError,
         apsw.Error,
         sqlite3.Error,
-        struct.error,
-        OSError,  # of a position before the file
-        EOFError,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        AssertionError,
-        RuntimeError,
-        OverflowError,
-        MemoryError,
+        *DAMAGED,
     ) as error:
         raise WireError(
             None,

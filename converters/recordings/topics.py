@@ -9,6 +9,7 @@ else the time of publication; its available time is the time of the log. All els
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -23,6 +24,20 @@ from ..inference import TimeReader
 from .names import distinct, valid_name
 from .recording import Recording, ValueChunk, open_rows
 
+DAMAGED: Final = (
+    struct.error,
+    OSError,  # of a position before the file
+    EOFError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    RuntimeError,  # of lz4
+    OverflowError,
+    MemoryError,
+)
+"""What libraries raise for damaged data, beside errors of their own."""
 MOST_ELEMENTS: Final = 16
 """An array of more elements is no set of fields: a covariance of 9 is, an image is not."""
 _HEADER: Final = "header"

@@ -19,7 +19,6 @@ from ..workers.route_calls import while_connected
 from .fast_route import direct
 from .streams import default_retention
 
-KINDS: Final[dict[str, BatchKind]] = {NDJSON: "ndjson", ARROW: "arrow"}
 RDF_KINDS: Final[dict[str, BatchKind]] = {
     NTRIPLES: "ntriples",
     NQUADS: "nquads",
@@ -28,6 +27,8 @@ RDF_KINDS: Final[dict[str, BatchKind]] = {
     JSON_LD: "nquads",
 }
 """The media types of RDF. JSON-LD becomes N-Quads in a worker."""
+KINDS: Final[dict[str, BatchKind]] = {NDJSON: "ndjson", ARROW: "arrow", **RDF_KINDS}
+MEDIA_TYPES: Final = tuple(KINDS)
 KEY_LENGTH = 200
 """The longest Idempotency-Key."""
 LINE = '{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "speed": 31.5}\n'
@@ -53,7 +54,7 @@ BODY: Final[dict[str, Any]] = {
 
 async def _publish_directly(request: Request) -> Response | None:
     key = request.headers.get("idempotency-key")
-    if (key is not None and len(key) > KEY_LENGTH) or request.url.query:
+    if (key is not None and len(key) > KEY_LENGTH) or request.scope["query_string"]:
         return None
     name, service = request.path_params["name"], request.app.state.service
     accepted = await publish_samples(name, request, service, key)
@@ -106,9 +107,8 @@ async def publish_samples(
             hint="send the batch again after the seconds in Retry-After",
             headers={"Retry-After": "1"},
         )
-    kinds = KINDS | RDF_KINDS
-    media_type = content_type(request, tuple(kinds))
-    kind, body = kinds[media_type], await request.body()
+    media_type = content_type(request, MEDIA_TYPES)
+    kind, body = KINDS[media_type], await request.body()
     if media_type == JSON_LD:
         texts, sender = service.isolation.json_ld, client_key(request)
         body = await while_connected(request, lambda: texts.nquads(body, sender))

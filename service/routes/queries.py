@@ -212,7 +212,8 @@ async def follow_results(
     window that is no longer kept, or too large. 409: a monitor or a pattern, which have no windows.
     """
     queries = service.engine.queries
-    if not queries.view(name).form:
+    view = queries.view(name)
+    if not view.form:
         raise Conflict(f"{name!r} has no windows", f"follow its stream: GET /streams/{name}/events")
 
     def kept(end: int) -> WindowResult | None:
@@ -221,10 +222,8 @@ async def follow_results(
         found = queries.results(name, end, end, None)
         return found[-1] if found else None
 
-    stream, key, most = queries.view(name).stream, service.client_key(request), service.settings
-    response = result_stream(
-        service.feeds, request, key, stream or name, since, kept, most.sparql_bytes
-    )
+    key, most = service.client_key(request), service.settings.sparql_bytes
+    response = result_stream(service.feeds, request, key, view.stream or name, since, kept, most)
     await service.commands.try_commit()
     return response
 

@@ -449,10 +449,24 @@ def event_stream(
     """Return the response that sends a stream's events, with ``switches`` between them for an
     adaptive subscription. ``Last-Event-ID`` goes before ``since``: a browser that reconnects
     repeats the URL. Clients of one ``key`` count together (`EventClients.admit`)."""
+    return stream_of(
+        feeds, request, key, name, since, lambda start: Cursor(feeds, name, start, switches)
+    )
+
+
+def stream_of(
+    feeds: Feeds,
+    request: Request,
+    key: str,
+    name: str,
+    since: str | None,
+    cursor: Callable[[Start], Messages],
+) -> Response:
+    """Return the response that sends the messages of a ``cursor`` from its start on; the other
+    arguments are those of `event_stream`."""
     accepted(request, [EVENT_STREAM])
     start = feeds.start(name, request.headers.get("last-event-id") or since)
-    position = f"{feeds.epoch}-{start.number - 1}"
-    return respond(feeds, request, key, Cursor(feeds, name, start, switches), position)
+    return respond(feeds, request, key, cursor(start), f"{feeds.epoch}-{start.number - 1}")
 
 
 def respond(

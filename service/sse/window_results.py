@@ -15,11 +15,9 @@ from fastapi.responses import Response
 
 from ...continuous.operators.results import WindowResult
 from ...streams.time import format_time
-from ..config.media_types import EVENT_STREAM
-from ..http.negotiation import accepted
 from ..http.problems import Problem
 from ..http.sparql_results import result_json
-from .feeds import Cursor, Feed, Feeds, Start, message, respond
+from .feeds import Cursor, Feed, Feeds, Start, message, stream_of
 
 Kept = Callable[[int], WindowResult | None]
 """Returns the kept result of the window that ends at a time (ns)."""
@@ -66,7 +64,6 @@ def result_stream(
     feeds: Feeds, request: Request, key: str, name: str, since: str | None, kept: Kept, most: int
 ) -> Response:
     """Return the response that sends the windows of a query, as `feeds.event_stream`."""
-    accepted(request, [EVENT_STREAM])
-    start = feeds.start(name, request.headers.get("last-event-id") or since)
-    position = f"{feeds.epoch}-{start.number - 1}"
-    return respond(feeds, request, key, WindowCursor(feeds, name, start, kept, most), position)
+    return stream_of(
+        feeds, request, key, name, since, lambda start: WindowCursor(feeds, name, start, kept, most)
+    )

@@ -181,6 +181,7 @@ def test_samples_of_a_stream_of_rdf_are_checked(rdf: httpx.Client) -> None:
     assert send(rdf, json.dumps(row), "application/x-ndjson").status_code == 202
     for name, value, told in [
         ("subject", '"a"', "is no IRI or blank node"),
+        ("subject", "<urn:a", "is no IRI or blank node"),
         ("predicate", "_:b", "is no IRI"),
         ("object", "<<( <urn:a> <urn:p> <urn:b> )>>", "is no term"),
         ("object", "<urn:a> .\n<urn:b> <urn:c> <urn:d>", "is no term"),
