@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -15,9 +13,8 @@ from ...streams.string_pool import StringPool
 from ..csv_table import CHUNK
 from ..errors import WireError
 from ..rdf.statements import SCHEMA, decode_statements
-from ..wire import BOM
 from .recording import Recording
-from .text_files import GZIP
+from .text_files import ending, read_whole
 
 FORMATS: Final = {
     ".nt": RdfFormat.N_TRIPLES,
@@ -30,7 +27,7 @@ FORMATS: Final = {
 
 def is_rdf_file(path: Path) -> bool:
     """Whether the name of a file ends like one of RDF, without ``.gz``."""
-    return _ending(path) in FORMATS
+    return ending(path) in FORMATS
 
 
 def open_rdf(path: Path, time_property: str = "") -> Recording:
@@ -38,15 +35,9 @@ def open_rdf(path: Path, time_property: str = "") -> Recording:
 
     Raises `WireError` with the line, also for a file without times. Memory: the whole file.
     """
-    data = path.read_bytes()
-    if data.startswith(GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (OSError, EOFError, zlib.error) as error:
-            raise WireError(None, f"{path.name} cannot be unpacked: {error}") from error
     pools: dict[str, StringPool] = {}
-    format = FORMATS[_ending(path)]
-    incoming = decode_statements(data.removeprefix(BOM), format, pools, None, time_property)
+    format = FORMATS[ending(path)]
+    incoming = decode_statements(read_whole(path), format, pools, None, time_property)
     if incoming.stamped:
         raise WireError(
             None,
@@ -62,7 +53,3 @@ def open_rdf(path: Path, time_property: str = "") -> Recording:
 
     told = time_property or "prov:generatedAtTime"
     return Recording(SCHEMA, len(batch), pools, read, time_column=told, is_rdf=True)
-
-
-def _ending(path: Path) -> str:
-    return Path(path.name.lower().removesuffix(".gz")).suffix

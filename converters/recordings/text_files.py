@@ -52,6 +52,23 @@ def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise WireError(number + 1, f"the table cannot be read: {error}") from error
 
 
+def read_whole(path: Path) -> bytes:
+    """The bytes of a file, decompressed, without a byte order mark. Raises `WireError` for one that
+    cannot be decompressed, or is called ``.gz`` and is not compressed."""
+    data = path.read_bytes()
+    if data.startswith(GZIP) or path.suffix.lower() == ".gz":
+        try:
+            data = gzip.decompress(data)
+        except UNPACKING as error:
+            raise WireError(None, f"{path.name} cannot be unpacked: {error}") from error
+    return data.removeprefix(BOM)
+
+
+def ending(path: Path) -> str:
+    """The ending of a file's name in lower case, without ``.gz``."""
+    return Path(path.name.lower().removesuffix(".gz")).suffix
+
+
 @contextmanager
 def _unpacked(path: Path) -> Iterator[IO[bytes]]:
     with path.open("rb") as file:

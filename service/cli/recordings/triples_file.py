@@ -16,10 +16,8 @@ N-Quads and TriG (``.nq``, ``.trig``) hold timestamped graphs, see `converters.r
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import re
-import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -30,7 +28,8 @@ from pyoxigraph import BlankNode, NamedNode, RdfFormat, Variable
 
 from ....converters.errors import WireError
 from ....converters.rdf.ntriples import TripleReader
-from ....converters.wire import BOM, not_json
+from ....converters.recordings.text_files import ending, read_whole
+from ....converters.wire import not_json
 from ....languages.csparql import parse_argument
 from ....languages.errors import LanguageError
 from ....rdf.dictionary import Term, TermDictionary
@@ -45,7 +44,7 @@ _GRAPHS = {".nq": RdfFormat.N_QUADS, ".trig": RdfFormat.TRIG}
 
 def holds_graphs(path: Path) -> bool:
     """Whether `read_timed_graphs` reads the file, and not `read_timed_triples`."""
-    return _kind(path) in _GRAPHS
+    return ending(path) in _GRAPHS
 
 
 def read_timed_graphs(path: Path, dictionary: TermDictionary) -> TimedTriples:
@@ -53,7 +52,7 @@ def read_timed_graphs(path: Path, dictionary: TermDictionary) -> TimedTriples:
 
     Raises `WireError` with the line, `OSError` when the file cannot be read.
     """
-    return TripleReader(dictionary).graphs(_unpacked(path), _GRAPHS[_kind(path)])
+    return TripleReader(dictionary).graphs(read_whole(path), _GRAPHS[ending(path)])
 
 
 def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
@@ -61,7 +60,7 @@ def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
 
     Raises `WireError` with the line, `OSError` when the file cannot be read.
     """
-    kind = _kind(path)
+    kind = ending(path)
     if kind not in (".ndjson", ".jsonl", ".csv"):
         if kind in (".nt", ".ttl"):
             raise WireError(
@@ -74,28 +73,13 @@ def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
             f"{path.name}: unknown kind of triples",
             "timed triples end in .ndjson, .csv, .nq or .trig; for a table of samples give --ssl",
         )
-    file = io.StringIO(_text(_unpacked(path)), newline="")
+    file = io.StringIO(_text(read_whole(path)), newline="")
     for line, values in _csv_rows(file) if kind == ".csv" else _json_rows(file):
         try:
             yield _triple(values)
         except (ValueError, LanguageError) as error:
             cause = error.message if isinstance(error, LanguageError) else str(error)
             raise WireError(line, cause) from error
-
-
-def _kind(path: Path) -> str:
-    """The ending of the file's name, without ``.gz``."""
-    return Path(path.name.lower().removesuffix(".gz")).suffix
-
-
-def _unpacked(path: Path) -> bytes:
-    data = path.read_bytes()
-    if path.suffix.lower() == ".gz":
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, zlib.error) as error:
-            raise WireError(None, f"{path.name} cannot be unpacked: {error}") from error
-    return data.removeprefix(BOM)
 
 
 def _text(data: bytes) -> str:
