@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from ...streams.sample import SampleBatch, Schema, Times
+from ...streams.sample import FieldType, SampleBatch, Schema, Times
 from ...streams.time import SECOND
 from ..inference import names_objects
 from .recording import Recording
@@ -22,7 +23,7 @@ class Overview:
 
     ``first`` and ``last`` are the least and the greatest valid time. ``interval`` is the median
     time between two samples (of one object, where there are several); None if no two differ.
-    ``id_field`` names the objects, by its name; None if no field does. ``objects`` is how many.
+    ``id_field`` names the objects (`_id_field`); None if no field does. ``objects`` is how many.
     ``out_of_order`` counts the rows that step back in available time.
     """
 
@@ -44,14 +45,21 @@ class Overview:
 
 
 def overview(recording: Recording) -> Overview:
-    """Read a recording once. Cost: O(n log n). Memory: three columns of integers.
+    """Read a recording once. Cost: O(n log n). Memory: columns of integers: the two times, and one
+    for each field that may name the objects.
 
     Raises `WireError` with the line of a bad row.
     """
     schema = recording.schema
-    id_field = next((name for name in schema.names if _is_id(name)), None)
-    parts = [(b.valid, b.available, _objects(b, id_field)) for b in recording.read()]
-    valid, available, ids = (np.concatenate(column) for column in zip(*parts, strict=True))
+    named = next((name for name in schema.names if _is_id(name)), None)
+    fields = _texts(schema) if named is None else [named]
+    parts = [
+        (b.valid, b.available, *(_objects(b, field) for field in fields)) for b in recording.read()
+    ]
+    valid, available, *objects = (np.concatenate(column) for column in zip(*parts, strict=True))
+    by_field = dict(zip(fields, objects, strict=True))
+    id_field = _id_field(valid, by_field) if named is None else named
+    ids = np.zeros(len(valid), np.int64) if id_field is None else by_field[id_field]
     order = np.lexsort((valid, ids))
     steps = np.diff(valid[order])[np.diff(ids[order]) == 0]
     steps = steps[steps > 0]
@@ -70,14 +78,31 @@ def overview(recording: Recording) -> Overview:
 
 
 def _is_id(name: str) -> bool:
+    return names_objects(name) and not _is_frame(name)
+
+
+def _is_frame(name: str) -> bool:
     # ROS calls coordinate systems frames: `header.frame_id` is that of the values.
-    return names_objects(name) and not name.endswith("frame_id")
+    return name.endswith("frame_id")
 
 
-def _objects(batch: SampleBatch, id_field: str | None) -> Times:
-    """A number for the object of each row; all rows have one if there is no ``id_field``."""
-    if id_field is None:
-        return np.zeros(len(batch), np.int64)
-    column = batch.columns[id_field]
+def _texts(schema: Schema) -> list[str]:
+    return [f.name for f in schema.fields if f.type is FieldType.STRING and not _is_frame(f.name)]
+
+
+def _id_field(valid: Times, columns: Mapping[str, Times]) -> str | None:
+    """The first field that tells apart the samples of each time, where the time alone does not."""
+    if len(np.unique(valid)) == len(valid):
+        return None
+    for field, ids in columns.items():
+        pairs = np.unique(np.stack([valid, ids]), axis=1)
+        if pairs.shape[1] == len(valid) and not np.any(ids == _NONE):
+            return field
+    return None
+
+
+def _objects(batch: SampleBatch, field: str) -> Times:
+    """A number for the text of each row."""
+    column = batch.columns[field]
     numbers = column.values.astype(np.int64)
     return numbers if column.null is None else np.where(column.null, _NONE, numbers)

@@ -26,13 +26,13 @@ from ...streams.time import (
     SECOND,
     parse_duration,
 )
-from ..config.defaults import URL
+from ..config.defaults import ADDRESS, URL
 
 if TYPE_CHECKING:
     from ..client.client import Client
 
 Url = Annotated[
-    str, typer.Option("--url", envvar="DYKNOW_URL", help="The service's address.", metavar="URL")
+    str, typer.Option("--url", envvar=ADDRESS, help="The service's address.", metavar="URL")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, one value per line.")]
 DEFAULT_URL = URL

@@ -6,13 +6,14 @@ import asyncio
 import os
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Generator, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
 import httpx
 import httpx_sse
 
-from ..config.defaults import TOKEN, URL
+from ..config.defaults import ADDRESS, TOKEN, URL
 from .errors import ServiceError
 from .event_streams import AsyncEvents, Event, Events, EventSource, Following
 from .flows import Flow, Request, T
@@ -23,21 +24,23 @@ __all__ = ["AsyncConnection", "Connection", "Event", "ServiceError"]
 class Connection:
     """One HTTP connection pool to a service. Not thread-safe.
 
-    ``token`` authenticates the caller; its default is the environment variable ``DYKNOW_TOKEN``.
-    ``transport`` and ``sleep`` are for tests. Every method raises `ServiceError` for an error
-    response and ``httpx.TransportError`` if no service responds at ``url``.
+    ``url`` is its address: by default the environment variable ``DYKNOW_URL``, else
+    http://127.0.0.1:8000. ``token`` authenticates the caller; its default is the environment
+    variable ``DYKNOW_TOKEN``. ``transport`` and ``sleep`` are for tests. Every method
+    raises `ServiceError` for an error response and ``httpx.TransportError`` if no service responds
+    at ``url``.
     """
 
     def __init__(
         self,
-        url: str = URL,
+        url: str | None = None,
         *,
         token: str | None = None,
         timeout: float = 30.0,
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.url = url.rstrip("/")
+        self.url = _address(url)
         self._sleep = sleep
         self._timeout = timeout
         self._http = httpx.Client(**_options(self.url, token, timeout), transport=transport)
@@ -79,12 +82,13 @@ class Connection:
     def _perform(self, request: Request) -> httpx.Response:
         if request.after:
             self._sleep(request.after)
-        return self._http.request(request.method, request.path, **request.arguments)
+        with _named(self.url):
+            return self._http.request(request.method, request.path, **request.arguments)
 
     def _follow(self, following: Following) -> Generator[Event]:
         while True:
             try:
-                with self._http.stream(**following.request()) as response:
+                with _named(self.url), self._http.stream(**following.request()) as response:
                     if not response.is_success:
                         response.read()
                     following.begin(response)
@@ -107,14 +111,14 @@ class AsyncConnection:
 
     def __init__(
         self,
-        url: str = URL,
+        url: str | None = None,
         *,
         token: str | None = None,
         timeout: float = 30.0,
         transport: httpx.AsyncBaseTransport | None = None,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        self.url = url.rstrip("/")
+        self.url = _address(url)
         self._sleep = sleep
         self._timeout = timeout
         self._http = httpx.AsyncClient(**_options(self.url, token, timeout), transport=transport)
@@ -160,27 +164,46 @@ class AsyncConnection:
         if isinstance(content := arguments.get("content"), Iterator):
             # A generator of bodies: httpx reads an asynchronous one only.
             arguments = {**arguments, "content": _asynchronous(content)}
-        return await self._http.request(request.method, request.path, **arguments)
+        with _named(self.url):
+            return await self._http.request(request.method, request.path, **arguments)
 
     async def _follow(self, following: Following) -> AsyncGenerator[Event]:
         while True:
             try:
-                async with self._http.stream(**following.request()) as response:
-                    if not response.is_success:
-                        await response.aread()
-                    following.begin(response)
-                    async for message in httpx_sse.EventSource(response).aiter_sse():
-                        event = following.take(message)
-                        if event is not None:
-                            yield event
-                            if following.is_over:
-                                return
+                with _named(self.url):
+                    async with self._http.stream(**following.request()) as response:
+                        if not response.is_success:
+                            await response.aread()
+                        following.begin(response)
+                        async for message in httpx_sse.EventSource(response).aiter_sse():
+                            event = following.take(message)
+                            if event is not None:
+                                yield event
+                                if following.is_over:
+                                    return
                 if not following.resumes:
                     return
             except httpx.TransportError:
                 if not following.survives:
                     raise
             await self._sleep(following.next_wait())
+
+
+def _address(url: str | None) -> str:
+    return (os.environ.get(ADDRESS, URL) if url is None else url).rstrip("/")
+
+
+@contextmanager
+def _named(url: str) -> Iterator[None]:
+    """Let the error for a refused connection name the address, and say what to do."""
+    try:
+        yield
+    except httpx.ConnectError as error:
+        raise httpx.ConnectError(
+            f"no service answers at {url} ({error}): start one with `dyknow serve`, or name "
+            f"another address",
+            request=error.request,
+        ) from None
 
 
 def _options(url: str, token: str | None, timeout: float) -> dict[str, Any]:

@@ -6,6 +6,8 @@ from typing import Final
 
 URL: Final = "http://127.0.0.1:8000"
 """The default address of a service."""
+ADDRESS: Final = "DYKNOW_URL"
+"""The environment variable with another address."""
 TOKEN: Final = "DYKNOW_TOKEN"
 """The environment variable with the user's token."""
 AHEAD: Final = "ahead of the clock"

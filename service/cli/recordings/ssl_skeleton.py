@@ -2,7 +2,8 @@
 
 The text is valid SSL as it stands. A field becomes a feature if the ontology has a feature of its
 name (case and ``_`` aside) whose range fits the field's type, and in the unit that the ontology
-states. Other fields are comments, which become declarations when the ``#`` is taken away.
+states. Other fields are comments, which become declarations when the ``#`` is taken away: of the
+feature of the field's name, which the ontology has to know by then.
 """
 
 from __future__ import annotations
@@ -39,24 +40,32 @@ def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
     """The SSL text of stream ``name``, with comments that say what is left to do."""
     known = known_features(overview, vocabulary)
     whose = OBJECT if overview.id_field is None else SORT
-    others = [f.name for f in overview.schema.fields if f.name not in {*known, overview.id_field}]
+    others = [f for f in overview.schema.fields if f.name not in {*known, overview.id_field}]
     lines = [f"# Put the name of the object in place of {OBJECT}."]
     after = []
     if overview.id_field is not None:
         lines = [f"# Put the sort of the objects in place of {SORT}, and check the units."]
         after = [f"for every {SORT} = {field_words(overview.id_field)}"]
+    if others:
+        lines += [
+            "# To use a field that is a comment, add its feature to the ontology:",
+            "#   dyknow ontology add-feature NAME --unit UNIT",
+        ]
+    unknown = [f"{_new_name(field)}({whose}) = {field_words(field.name)}" for field in others]
     features = [_declared(field, iri, whose, vocabulary) for field, iri in known.items()]
     if features:
         lines += [f"stream {name} contains", "  " + ",\n  ".join(features)]
-        lines += [f"  # , FEATURE({whose}) = {field_words(field)}" for field in others]
+        lines += [f"  # , {declared}" for declared in unknown]
         return "\n".join([*lines, *after])
-    lines += [f"# stream {name} contains"]
     marks = [" ", *[","] * len(others)]
-    lines += [
-        f"#   {mark} FEATURE({whose}) = {field_words(field)}"
-        for mark, field in zip(marks, others, strict=False)
-    ]
+    lines += [f"# stream {name} contains"]
+    lines += [f"#   {mark} {each}" for mark, each in zip(marks, unknown, strict=False)]
     return "\n".join([*lines, *(f"# {line}" for line in after)])
+
+
+def _new_name(field: Field) -> str:
+    """The field's name if a feature may have it as it is."""
+    return field.name if field_words(field.name) == field.name else "FEATURE"
 
 
 def _declared(field: str, iri: str, whose: str, vocabulary: Vocabulary) -> str:

@@ -38,6 +38,17 @@ def test_an_id_may_be_a_number(look):
     assert (found.id_field, found.objects, found.interval) == ("mmsi", 2, 2 * SECOND)
 
 
+def test_a_text_that_tells_samples_of_a_time_apart_names_the_objects(look):
+    found = look("time,state,robot,x\n0,ok,a,1\n0,ok,b,1\n1,low,a,1\n1,ok,b,1\n")
+    assert (found.id_field, found.objects, found.interval) == ("robot", 2, SECOND)
+    alone = look("time,robot,x\n0,a,1\n1,b,1\n")  # times tell them apart: no reason to guess
+    assert (alone.id_field, alone.objects) == (None, 0)
+    twice = look("time,robot,x\n0,a,1\n0,a,1\n")
+    assert (twice.id_field, twice.objects) == (None, 0)
+    empty = look("time,robot,x\n0,a,1\n0,,1\n")
+    assert (empty.id_field, empty.objects) == (None, 0)
+
+
 def test_rows_out_of_order_are_counted_as_they_stand(look):
     found = look("time,x\n1,1\n3,1\n2,1\n4,1\n3,1\n")
     assert found.out_of_order == 2

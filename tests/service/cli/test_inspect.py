@@ -87,10 +87,8 @@ def test_a_table_without_known_features_is_a_comment(tmp_path: Path) -> None:
     path.write_text("time,a,b\n1,2,3\n")
     text = skeleton(path)
     assert features(text) == []
-    filled = (
-        text.replace("# ", "").replace("Put the", "# Put the").replace("FEATURE", "altitude", 1)
-    )
-    filled = filled.replace("FEATURE", "track")
+    filled = "stream s contains" + text.partition("# stream s contains")[2].replace("#", "")
+    filled = filled.replace("a(", "altitude(").replace("b(", "track(")
     assert features(filled) == [("altitude", "a"), ("track", "b")]
 
 
