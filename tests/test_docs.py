@@ -76,7 +76,8 @@ def test_the_readme_leads_to_the_index() -> None:
 
 def test_every_page_is_of_one_kind() -> None:
     kinds = {page.relative_to(DOCS).parts[0] for page in DOCS.rglob("*.md")}
-    assert kinds == {"README.md", "tutorial", "how-to", "reference", "explanation"}
+    both = {"README.md", "comparison.md"}
+    assert kinds == {*both, "tutorial", "how-to", "reference", "explanation"}
 
 
 def mentions() -> list[tuple[str, str, str]]:
@@ -133,6 +134,8 @@ def test_blocks_are_of_their_language(page: Path) -> None:
             case "turtle":
                 text = PREFIXES + block.text.replace("^^string", "^^xsd:string")
                 list(parse(text, format=RdfFormat.TURTLE, base_iri="http://example.org/"))
+            case "trig":
+                list(parse(block.text, format=RdfFormat.TRIG))
             case "xml":
                 ElementTree.fromstring(block.text)
             case "yaml":
@@ -184,7 +187,7 @@ def test_commands_are_known(page: Path) -> None:
             case ["make", target, *_]:
                 assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
             case ["python" | ".venv/bin/python", file, *_]:
-                assert (ROOT / file).exists()
+                assert (ROOT / file).exists() or file in {block.file for block in blocks(page)}
             case ["curl", *rest]:
                 check_request(rest)
 

@@ -16,6 +16,7 @@ from .output import (
     clock_ms,
     connect,
     fail,
+    show_json,
     show_lines,
     show_table,
     show_text,
@@ -27,10 +28,17 @@ _TEXTS = (".rq", ".sparql", ".ssl", ".txt")
 
 def streams(
     name: Annotated[str | None, typer.Argument(help="Only this stream, in full.")] = None,
+    remove: Annotated[
+        str | None,
+        typer.Option(help="Forget the stream of this name, with its samples.", metavar="NAME"),
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
     """List the streams; with a name, show all of one: fields, counters, lag, annotation."""
+    if remove is not None:
+        _remove(remove, name, url, as_json)
+        return
     with connect(url) as client:
         found = client.streams() if name is None else [client.stream(name)]
     if as_json:
@@ -55,6 +63,17 @@ def streams(
         unfolded=["stream", "made by"],
         empty="no streams yet: dyknow replay FILE --stream NAME",
     )
+
+
+def _remove(stream: str, shown: str | None, url: str, as_json: bool) -> None:
+    if shown is not None:
+        raise typer.BadParameter("pass --remove with one name, and no other")
+    with connect(url) as client:
+        client.remove_stream(stream)
+    if as_json:
+        show_json({"removed": stream})
+    else:
+        show_text(f"removed {stream}")
 
 
 def annotate(

@@ -1,4 +1,4 @@
-"""The tutorial, how-to pages and one explanation: files are written, `sh` blocks run.
+"""The how-to pages and one explanation: files are written, `sh` blocks run.
 
 The blocks of a page run from top to bottom on a new service, in a folder with the page's files and
 the checkout's `templates` and `examples`. A `text` block right after a `sh` block is its output.
@@ -24,7 +24,7 @@ from dyknow.service.config.settings import Settings
 
 PAGES = sorted(
     page
-    for pattern in ("tutorial/*.md", "how-to/*.md", "explanation/which-verdict-when.md")
+    for pattern in ("how-to/*.md", "explanation/which-verdict-when.md")
     for page in (ROOT / "docs").glob(pattern)
     if "```sh\n" in page.read_text()
 )

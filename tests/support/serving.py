@@ -1,4 +1,4 @@
-"""`dyknow serve` over a data directory as a process of its own, for tests that kill it."""
+"""`dyknow serve` as a process of its own, for tests that kill it, or do what a page says."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ COMMAND = "from dyknow.service.cli import main; main()"
 
 
 class Serving:
-    """One run of the service; ``lines`` is what it wrote to standard error by now."""
+    """One run of the service, over a data directory unless ``data`` is None; ``lines`` is what it
+    wrote to standard error by now."""
 
-    def __init__(self, data: Path, *arguments: str, **environment: str) -> None:
+    def __init__(self, data: Path | None, *arguments: str, **environment: str) -> None:
+        kept = [] if data is None else ["--data", str(data)]
         self.process = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, "serve", "--port", "0", "--data", data, *arguments],
+            [sys.executable, "-c", COMMAND, "serve", "--port", "0", *kept, *arguments],
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, "DYKNOW_LOG_JSON": "true", **environment},

@@ -31,6 +31,7 @@ from ....streams.time import read_time
 from ...admission.tokens import Tokens
 from ...app import create_app
 from ...client.client import Client
+from ...config.defaults import URL
 from ...config.settings import Settings
 from ...server import running
 from ..output import clock_of
@@ -87,7 +88,10 @@ def show() -> None:
     ):
         recording = open_recording(path)
         console.rule("[bold]DyKnow: say what you want to know")
-        console.print(f"A service at {url}, in memory, up after {_since(began)}.\n")
+        console.print(
+            f"A service in memory, up after {_since(began)}. Its console: [bold]{url}[/]\n"
+            "(until the demo ends; [bold]make serve[/] keeps one open)\n"
+        )
         _declare(console, client, recording, annotation)
         console.print("\nAn event template: when does an event occur? [dim](POST /templates)[/]")
         client.register_template(template)
@@ -297,8 +301,10 @@ def _summary(
         "10 kt)."
     )
     console.print(
-        "Next: [bold]make serve[/], and in a second terminal\n  [bold].venv/bin/dyknow events "
-        f"'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, {THRESHOLD})' --since start[/]",
+        f"Next: [bold]make serve[/] lets them fly on, with a console at {URL}\n"
+        "and in a second terminal\n  [bold].venv/bin/dyknow events "
+        f"'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, {THRESHOLD})' --since start[/]\n"
+        "Your own data: docs/tutorial/your-own-robot.md",
         soft_wrap=True,
     )
     if not counts.counts:

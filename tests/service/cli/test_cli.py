@@ -293,6 +293,9 @@ def test_streams(dyknow: Any, client: Client) -> None:
     assert "accepted=1" in shown
     assert "id: string, spd: float" in shown
     dyknow("streams", "nowhere", status=1)
+    dyknow("streams", "nowhere", "--remove", "s5", status=2)
+    assert dyknow("streams", "--remove", "s5").stdout == "removed s5\n"
+    assert "there is no stream called 's5'" in dyknow("streams", "--remove", "s5", status=1).stderr
 
 
 def test_sparql(dyknow: Any, client: Client, tmp_path: Path) -> None:
