@@ -2,8 +2,8 @@
 
 Blocks run from top to bottom in a folder with the checkout's `examples`. A `console` block with
 `dyknow serve` or `make serve` stops the service before it and starts that one, as a process of its
-own at a free port, which stands for the page's address. A `text` block right after a `sh` block is its output; `…` there is whatever
-depends on the machine.
+own at a free port, which stands for the page's address. A `text` block right after a `sh` block is
+its output; `…` there is whatever depends on the machine.
 """
 
 from __future__ import annotations
