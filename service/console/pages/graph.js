@@ -256,7 +256,7 @@ export default function Graph({ rest }) {
       <input type="search" class="find" placeholder="name or meaning" aria-label="find" value=${find} onInput=${(event) => setFind(event.target.value)} />
       <select aria-label="show" value=${only} onChange=${(event) => setOnly(event.target.value)}><option value="">everything</option>
         ${requests.value.map((each) => html`<option key=${each.id} value=${each.stream}>${[each.name, ...each.chips].join(" ")}</option>`)}</select>
-      <span class="grow"></span><span class="small faint num wide">${graph.nodes.length} boxes</span>
+      <span class="grow"></span><span class="small faint num wide">${graph.nodes.length === 1 ? "1 box" : `${graph.nodes.length} boxes`}</span>
       ${box("units apart", apart, setApart)}${box("fold alike", fold, setFold)}</header>
     <${Sheet} graph=${graph} chosen=${chosen} pick=${pick} hits=${hits} apart=${apart} /></section>
     <${Details} node=${current} graph=${graph} pick=${pick} /></div></main>`;

@@ -129,6 +129,7 @@ def test_the_chain_of_a_node_is_all_above_and_below(run: Run) -> None:
         ("duration(0.0123)", "12 ms"),
         ("duration(null)", "–"),
         ("duration(7300)", "2.0 h"),
+        ("duration(400000)", "5 days"),
         ("rate(12345)", "12.3 k/s"),
         ("rate(9.96)", "10/s"),
         ("bytes(3 * 2 ** 30)", "3.0 GiB"),
