@@ -1,0 +1,48 @@
+"""axe-core finds nothing on any page of the console, in both themes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from importlib.resources import files
+
+import pytest
+from chromium import Page
+
+OPEN = Callable[..., Page]
+AXE = files("axe_core_python").joinpath("axe.min.js").read_text()
+PAGES = {
+    "live": "High speed event",
+    "graph/adsb": "stream adsb contains",
+    "ask": "What would answer",
+    "query": "Which streams are there",
+    "query/continuous": "Explain before you register",
+    "system": "Samples a second",
+}
+"""The pages, and a text that each has when it is drawn."""
+BROKEN = "document.body.append(document.createElement('img'), document.createElement('input'))"
+FOUND = """axe.run().then(({violations}) => violations.flatMap(({id, nodes}) =>
+  nodes.map((node) => id + ': ' + node.html.slice(0, 200) + ' ' + node.failureSummary)))"""
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing(flying: str, open_page: OPEN, theme: str, width: int) -> None:
+    page = open_page(f"{flying}/#live", theme=theme, width=width)
+    wrong = {}
+    for name, text in PAGES.items():
+        page.run(f"location.hash = {json.dumps(name)}")
+        page.wait_text(text)
+        page.run(AXE)
+        if found := page.run(FOUND):
+            wrong[name] = found
+    assert wrong == {}
+
+
+def test_axe_finds_what_is_wrong(flying: str, open_page: OPEN) -> None:
+    page = open_page(f"{flying}/#live")
+    page.wait_text(PAGES["live"])
+    page.run(BROKEN)
+    page.run(AXE)
+    found = {each.partition(":")[0] for each in page.run(FOUND)}
+    assert {"image-alt", "label"} <= found
