@@ -52,7 +52,10 @@ def with_service(work: Callable[[Serving], None], *options: str) -> None:
 def flights(browser: Browser, service: Serving) -> None:
     """The page Live with fast aircraft: a picture, and a moving one."""
     service.until(lambda: service.http.get("/templates/HighSpeedEvent").is_success)
-    for text in ("HighSpeedEvent(?o, dyknow:Aircraft, 800)", "HighSpeedEvent(?o, dyknow:Aircraft, 400)"):
+    for text in (
+        "HighSpeedEvent(?o, dyknow:Aircraft, 800)",
+        "HighSpeedEvent(?o, dyknow:Aircraft, 400)",
+    ):
         asked = {"Content-Type": "text/plain"}
         service.http.post("/events?since=start", content=text, headers=asked).raise_for_status()
     page = opened(browser, service, "live")
@@ -83,13 +86,13 @@ def flights(browser: Browser, service: Serving) -> None:
 def robots(browser: Browser, service: Serving) -> None:
     """The page Graph with the stream of the robots' tutorial."""
     ssl = (HERE / "tutorial" / "your-own-robot.md").read_text().split("```ssl robots.ssl\n")[1]
+    ssl = ssl.partition("```")[0]
     for words in (
         ["ontology", "add-sort", "Robot"],
         ["ontology", "add-feature", "battery", "--sort", "Robot", "--unit", "percent"],
         ["ontology", "add-feature", "velocity", "--sort", "Robot", "--unit", "m.s-1"],
         ["ontology", "add-feature", "motorTemperature", "--sort", "Robot", "--unit", "degC"],
-        ["replay", "examples/robots.csv", "--stream", "robots", "--speed", "max"]
-        + ["--ssl", ssl.partition("```")[0]],
+        ["replay", "examples/robots.csv", "--stream", "robots", "--speed", "max", "--ssl", ssl],
     ):
         command = [sys.executable, "-c", COMMAND, *words, "--url", service.url]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)

@@ -625,8 +625,7 @@ class Engine:
         """Match a feature without executing the plan; return the plan and the alternatives."""
         want = checked_want(self.ontology.vocabulary, feature, sort, objects)
         checked_strategy(strategy)
-        without = self._parts.plans.unusable_streams(Since.NOW)
-        (found,) = self._parts.plans.match([want], strategy, without, explained=True)
+        (found,) = self._parts.plans.match_from([want], strategy, Since.NOW, explained=True)
         view = explanations.match_view(
             want, found, strategy, self._parts.manager.space, self._parts.plans.is_running
         )

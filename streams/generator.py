@@ -152,6 +152,11 @@ class StreamGenerator:
         return {**self.__dict__, "_listeners": []}
 
     @property
+    def is_constant(self) -> bool:
+        """Whether it ended with a single sample ([Introspection15 §3.1])."""
+        return self.is_ended and self.counters.used == 1
+
+    @property
     def schema(self) -> Schema:
         return self.stream.schema
 

@@ -183,11 +183,11 @@ class SemanticsManager:
         ended with a single sample ([Introspection15 §3.1]). Cost: O(streams), and the changes."""
         with self.together():
             for name, generator in streams:
-                is_constant = generator.is_ended and generator.counters.used == 1
-                state = generator.counters.used > 0, is_constant
+                state = generator.counters.used > 0, generator.is_constant
                 if self._sampled.get(name, (False, False)) != state:
                     self._sampled[name] = state
-                    self._assert(("sample", name), sample_triples(name, generator, is_constant))
+                    triples = sample_triples(name, generator, generator.is_constant)
+                    self._assert(("sample", name), triples)
 
     def _has_changed(self, stream: str, rate: float) -> bool:
         before = self._rates.get(stream)

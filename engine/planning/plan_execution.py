@@ -173,6 +173,37 @@ class Plans:
             explained=explained,
         )
 
+    def match_from(
+        self,
+        wants: Sequence[Want],
+        strategy: str,
+        since: Beginning,
+        *,
+        explained: bool = False,
+    ) -> tuple[Match, ...]:
+        """Match ``wants`` (`match`) for a request that begins with ``since``.
+
+        A request that begins now reads streams that have ended only where nothing else gives as
+        much: it would get no sample of them, but of a constant stream.
+        """
+        unusable = self.unusable_streams(since)
+        found = self.match(wants, strategy, unusable, explained=explained)
+        used = existing_streams(match.supply for match in found if match.supply is not None)
+        if since is not Since.NOW or not any(map(self._is_over, used)):
+            return found
+        over = {name for name in self._space.streams if self._is_over(name)}
+        others = self.match(wants, strategy, unusable | over, explained=explained)
+        as_much = all(
+            other.supply is not None and (other.supply.complete or not one.supply.complete)
+            for one, other in zip(found, others, strict=True)
+            if one.supply is not None
+        )
+        return others if as_much else found
+
+    def _is_over(self, stream: str) -> bool:
+        generator = self._configuration.stream(stream)
+        return generator.is_ended and not generator.is_constant
+
     def unusable_streams(self, since: Beginning) -> AbstractSet[str]:
         """Streams of plans that another request cannot use: they failed, or began later than
         ``since``."""

@@ -178,7 +178,7 @@ class RequestSharing:
         except (ArgumentError, NeedsError):
             # The template needs these arguments to find its objects.
             return None
-        matches = self._plans.match(wants, strategy, self._plans.unusable_streams(Since.NOW))
+        matches = self._plans.match_from(wants, strategy, Since.NOW)
         all_objects = self._plans.expand_supplies(matches)
         if len(all_objects) != len(supplies) or _count_reads(all_objects) != _count_reads(supplies):
             return None

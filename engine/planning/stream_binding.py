@@ -35,9 +35,8 @@ def find_streams(
     plans: Plans, wanted: Needs, strategy: str, since: Beginning, description: str
 ) -> tuple[Match, ...]:
     """Match each feature that ``description`` needs. Raises `NoPlan`, `BadArguments`."""
-    unusable = plans.unusable_streams(since)
     try:
-        matches = plans.match(wanted.wants, strategy, unusable, explained=True)
+        matches = plans.match_from(wanted.wants, strategy, since, explained=True)
     except UnknownStrategy as error:
         raise BadArguments(str(error)) from error
     missing = tuple(

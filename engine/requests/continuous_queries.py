@@ -344,13 +344,13 @@ class RegisteredQueries:
         context = self._ontology, self._dictionary
         if not isinstance(query, ContinuousQuery):
             bound = bound_of(query, text, self._ontology)
-            found = self._plans.match(bound.needs.wants, "fast", explained=True)
+            found = self._plans.match_from(bound.needs.wants, "fast", Since.NOW, explained=True)
             return explanations.explain_reasoning_plan(text, found, explain_bound(bound))
         with bad_arguments_for_unsupported():
             if query.streams:
                 return explanations.explain_query(query, *context, self._starter.flows(query))
             wanted = self._starter.needs(query)
-            matches = self._plans.match(wanted.wants, "fast", explained=True)
+            matches = self._plans.match_from(wanted.wants, "fast", Since.NOW, explained=True)
             return explanations.explain_matched_query(query, wanted, matches, *context)
 
     def naming(self, terms: Set[str]) -> tuple[str, ...]:

@@ -243,7 +243,7 @@ class EventRequests:
     ) -> explanations.Explanation:
         """Explain the stages of answering ``request`` without starting it."""
         query, wanted = self._query(template, request)
-        matches = self._plans.match(wanted.wants, strategy, explained=True)
+        matches = self._plans.match_from(wanted.wants, strategy, Since.NOW, explained=True)
         return explanations.explain_request(
             template, request, query, wanted, matches, self._ontology, self._dictionary
         )
