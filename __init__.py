@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .engine.processes.registry import sink as sink
     from .engine.processes.registry import source as source
     from .engine.recorded_run import run as run
+    from .rdf.terms_to_columns import timed_triples as timed_triples
     from .service.client.client import AsyncClient as AsyncClient
     from .service.client.client import Client as Client
     from .streams.single_sample import Sample as Sample
@@ -35,6 +36,7 @@ __all__ = [
     "run",
     "sink",
     "source",
+    "timed_triples",
 ]
 
 _WHERE = {
@@ -48,6 +50,7 @@ _WHERE = {
     "run": "engine.recorded_run",
     "sink": "engine.processes.registry",
     "source": "engine.processes.registry",
+    "timed_triples": "rdf.terms_to_columns",
 }
 
 

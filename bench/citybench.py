@@ -31,7 +31,7 @@ from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator  # noqa: 
 from dyknow.continuous.operators.background import Background  # noqa: E402
 from dyknow.languages.csparql import body_sparql, parse_query  # noqa: E402
 from dyknow.rdf.dictionary import TermDictionary  # noqa: E402
-from dyknow.rdf.timed import from_terms  # noqa: E402
+from dyknow.rdf.terms_to_columns import from_terms  # noqa: E402
 
 RANGE = 3 * SECOND
 SCHEDULES = {"slow": Schedule(SECOND, SECOND // 4), "fast": Schedule(SECOND // 5, SECOND // 15)}

@@ -15,6 +15,7 @@ HERE = Path(__file__).parent
 TABLES = (
     "speed_query.py",
     "windows.py",
+    "evaluate.py",
     "terms.py",
     "citybench.py",
     "two_stars.py",

@@ -22,7 +22,7 @@ from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import Term, TermDictionary
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 SECOND = 10**9
 PLACE = "http://bench.example/"

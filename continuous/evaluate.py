@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from itertools import chain, groupby, islice
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from pyoxigraph import BlankNode, Literal, NamedNode
@@ -14,7 +15,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 from ..languages.csparql import parse_query
 from ..languages.csparql.ast import ContinuousQuery, Dialect
 from ..rdf.dictionary import Term, TermDictionary
-from ..rdf.timed import TimedTriples, TripleRows, from_terms
+from ..rdf.terms_to_columns import TermColumns, columns_of, from_term_columns, from_terms
+from ..rdf.timed import TimedTriples, TripleRows
 from .algebra.options import Bounds, Options, Report, Semantics
 from .estimation.input_rates import Flow, Traffic
 from .evaluation.evaluator import ContinuousEvaluator
@@ -24,6 +26,17 @@ from .operators.results import ResultBatch, WindowResult
 
 TimedTerm: TypeAlias = tuple[int, Term, NamedNode, Term]
 _BATCH = 4096
+"""Elements of an iterator that are read at once."""
+_CHUNK = 65_536
+"""Elements of a collection that are evaluated at once: windows in bulk cost less."""
+
+_TYPES: tuple[set[type], ...] = (
+    {int},
+    {NamedNode, BlankNode},
+    {NamedNode},
+    {NamedNode, BlankNode, Literal},
+)
+"""The usual types of times, subjects, predicates and objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +107,7 @@ def evaluate(
     if explained is not None:
         explained.attach(evaluator)
     counts = any(window.counted for window in evaluator.schedule.windows)
-    feeds = [_Feed(name, stream, lateness, counts, late) for name, stream in streams.items()]
+    feeds = [_feed(name, stream, lateness, counts, late) for name, stream in streams.items()]
     return _run(evaluator, feeds, dictionary, explained)
 
 
@@ -163,7 +176,7 @@ def _run(
     while open_feeds:
         batch = None
         dictionary.collect()
-        feed = min(open_feeds, key=lambda one: one.progress)
+        feed = min(open_feeds, key=_progress)
         batch = feed.read(dictionary, evaluator.next_end())
         if batch is None:
             open_feeds.remove(feed)
@@ -186,7 +199,7 @@ def _advance(
 ) -> list[WindowResult | ResultBatch]:
     results: list[WindowResult | ResultBatch] = []
     # The least watermark first: a new stream holds the others back.
-    for feed in sorted(feeds, key=lambda one: one.progress):
+    for feed in sorted(feeds, key=_progress):
         if feed.watermark is not None:
             results.extend(evaluator.advance(feed.name, feed.watermark))
     return results
@@ -203,51 +216,105 @@ def _window(result: WindowResult, late: int) -> Window:
     return Window(result.start, result.end, solutions, late, result.merged)
 
 
-class _Feed:
-    """One input stream: its elements, its watermark, its count of late elements."""
+class _Feed(Protocol):
+    """One input stream.
+
+    ``greatest`` is the greatest time read so far, ``watermark`` the time below which nothing else
+    comes; None before the first element. ``late`` counts dropped elements.
+    """
+
+    name: str
+    greatest: int | None
+    late: int
+
+    @property
+    def watermark(self) -> int | None: ...
+
+    def read(self, dictionary: TermDictionary, until: int | None) -> TimedTriples | None:
+        """Return some elements more, in the order of time; None after the last."""
+
+
+def _progress(feed: _Feed) -> float:
+    return -np.inf if feed.watermark is None else feed.watermark
+
+
+class _Whole:
+    """A stream whose elements are all at hand."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.greatest: int | None = None
+        self.late = 0
+
+    @property
+    def watermark(self) -> int | None:
+        return self.greatest
+
+
+class _Columns(_Whole):
+    """Triples in columns already."""
+
+    def __init__(self, name: str, stream: TimedTriples) -> None:
+        super().__init__(name)
+        self._stream: TimedTriples | None = stream
+
+    def read(self, dictionary: TermDictionary, until: int | None) -> TimedTriples | None:
+        stream, self._stream = self._stream, None
+        if stream is None:
+            return None
+        times = [int(table.time.max()) for table in stream.tables if len(table)]
+        self.greatest = max(times, default=0)
+        return stream if stream.dictionary is dictionary else from_terms(stream, dictionary)
+
+
+class _Collection(_Whole):
+    """A collection of triples, which is sorted by time."""
+
+    def __init__(self, name: str, stream: Iterable[TimedTerm], counts: bool) -> None:
+        super().__init__(name)
+        self._columns = _in_order_of_time(_checked_columns(tuple(stream)))
+        self._counts = counts
+        self._next = 0
+
+    def read(self, dictionary: TermDictionary, until: int | None) -> TimedTriples | None:
+        times, subjects, predicates, objects = self._columns
+        part = slice(self._next, self._next + _CHUNK)
+        self._next += _CHUNK
+        if not times[part]:
+            return None
+        self.greatest = int(times[part][-1])
+        columns = times[part], subjects[part], predicates[part], objects[part]
+        if self._counts:
+            return _in_order(tuple(zip(*columns, strict=True)), dictionary)
+        return from_term_columns(columns, dictionary)
+
+
+class _Elements:
+    """An iterator of triples, in order of time but for ``lateness``; it is read as late as may
+    be."""
 
     def __init__(
         self,
         name: str,
-        stream: Iterable[TimedTerm] | TimedTriples,
-        lateness: int | None,
+        stream: Iterable[TimedTerm],
+        lateness: int,
         counts: bool,
         report_late: Callable[[TimedTerm], object] | None,
     ) -> None:
         self.name = name
         self.greatest: int | None = None
         self.late = 0
-        self.lateness = lateness or 0
+        self._items = iter(stream)
+        self._lateness = lateness
         self._counts = counts
         self._report_late = report_late
-        self._columns = stream if isinstance(stream, TimedTriples) else None
-        self._sorted = isinstance(stream, Sized)
-        if self._columns is None and self._sorted:
-            self._items: Iterator[TimedTerm] = iter(
-                sorted(stream, key=lambda item: _checked(item)[0])
-            )
-        else:
-            self._items = iter(()) if self._columns is not None else iter(stream)
 
     @property
     def watermark(self) -> int | None:
-        if self.greatest is None:
-            return None
-        return self.greatest if self._sorted else self.greatest - self.lateness
-
-    @property
-    def progress(self) -> float:
-        return -np.inf if self.watermark is None else self.watermark
+        return None if self.greatest is None else self.greatest - self._lateness
 
     def read(self, dictionary: TermDictionary, until: int | None) -> TimedTriples | None:
         """Return the next elements, up to the first that could close the window at ``until``."""
-        if self._columns is not None:
-            columns, self._columns = self._columns, None
-            times = [int(table.time.max()) for table in columns.tables if len(table)]
-            self.greatest = max(times, default=0)
-            if columns.dictionary is dictionary:
-                return columns
-            return from_terms(list(columns), dictionary)
         items: list[TimedTerm] = []
         for item in islice(self._items, _BATCH):
             time = _checked(item)[0]
@@ -262,7 +329,7 @@ class _Feed:
                 break
         if not items and self._exhausted():
             return None
-        items.sort(key=lambda item: item[0])
+        items.sort(key=itemgetter(0))
         return _in_order(items, dictionary) if self._counts else from_terms(items, dictionary)
 
     def _exhausted(self) -> bool:
@@ -271,6 +338,40 @@ class _Feed:
             return True
         self._items = chain((first,), self._items)
         return False
+
+
+def _feed(
+    name: str,
+    stream: Iterable[TimedTerm] | TimedTriples,
+    lateness: int | None,
+    counts: bool,
+    report_late: Callable[[TimedTerm], object] | None,
+) -> _Feed:
+    if isinstance(stream, TimedTriples):
+        return _Columns(name, stream)
+    if isinstance(stream, Sized):
+        return _Collection(name, stream, counts)
+    return _Elements(name, stream, lateness or 0, counts, report_late)
+
+
+def _checked_columns(items: Sequence[TimedTerm]) -> TermColumns:
+    """Return the columns of timed triples. Raises ``TypeError`` (`_checked`)."""
+    if not (set(map(type, items)) <= {tuple} and set(map(len, items)) <= {4}):
+        items = tuple(map(_checked, items))
+    columns = columns_of(items)
+    if not all(set(map(type, one)) <= may for one, may in zip(columns, _TYPES, strict=True)):
+        for item in items:
+            _checked(item)
+    return columns
+
+
+def _in_order_of_time(columns: TermColumns) -> TermColumns:
+    times = np.array(columns[0], np.int64)
+    if not np.any(times[1:] < times[:-1]):
+        return columns
+    order = np.argsort(times, kind="stable").tolist()
+    in_order: Any = tuple(list(map(column.__getitem__, order)) for column in columns)
+    return in_order  # type: ignore[no-any-return]  # mypy does not know columns of several types
 
 
 def _in_order(items: Sequence[TimedTerm], dictionary: TermDictionary) -> TimedTriples:

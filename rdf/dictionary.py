@@ -192,7 +192,11 @@ class TermDictionary:
 
     def transient_ids(self, terms: Iterable[Term]) -> Ids:
         """Return transient ids of many terms, shape ``(n,)``."""
-        return np.fromiter(map(self.transient_id, terms), np.int32)
+        listed = tuple(terms)
+        found = list(map(self._ids.get, listed))
+        if None in found:
+            found = list(map(self.transient_id, listed))
+        return np.array(found, np.int32)
 
     def terms(self, start: int = 0) -> Sequence[Term | None]:
         """Return the terms from id ``start`` on, for tables that grow with the dictionary. A free

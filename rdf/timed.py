@@ -7,8 +7,7 @@ of one predicate for each table.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeAlias
@@ -181,37 +180,6 @@ class TimedTriples:
                         predicate_term,
                         column.term_at(row, self.dictionary),
                     )
-
-
-def from_terms(
-    triples: Iterable[tuple[int, Term, NamedNode, Term]],
-    dictionary: TermDictionary,
-    valid: Sequence[int] | None = None,
-) -> TimedTriples:
-    """Make columns from ``(τ, subject, predicate, object)``; valid time is τ unless given.
-
-    There is a table for each pair of predicate and kind of object, in the order given. Numeric and
-    boolean literals in canonical form become numbers. Other literals stay terms, so that iterating
-    yields equal triples.
-    """
-    id = dictionary.transient_id
-    groups: dict[tuple[int, Kind], list[tuple[int, int, int, Any]]] = defaultdict(list)
-    for i, (time, subject, predicate, object) in enumerate(triples):
-        kind, value = split_term(object, id)
-        key = (id(predicate), kind)
-        groups[key].append((time, time if valid is None else valid[i], id(subject), value))
-    tables = []
-    for (predicate_id, kind), rows in groups.items():
-        time_column, valid_column, subjects, values = zip(*rows, strict=True)
-        tables.append(
-            TripleRows(
-                np.array(time_column, np.int64),
-                np.array(valid_column, np.int64),
-                np.array(subjects, np.int32),
-                {predicate_id: ObjectColumn(kind, np.array(values, kind.dtype))},
-            )
-        )
-    return TimedTriples(dictionary, tuple(tables))
 
 
 Intern: TypeAlias = Callable[[Term], int]

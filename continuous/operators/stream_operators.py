@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...languages.csparql.ast import StreamOperator
-from ...rdf.timed import TimedTriples, from_terms
+from ...rdf.terms_to_columns import from_terms
+from ...rdf.timed import TimedTriples
 from ..columns.relation import TermValues, key_codes
 from .results import Solutions, WindowResult
 

@@ -19,7 +19,8 @@ from ...languages.csparql import body_with_rows
 from ...languages.csparql.ast import ContinuousQuery
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import RDF_TYPE, XSD
-from ...rdf.timed import TimedTriples, TripleRows, from_terms
+from ...rdf.terms_to_columns import from_terms
+from ...rdf.timed import TimedTriples, TripleRows
 from ...sparql import ast
 from ...sparql.printer import print_query
 from ...sparql.terms import term_text

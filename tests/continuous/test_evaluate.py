@@ -10,7 +10,7 @@ from pyoxigraph import Literal, NamedNode
 
 from dyknow.continuous.evaluate import Explained, evaluate
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 D = "http://d.example/"
 X, Y = D + "x", D + "y"
@@ -71,6 +71,29 @@ def test_streams_are_merged_by_time() -> None:
     for streams in ({X: iter(a), Y: iter(b)}, {X: a, Y: iter(b)}, {X: a, Y: b}):
         found = shown(evaluate(counting(D + "p", X, Y), streams))
         assert found == [(10, "3"), (20, "1"), (30, "1")]
+
+
+@pytest.mark.parametrize("window", ["RANGE 10ns STEP 5ns", "TRIPLES 3 STEP 2"])
+@pytest.mark.parametrize("size", [1, 3, 1000])
+def test_where_a_collection_is_cut_changes_nothing(
+    size: int, window: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dyknow.continuous.evaluate._CHUNK", size)
+    a = [(t // 2, WHO, (P, Q)[t % 2], Literal(t % 3)) for t in range(1, 40)]
+    b = [(t, WHO, P, NamedNode(f"{D}{t % 4}")) for t in (25, 7, 7, 31)]
+    query = (
+        f"SELECT ?v (COUNT(*) AS ?n) FROM STREAM <{X}> [{window}] FROM STREAM <{Y}> [{window}] "
+        "WHERE { ?s ?p ?v } GROUP BY ?v"
+    )
+    ordered = sorted(b, key=lambda item: item[0])
+
+    def windows(streams):
+        return [
+            (w.end, sorted(map(str, w.solutions)))  # type: ignore[arg-type]
+            for w in evaluate(query, streams)
+        ]
+
+    assert windows({X: a, Y: b}) == windows({X: iter(a), Y: iter(ordered)})
 
 
 def test_columns_are_taken_as_they_are() -> None:

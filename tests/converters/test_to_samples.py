@@ -16,13 +16,8 @@ from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation
 from dyknow.ontology.units import parse_unit
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, XSD
-from dyknow.rdf.timed import (
-    Kind,
-    ObjectColumn,
-    TimedTriples,
-    TripleRows,
-    from_terms,
-)
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from dyknow.streams.sample import Field, FieldType, Schema
 
 SPEED, HEIGHT = DYKNOW + "speed", DYKNOW + "altitude"

@@ -13,13 +13,8 @@ from dyknow.rdf.dictionary import (
     TermDictionary,
     TermTable,
 )
-from dyknow.rdf.timed import (
-    Kind,
-    ObjectColumn,
-    TimedTriples,
-    TripleRows,
-    from_terms,
-)
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 
 
 class Hand:

@@ -8,7 +8,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 from dyknow.rdf.dictionary import NO_TERM, TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, XSD, shorten
-from dyknow.rdf.timed import DATATYPES, Kind, from_terms, make_term, split_term
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import DATATYPES, Kind, make_term, split_term
 
 LIMITS = settings(deadline=None, max_examples=150)
 TIMES = st.integers(-(2**63), 2**63 - 1)

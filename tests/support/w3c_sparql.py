@@ -30,7 +30,7 @@ from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.languages.errors import LanguageError
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 FOLDER = DATA / "w3c" / "sparql" / "sparql11"
 MF = rdflib.Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-manifest#")

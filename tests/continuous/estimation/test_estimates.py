@@ -39,7 +39,7 @@ from dyknow.continuous.windows.grid import schedule
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import RDF_TYPE
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 D = "http://d.example/"
 X = D + "x"

@@ -9,7 +9,7 @@ from dyknow.continuous.operators.results import ResultBatch
 from dyknow.continuous.windows import window_schedule
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 PLACE = "http://d.example/"
 QUERY = f"""REGISTER QUERY q AS SELECT ?o (AVG(?v) AS ?a)

@@ -13,13 +13,8 @@ from dyknow.languages.csparql import bind, parse_query
 from dyknow.ontology.units import Conversion
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, RDFS, XSD
-from dyknow.rdf.timed import (
-    Kind,
-    ObjectColumn,
-    TimedTriples,
-    TripleRows,
-    from_terms,
-)
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 
 S = 10**9
 X, Y = DYKNOW + "x.trdf", DYKNOW + "y.trdf"

@@ -24,13 +24,8 @@ from dyknow.continuous.pattern_join.window_rows import PatternRows
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import XSD
-from dyknow.rdf.timed import (
-    Kind,
-    ObjectColumn,
-    TimedTriples,
-    TripleRows,
-    from_terms,
-)
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from dyknow.streams.jit import JIT
 
 D = "http://d.example/"

@@ -15,7 +15,7 @@ from dyknow.continuous.sharing.template_instances import TemplateEvaluator
 from dyknow.languages.csparql import bind, parse_query, parse_template
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, OWL, RDF_TYPE, XSD
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 S = 10**9
 X = DYKNOW + "x.trdf"

@@ -44,7 +44,8 @@ from dyknow.languages.csparql.ast import (
     TimeWindow,
 )
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import TimedTriples, TripleRows
 
 INPUTS = [drawing.D + "s", drawing.D + "t"]
 law = settings(

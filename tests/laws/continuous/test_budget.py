@@ -13,7 +13,7 @@ from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 from dyknow.streams.time import SECOND
 
 SPEED = NamedNode(DYKNOW + "speed")

@@ -22,7 +22,8 @@ from dyknow.continuous.windows import window_schedule
 from dyknow.languages.csparql import bind, parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import RDF_TYPE
-from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import TimedTriples, TripleRows
 
 PLACE = "http://d.example/"
 INPUTS = [PLACE + "s", PLACE + "t"]

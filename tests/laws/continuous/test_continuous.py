@@ -24,7 +24,8 @@ from dyknow.continuous.incremental import (
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import bind, parse_query, parse_template
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import TimedTriples, TripleRows
 
 D = "http://d.example/"
 INPUT = D + "s"

@@ -23,13 +23,8 @@ from dyknow.ontology.closure import closure_of, owlrl_closure
 from dyknow.ontology.entailment import Rules
 from dyknow.rdf.dictionary import NO_TERM, Term, TermDictionary
 from dyknow.rdf.namespaces import OWL, RDF_TYPE, RDFS
-from dyknow.rdf.timed import (
-    Kind,
-    ObjectColumn,
-    TimedTriples,
-    TripleRows,
-    from_terms,
-)
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 
 D = "http://d.example/"
 INPUT = D + "s"

@@ -18,7 +18,7 @@ from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import RDF_TYPE, XSD
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 
 PLACE = "http://example.org/"
 STREAM = PLACE + "s"

@@ -22,7 +22,8 @@ from dyknow.continuous.pattern_join import (
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import RDF_TYPE, RDFS, XSD
-from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import TimedTriples, TripleRows
 
 D = "http://d.example/"
 X, Y = D + "x", D + "y"

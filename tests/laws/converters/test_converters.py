@@ -17,7 +17,7 @@ from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.string_pool import StringPool
 

@@ -13,7 +13,7 @@ from dyknow.converters.rdf.ntriples import (
     decode_ntriples,
 )
 from dyknow.rdf.dictionary import NO_TERM, TermDictionary
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.terms_to_columns import from_terms
 from dyknow.streams.jit import JIT
 
 LIMITS = settings(deadline=None, max_examples=300)

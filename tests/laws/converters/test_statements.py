@@ -18,7 +18,8 @@ from dyknow.converters.rdf.statements import (
     with_named_nodes,
 )
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.timed import Kind, from_terms, make_literal
+from dyknow.rdf.terms_to_columns import from_terms
+from dyknow.rdf.timed import Kind, make_literal
 
 LIMITS = settings(deadline=None, max_examples=300)
 TERMS = NamedNode | BlankNode | Literal
