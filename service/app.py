@@ -25,6 +25,7 @@ from .durability.command_queue import CommandQueue
 from .http import problems
 from .http.access_log import AccessLog
 from .http.body_limit import BodyLimit, UnderWay
+from .http.compression import Compression
 from .http.response_limit import PART, LongAnswers, ResponseLimit
 from .routes import (
     annotations,
@@ -189,6 +190,7 @@ def create_app(
     for resource in RESOURCES:
         app.include_router(resource.router)
     app.add_middleware(ResponseLimit, long=answers, key=lambda request: service.client_key(request))
+    app.add_middleware(Compression)
     app.add_middleware(
         BodyLimit,
         limit=settings.body_limit,
