@@ -117,21 +117,27 @@ def explain(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Explain a request, a template, a query or a match, stage by stage."""
+    """Explain a request, a template, a query or a match, stage by stage. Status 1 if there is no
+    plan."""
     if sum(value is not None for value in (event, template, query, id, feature)) != 1:
         raise typer.BadParameter("name one of: a request, --template, --query, --id, --feature")
+    thing = {"event": event, "template": template, "id": id, "feature": feature}
+    thing["query"] = None if query is None else text_or_file(query)
+    from ..client.errors import ServiceError
+
     with connect(url) as client:
-        text = client.explain(
-            event=event,
-            template=template,
-            query=None if query is None else text_or_file(query),
-            id=id,
-            feature=feature,
-        )
+        try:
+            found = client.explanation(**thing)
+        except ServiceError as error:
+            if "stages" not in error.problem:
+                raise
+            found = error.problem
     if as_json:
-        show_json({"text": text})
+        show_json(found)
     else:
-        show_text(text)
+        show_text(found["text"])
+    if not found["found"]:
+        raise typer.Exit(1)
 
 
 def _section(title: str, lines: list[str]) -> None:

@@ -69,7 +69,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "explain": (
         "introspection",
-        "Explain a request, a template, a query or a match, stage by stage.",
+        "Explain a request, a template, a query or a match, stage by stage. Status 1 if there is "
+        "no plan.",
     ),
     "run": (
         "recordings.run",

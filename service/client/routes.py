@@ -691,9 +691,17 @@ class Routes:
     ) -> Flow[str]:
         """Return the stages of exactly one of these, as text."""
         things = {"event": event, "template": template, "query": query, "id": id}
-        things["feature"] = feature
-        parameters = {key: value for key, value in things.items() if value is not None}
-        return read_text("GET", "/explain", params=parameters, headers={"Accept": TEXT})
+        body = things | {"feature": feature}
+        return read_text("POST", "/explain", json=body, headers={"Accept": TEXT})
+
+    @verb
+    def explanation(self, /, **thing: str | None) -> Flow[dict[str, Any]]:
+        """Return the same as ``text``, ``stages`` and ``plan``, a tree of what was considered. Of a
+        feature also for a ``sort``, and by a ``strategy``.
+
+        Raises `ServiceError` 422 if there is no plan; its ``problem`` has the same members, and
+        ``missing``."""
+        return read_object("POST", "/explain", json=thing, headers={"Accept": JSON})
 
     @verb
     def status(self) -> Flow[dict[str, Any]]:

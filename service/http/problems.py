@@ -31,6 +31,7 @@ from ...streams.sample import SampleError
 from ...streams.time import format_time
 from ..config.defaults import AHEAD
 from ..config.logs import log
+from ..models import StageModel, StepModel
 from .hints import hint_for
 
 MEDIA_TYPE = "application/problem+json"
@@ -40,6 +41,8 @@ LONGEST = 4000
 """Characters of a text in an error, at most."""
 MOST_TOLD = 100
 """Values that do not fit whose places an error lists, so that it is not longer than its request."""
+WHOLE = frozenset({"text"})
+"""Members that the service has written, and therefore are not cut."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -63,6 +66,10 @@ class ProblemModel(BaseModel):
     )
     oldest: str | None = Field(None, description="the available time of the oldest sample kept")
     missing: list[str] | None = Field(None, description="what semantic matching would need")
+    found: bool | None = Field(None, description="false: an explanation found no plan")
+    text: str | None = Field(None, description="see ExplainModel")
+    stages: list[StageModel] | None = Field(None, description="see ExplainModel")
+    plan: list[StepModel] | None = Field(None, description="see ExplainModel")
     used_by: list[str] | None = Field(None, description="what uses the terms of an ontology")
     errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
 
@@ -87,7 +94,9 @@ class Problem(HTTPException):
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")
         known: dict[str, Any] = {
-            key: _shown(value) for key, value in self.members.items() if value or value == 0
+            key: value if key in WHOLE else _shown(value)
+            for key, value in self.members.items()
+            if value or value == 0
         }
         detail = _shown(str(self.detail))
         return ProblemModel(
@@ -99,7 +108,8 @@ class Problem(HTTPException):
         model = self.model()
         if request is not None:
             model.instance = _REQUESTS + quote(request, safe="")
-        body = model.model_dump(exclude_none=True)
+        # Only the problem's own members are left out; those of a plan may be null.
+        body = {name: value for name, value in model.model_dump().items() if value is not None}
         return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
 
 

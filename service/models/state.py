@@ -148,6 +148,7 @@ class ExplainModel(BaseModel):
 
     text: str = Field(description="the whole explanation, for reading")
     found: bool = Field(description="whether there is a plan for all that is needed")
+    missing: list[str] = Field(description="what a plan would need; empty if there is one")
     stages: list[StageModel] = Field(description="the same by stages")
     plan: list[StepModel] = Field(
         description="for each needed feature the plan, and what else was considered"
@@ -158,6 +159,7 @@ class ExplainModel(BaseModel):
         return cls(
             text=explanation.text,
             found=explanation.found,
+            missing=list(explanation.missing),
             stages=[StageModel(title=title, text=text) for title, text in explanation.stages],
             plan=[StepModel.of(steps(match)) for match in explanation.matches],
         )
