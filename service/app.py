@@ -31,26 +31,21 @@ from .routes import (
     annotations,
     docs,
     events,
-    explain,
     follow,
-    health,
     kpl,
     live,
-    match,
     ontologies,
     publish,
     queries,
     samples,
     session,
-    sparql,
     specifications,
-    status,
     streams,
     subscriptions,
     templates,
     transformations,
-    units,
 )
+from .routes.introspection import explain, health, match, sparql, status, units
 from .runtime.context import Service
 from .runtime.live_ingest import LiveBodies
 from .runtime.metrics import Metrics

@@ -8,18 +8,18 @@ from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field, model_validator
 
-from ...engine.model.errors import NoPlan
-from ...engine.model.views import MatchView
-from ...engine.planning.stream_binding import REMEDY
-from ..config.media_types import JSON, TEXT
-from ..http.negotiation import accepted
-from ..http.problems import Problem, responses
-from ..http.text_limits import parse_aside, parse_continuous
-from ..models import ExplainModel, StageModel, StepModel, Strategy
-from ..models.parts import Body
-from ..runtime.context import Context, Service
-from .json_body import JsonRoute
-from .streams import json_only
+from ....engine.model.errors import NoPlan
+from ....engine.model.views import MatchView
+from ....engine.planning.stream_binding import REMEDY
+from ...config.media_types import JSON, TEXT
+from ...http.negotiation import accepted
+from ...http.problems import Problem, responses
+from ...http.text_limits import parse_aside, parse_continuous
+from ...models import ExplainModel, StageModel, StepModel, Strategy
+from ...models.parts import Body
+from ...runtime.context import Context, Service
+from ..json_body import JsonRoute
+from ..streams import json_only
 
 router = APIRouter(tags=["explain"], route_class=JsonRoute)
 
