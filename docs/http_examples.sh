@@ -35,6 +35,7 @@ curl -X DELETE $URL/subscriptions/subscription1
 curl $URL/subscriptions -H 'Content-Type: application/json' -d '{"feature": "dyknow:speed",
   "sort": "dyknow:UAV", "strategy": "quality", "staleness": "5s", "min_quality": 0.5, "hold_off": "2s"}'
 curl $URL/subscriptions/subscription2/rematches
+curl "$URL/graph?around=subscription2"       # what feeds it
 curl -X DELETE $URL/subscriptions/subscription2
 
 ## KPL

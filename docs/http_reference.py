@@ -37,7 +37,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     ),
     "Streams and samples": (
         "streams",
-        ("samples", "units"),
+        ("samples", "units", "graph"),
         "[Streams over HTTP](streams.md) explains batches, live samples, retention, history and "
         "server-sent events.",
     ),

@@ -45,7 +45,7 @@ from .routes import (
     templates,
     transformations,
 )
-from .routes.introspection import explain, health, match, sparql, status, units
+from .routes.introspection import explain, graph, health, match, sparql, status, units
 from .runtime.context import Service
 from .runtime.live_ingest import LiveBodies
 from .runtime.metrics import Metrics
@@ -66,6 +66,7 @@ RESOURCES = (
     queries,
     streams,
     units,
+    graph,
     subscriptions,
     annotations,
     transformations,

@@ -111,6 +111,12 @@ class Refused(DyknowError):
     title = "refused"
 
 
+class UnknownNode(DyknowError):
+    """Nothing that runs has this name."""
+
+    title = "unknown node"
+
+
 class UnknownQuery(DyknowError):
     """No registered query has this name."""
 

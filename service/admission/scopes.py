@@ -34,6 +34,7 @@ READ = (
     "GET /streams",
     "GET /streams/{name}",
     "GET /streams/{name}/evaluation",
+    "GET /graph",
     "GET /units",
     "GET /units/{name}",
     "GET /problems",

@@ -256,6 +256,15 @@ class Routes:
         """Yield every change of the stream space."""
         return EventSource("/status/events", since, True)
 
+    @verb
+    def graph(self, around: str | None = None, depth: int | None = None) -> Flow[dict[str, Any]]:
+        """Return what runs as ``nodes`` (streams, units, requests, queries, subscriptions) and
+        ``edges``; with ``around`` what feeds the nodes of this name and what they feed, at most
+        ``depth`` edges away."""
+        bounds = {"around": around, "depth": depth}
+        parameters = {key: value for key, value in bounds.items() if value is not None}
+        return read_object("GET", "/graph", params=parameters)
+
     # -- meaning
 
     @verb

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from hashlib import sha256
 from pathlib import Path
 
 from fastapi import Request, Response
 
+from .entity_tags import entity_tag, names
 from .problems import Problem
 
 TYPES = {
@@ -65,8 +65,7 @@ class PageFiles:
             raise Problem(404, "no such route", f"there is no file {name!r}")
         file = _read(path, path.stat().st_mtime_ns)
         headers = POLICY | {"ETag": file.etag}
-        known = request.headers.get("if-none-match", "")
-        if file.etag in [each.strip() for each in known.split(",")]:
+        if names(request.headers.get("if-none-match"), file.etag):
             return Response(status_code=304, headers=headers | {"Vary": "Accept-Encoding"})
         return Response(file.content, media_type=file.media_type, headers=headers)
 
@@ -75,6 +74,4 @@ class PageFiles:
 def _read(path: Path, changed: int) -> PageFile:
     """The file as it is since ``changed`` (ns): a change of a page shows without a restart."""
     content = path.read_bytes()
-    # Weak: the compressed file and the plain one are the same file.
-    etag = f'W/"{sha256(content).hexdigest()[:32]}"'
-    return PageFile(TYPES[path.suffix], content, etag)
+    return PageFile(TYPES[path.suffix], content, entity_tag(content))

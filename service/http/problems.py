@@ -128,6 +128,7 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownRequest, 404),
     (engine_errors.UnknownFeature, 404),
     (engine_errors.UnknownDeclaration, 404),
+    (engine_errors.UnknownNode, 404),
     (engine_errors.UnknownQuery, 404),
     (engine_errors.UnknownOntology, 404),
     (engine_errors.NoResult, 404),

@@ -12,6 +12,7 @@ from .events import (
     TemplateModel,
     UnitModel,
 )
+from .graph import GraphModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
@@ -80,6 +81,7 @@ __all__ = [
     "FeatureModel",
     "FieldModel",
     "FindingModel",
+    "GraphModel",
     "HealthModel",
     "InsertionModel",
     "LoadModel",
