@@ -73,6 +73,8 @@ curl $URL/annotations -H 'Content-Type: text/plain' \
   -d 'stream s5 contains speed(UAV) = spd [m.s-1] for every UAV = id'
 curl $URL/annotations -H 'Content-Type: application/json' -d '{"stream": "s6", "contents": [
   {"feature": "dyknow:altitude", "field": "alt", "unit": "m", "of": [{"name": "dyknow:UAV", "id": "id"}]}]}'
+curl "$URL/objects?sort=dyknow:UAV&limit=10"
+curl $URL/objects/uav1
 curl -X PUT $URL/streams/s6/quality -H 'Content-Type: application/json' -d '{"quality": 0.5}'
 curl $URL/transformations -H 'Content-Type: application/json' -d '{
   "annotation": "compunit speedOver10s transforms lat:latitude, lon:longitude to spd:speed [m.s-1]",

@@ -55,7 +55,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     ),
     "Meaning": (
         "ontologies",
-        ("annotations", "transformations", "matching", "explain", "sparql"),
+        ("objects", "annotations", "transformations", "matching", "explain", "sparql"),
         "See [ontology](ontology.md), [SSL](ssl.md) and [matching](../explanation/matching.md).",
     ),
     "Events on demand": (

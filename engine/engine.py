@@ -129,6 +129,7 @@ class Engine:
         self.intake = parts.intake
         self.transformations = parts.transformations
         self.queries = parts.queries
+        self.objects = parts.objects
         parts.restore(now)
 
     @property
@@ -744,10 +745,16 @@ class Engine:
         """
         if text == "self" or ":" in text or text.startswith("<"):
             return text
+        return f"<{self.object_iri(text)}>"
+
+    def object_iri(self, text: str) -> str:
+        """The IRI of the object that a text names: as in `object_name`, but also of ``self``."""
+        if text == "self":
+            return self.ontology.vocabulary.self_object
         streams = [each.stream for each in self._parts.declared.annotations()]
         namespaces = {self._parts.configuration.namespaces[name] for name in streams}
         namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
-        return f"<{object_iri(text, namespace)}>"
+        return object_iri(text.removeprefix("<").removesuffix(">"), namespace)
 
     # -- internals ---------------------------------------------------------------------------
 

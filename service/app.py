@@ -45,7 +45,7 @@ from .routes import (
     templates,
     transformations,
 )
-from .routes.introspection import explain, graph, health, match, sparql, status, units
+from .routes.introspection import explain, graph, health, match, objects, sparql, status, units
 from .runtime.context import Service
 from .runtime.live_ingest import LiveBodies
 from .runtime.metrics import Metrics
@@ -67,6 +67,7 @@ RESOURCES = (
     streams,
     units,
     graph,
+    objects,
     subscriptions,
     annotations,
     transformations,

@@ -35,6 +35,8 @@ READ = (
     "GET /streams/{name}",
     "GET /streams/{name}/evaluation",
     "GET /graph",
+    "GET /objects",
+    "GET /objects/{name:path}",
     "GET /units",
     "GET /units/{name}",
     "GET /problems",

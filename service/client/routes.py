@@ -500,6 +500,21 @@ class Routes:
         return read_object("GET", "/vocabulary")
 
     @verb
+    def objects(
+        self, sort: str | None = None, *, after: str | None = None, limit: int = 100
+    ) -> Flow[dict[str, Any]]:
+        """Return a page of the known ``objects``, of a sort and the sorts below it or of any; with
+        ``more``, ask for the next page ``after`` the IRI of the last one."""
+        query = {"sort": sort, "after": after, "limit": limit}
+        parameters = {key: value for key, value in query.items() if value is not None}
+        return read_object("GET", "/objects", params=parameters)
+
+    @verb
+    def object(self, name: str) -> Flow[dict[str, Any]]:
+        """Return the sorts of an object, and the newest value of each of its features."""
+        return read_object("GET", f"/objects/{_part(name)}")
+
+    @verb
     def ontology_report(self) -> Flow[dict[str, Any]]:
         """Validate the stream space: ``conforms``, and the ``violations``."""
         return read_object("GET", "/ontologies/report")

@@ -129,6 +129,7 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownFeature, 404),
     (engine_errors.UnknownDeclaration, 404),
     (engine_errors.UnknownNode, 404),
+    (engine_errors.UnknownObject, 404),
     (engine_errors.UnknownQuery, 404),
     (engine_errors.UnknownOntology, 404),
     (engine_errors.NoResult, 404),

@@ -15,6 +15,7 @@ from .events import (
 from .graph import GraphModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
+from .objects import ListedObjectsModel, ObjectModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
 from .queries import QueryModel
 from .reasoning import MatchesWhyModel, PartialMatchesModel, WhyModel
@@ -84,11 +85,13 @@ __all__ = [
     "GraphModel",
     "HealthModel",
     "InsertionModel",
+    "ListedObjectsModel",
     "LoadModel",
     "LogLineModel",
     "MatchIn",
     "MatchModel",
     "MatchesWhyModel",
+    "ObjectModel",
     "OneDeclarationModel",
     "OntologyModel",
     "OntologyReportModel",
