@@ -123,4 +123,6 @@ curl -X DELETE $URL/queries/means
 
 ## The service
 curl $URL/status
+curl "$URL/requests?status=400&limit=20"
+curl $URL/journal
 curl $URL/healthz

@@ -45,7 +45,18 @@ from .routes import (
     templates,
     transformations,
 )
-from .routes.introspection import explain, graph, health, match, objects, sparql, status, units
+from .routes.introspection import (
+    explain,
+    graph,
+    health,
+    journal,
+    match,
+    objects,
+    requests,
+    sparql,
+    status,
+    units,
+)
 from .runtime.context import Service
 from .runtime.live_ingest import LiveBodies
 from .runtime.metrics import Metrics
@@ -78,6 +89,8 @@ RESOURCES = (
     sparql,
     explain,
     status,
+    requests,
+    journal,
     health,
     session,
     docs,
@@ -198,7 +211,12 @@ def create_app(
         under_way=bodies,
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
-    app.add_middleware(AccessLog, metrics=service.metrics, slow=settings.slow_request)
+    app.add_middleware(
+        AccessLog,
+        metrics=service.metrics,
+        recent=service.recent_requests,
+        slow=settings.slow_request,
+    )
     app.openapi = lambda: openapi_schema(app)  # type: ignore[method-assign]
     return app
 

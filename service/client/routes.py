@@ -728,6 +728,17 @@ class Routes:
         return read_object("POST", "/explain", json=thing, headers={"Accept": JSON})
 
     @verb
+    def http_requests(self, *, status: int = 100, limit: int = 200) -> Flow[list[dict[str, Any]]]:
+        """Return the newest HTTP requests that the service has answered, newest first: those with
+        ``status`` or a greater one."""
+        return read_list("GET", "/requests", params={"status": status, "limit": limit})
+
+    @verb
+    def journal(self) -> Flow[dict[str, Any]]:
+        """Return what the data directory holds; ``recording`` is false without one."""
+        return read_object("GET", "/journal")
+
+    @verb
     def status(self) -> Flow[dict[str, Any]]:
         """Return an overview of the service."""
         return read_object("GET", "/status")

@@ -17,6 +17,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.routing import Match
+from starlette.types import Receive, Scope, Send
 
 from ...converters.arrow.stream import ArrowMissing
 from ...converters.errors import AheadOfClock, ConversionError, WireError
@@ -43,6 +44,8 @@ MOST_TOLD = 100
 """Values that do not fit whose places an error lists, so that it is not longer than its request."""
 WHOLE = frozenset({"text"})
 """Members that the service has written, and therefore are not cut."""
+PROBLEM: Final = "dyknow.problem"
+"""In the scope of a request: the type of the problem that answers it."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -91,8 +94,12 @@ class Problem(HTTPException):
         self.title = title
         self.members: dict[str, object] = {"hint": hint or hint_for(title), **extra}
 
+    @property
+    def kind(self) -> str:
+        """Its type (RFC 9457)."""
+        return _NAMES + self.title.lower().replace(" ", "-")
+
     def model(self) -> ProblemModel:
-        kind = _NAMES + self.title.lower().replace(" ", "-")
         known: dict[str, Any] = {
             key: value if key in WHOLE else _shown(value)
             for key, value in self.members.items()
@@ -100,7 +107,7 @@ class Problem(HTTPException):
         }
         detail = _shown(str(self.detail))
         return ProblemModel(
-            type=kind, title=self.title, status=self.status_code, detail=detail, **known
+            type=self.kind, title=self.title, status=self.status_code, detail=detail, **known
         )
 
     def response(self, request: str | None = None) -> Response:
@@ -110,7 +117,21 @@ class Problem(HTTPException):
             model.instance = _REQUESTS + quote(request, safe="")
         # Only the problem's own members are left out; those of a plan may be null.
         body = {name: value for name, value in model.model_dump().items() if value is not None}
-        return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
+        return _ProblemResponse(self.kind, body, self.status_code, self.headers)
+
+
+class _ProblemResponse(JSONResponse):
+    """Notes the problem's type in the scope, for the list of requests."""
+
+    media_type = MEDIA_TYPE
+
+    def __init__(self, kind: str, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._kind = kind
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        scope[PROBLEM] = self._kind
+        await super().__call__(scope, receive, send)
 
 
 def _shown(value: Any) -> Any:
