@@ -100,13 +100,14 @@ class KnownObjects:
         for role in roles:
             if role.id_field is not None and role.sort is not None:
                 by_field.setdefault(role.id_field, set()).add(role.sort)
+        namespace = self._configuration.namespaces.get(stream, "")
         for field, sorts in by_field.items():
             found = frozenset(sorts)
-            names = sorted(_names([batch.columns[field] for batch in batches]))
-            namespace = self._configuration.namespaces.get(stream, "")
-            for start in range(0, len(names), PART):
-                part = names[start : start + PART]
-                yield {object_iri(name, namespace): found for name in part}
+            for column in (batch.columns[field] for batch in batches):
+                values = np.unique(column.values[column.present])
+                for start in range(0, len(values), PART):
+                    names = _names(column.pool, values[start : start + PART].tolist())
+                    yield {object_iri(name, namespace): found for name in names}
 
     def _in_stream(self, iri: str, stream: str) -> tuple[Sorts, list[KnownValue]] | None:
         contents, batches = self._batches(stream)
@@ -189,17 +190,9 @@ def _is_integer(name: str) -> bool:
     return str(value) == name and -(2**63) <= value < 2**63
 
 
-def _names(columns: list[Column]) -> set[str]:
-    """The names in an id field, each once."""
-    found: set[str] = set()
-    for column in columns:
-        values = np.unique(column.values[column.present]).tolist()
-        found.update(map(str, values) if column.pool is None else _texts(column.pool, values))
-    return found
-
-
-def _texts(pool: StringPool, codes: list[int]) -> Iterator[str]:
-    return (pool[code] for code in codes)
+def _names(pool: StringPool | None, values: list[int]) -> list[str]:
+    """The names that values of an id field stand for: integers, or codes of ``pool``."""
+    return [str(value) if pool is None else pool[value] for value in values]
 
 
 def _named(batch: SampleBatch, row: int, role: Role, namespace: str) -> str:

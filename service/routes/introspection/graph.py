@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import anyio.to_thread
 from fastapi import APIRouter, Header, Query, Response
 
+from ....engine.model.graph import Graph
 from ...config.media_types import JSON
 from ...http.entity_tags import entity_tag, names
 from ...http.problems import Problem, responses
@@ -33,14 +35,18 @@ async def read_graph(
     so its ETag changes only when something starts, stops or changes its state; then 304. 404:
     nothing that runs has the name.
     """
-    graph = service.engine.graph()
-    if around is not None:
-        graph = graph.around(around, depth)
-    elif depth is not None:
+    if around is None and depth is not None:
         raise Problem(400, "wrong arguments", "`depth` requires `around`")
-    body = GraphModel.of(graph).model_dump_json(by_alias=True).encode()
+    # A thread may cut and encode it: a graph never changes.
+    body = await anyio.to_thread.run_sync(_encoded, service.engine.graph(), around, depth)
     # A browser may keep it, and asks each time whether it is current.
     headers = {"ETag": entity_tag(body), "Cache-Control": "no-cache"}
     if names(if_none_match, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     return Response(body, media_type=JSON, headers=headers)
+
+
+def _encoded(graph: Graph, around: str | None, depth: int | None) -> bytes:
+    if around is not None:
+        graph = graph.around(around, depth)
+    return GraphModel.of(graph).model_dump_json(by_alias=True).encode()
