@@ -50,6 +50,13 @@ def object_name(iri: str, namespace: str) -> str:
     return _known_name(iri, namespace) if len(iri) <= _SHORT else _name(iri, namespace)
 
 
+def spellings(iri: str, namespace: str) -> tuple[str, ...]:
+    """All names that `object_iri` takes to ``iri``: local, with a shared prefix, and in full."""
+    names = [object_name(iri, namespace), iri]
+    names += [f"{p}:{iri[len(n) :]}" for p, n in PREFIXES.items() if iri.startswith(n)]
+    return tuple(dict.fromkeys(name for name in names if object_iri(name, namespace) == iri))
+
+
 def _name(iri: str, namespace: str) -> str:
     if iri.startswith(namespace):
         try:

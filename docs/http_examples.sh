@@ -35,6 +35,7 @@ curl -X DELETE $URL/subscriptions/subscription1
 curl $URL/subscriptions -H 'Content-Type: application/json' -d '{"feature": "dyknow:speed",
   "sort": "dyknow:UAV", "strategy": "quality", "staleness": "5s", "min_quality": 0.5, "hold_off": "2s"}'
 curl $URL/subscriptions/subscription2/rematches
+curl "$URL/graph?around=subscription2"       # what feeds it
 curl -X DELETE $URL/subscriptions/subscription2
 
 ## KPL
@@ -72,6 +73,8 @@ curl $URL/annotations -H 'Content-Type: text/plain' \
   -d 'stream s5 contains speed(UAV) = spd [m.s-1] for every UAV = id'
 curl $URL/annotations -H 'Content-Type: application/json' -d '{"stream": "s6", "contents": [
   {"feature": "dyknow:altitude", "field": "alt", "unit": "m", "of": [{"name": "dyknow:UAV", "id": "id"}]}]}'
+curl "$URL/objects?sort=dyknow:UAV&limit=10"
+curl $URL/objects/uav1
 curl -X PUT $URL/streams/s6/quality -H 'Content-Type: application/json' -d '{"quality": 0.5}'
 curl $URL/transformations -H 'Content-Type: application/json' -d '{
   "annotation": "compunit speedOver10s transforms lat:latitude, lon:longitude to spd:speed [m.s-1]",
@@ -120,4 +123,6 @@ curl -X DELETE $URL/queries/means
 
 ## The service
 curl $URL/status
+curl "$URL/requests?status=400&limit=20"
+curl $URL/journal
 curl $URL/healthz

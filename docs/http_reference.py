@@ -37,7 +37,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     ),
     "Streams and samples": (
         "streams",
-        ("samples", "units"),
+        ("samples", "units", "graph"),
         "[Streams over HTTP](streams.md) explains batches, live samples, retention, history and "
         "server-sent events.",
     ),
@@ -55,7 +55,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     ),
     "Meaning": (
         "ontologies",
-        ("annotations", "transformations", "matching", "explain", "sparql"),
+        ("objects", "annotations", "transformations", "matching", "explain", "sparql"),
         "See [ontology](ontology.md), [SSL](ssl.md) and [matching](../explanation/matching.md).",
     ),
     "Events on demand": (

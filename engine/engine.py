@@ -46,6 +46,7 @@ from .model.errors import (
     Refused,
     UnknownOntology,
 )
+from .model.graph import Graph
 from .model.status_changes import Change, ChangeKind
 from .model.stream_statistics import rate_of, stream_view
 from .model.views import (
@@ -71,6 +72,7 @@ from .processes.registry import PROCESSES, Processes
 from .processes.supervision import DIRECT, Runner
 from .requests.adaptive_subscription import Rematch, Wish
 from .requests.event_requests import EventRequests
+from .requests.graph import graph_of
 from .requests.subscriptions import Subscriptions
 from .specification.plan_text import plan_text
 from .units.backlog import TurnRecord, Turns
@@ -127,6 +129,7 @@ class Engine:
         self.intake = parts.intake
         self.transformations = parts.transformations
         self.queries = parts.queries
+        self.objects = parts.objects
         parts.restore(now)
 
     @property
@@ -214,6 +217,13 @@ class Engine:
     def units(self) -> tuple[ComputationalUnit, ...]:
         """The running units, for their counters. Cost: O(units)."""
         return tuple(self._parts.configuration.units.values())
+
+    def graph(self) -> Graph:
+        """The graph of the streams, units and requests that run. Cost: O(streams + units), and
+        O(upstream units) a request."""
+        parts = self._parts
+        requesters = (parts.requests, self.queries, parts.subscriptions)
+        return graph_of(parts.configuration, parts.contents_of, requesters)
 
     def generator(self, name: str) -> StreamGenerator:
         """The generator of a stream, to read and subscribe. Raises `UnknownStream`."""
@@ -734,10 +744,16 @@ class Engine:
         """
         if text == "self" or ":" in text or text.startswith("<"):
             return text
+        return f"<{self.object_iri(text)}>"
+
+    def object_iri(self, text: str) -> str:
+        """The IRI of the object that a text names: as in `object_name`, but also of ``self``."""
+        if text == "self":
+            return self.ontology.vocabulary.self_object
         streams = [each.stream for each in self._parts.declared.annotations()]
         namespaces = {self._parts.configuration.namespaces[name] for name in streams}
         namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
-        return f"<{object_iri(text, namespace)}>"
+        return object_iri(text.removeprefix("<").removesuffix(">"), namespace)
 
     # -- internals ---------------------------------------------------------------------------
 

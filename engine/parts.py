@@ -14,6 +14,7 @@ from ..rdf.namespaces import shorten
 from ..templates.library import TemplateLibrary
 from .catalog.annotations import Annotations
 from .catalog.declared_streams import DeclaredStreams
+from .catalog.known_objects import KnownObjects
 from .catalog.registered_transformations import RegisteredTransformations
 from .catalog.semantics_manager import SemanticsManager
 from .catalog.transformation_library import Transformations
@@ -105,6 +106,7 @@ class Parts:
             self.declared.check_name,
             self.manager.together,
         )
+        self.objects = KnownObjects(self.ontology, self.configuration, self.manager.annotations)
         self.annotations = Annotations(
             self.ontology,
             self.declared,

@@ -50,3 +50,11 @@ class Match:
     tree: tuple[Alternative, ...]
     missing: tuple[str, ...]
     proven: bool = True
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """The reasons of ``missing`` after what was wanted, at least one; none with a supply."""
+        if self.supply is not None:
+            return ()
+        reasons = self.missing or ("no stream or transformation provides it",)
+        return tuple(f"{self.want}: {reason}" for reason in reasons)

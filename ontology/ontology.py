@@ -468,8 +468,10 @@ class Ontology:
 
     def validate(self) -> ShaclReport:
         """Check the stream space against the shapes of shapes.ttl."""
-        quads = self.store.quads_for_pattern(None, None, None, DefaultGraph())
-        return validate(quad.triple for quad in quads)
+        pattern = None, None, None, DefaultGraph()
+        # A list: the import of pySHACL leaves its callers' frames in a cycle. Another thread may
+        # collect them, and pyoxigraph reports an error if that drops an iterator of the store.
+        return validate([quad.triple for quad in self.store.quads_for_pattern(*pattern)])
 
     # -- internals ----------------------------------------------------------------------------
 

@@ -114,6 +114,11 @@ class Vocabulary:
         """Return range, unit and domain of a feature; None if ``iri`` is no feature."""
         return self._features.get(iri)
 
+    def is_domain_sort(self, iri: str) -> bool:
+        """Return whether ``iri`` is ``dyknow:Thing`` or a sort below it. The other tops mean the
+        same as that one."""
+        return iri == THING or (self.is_subsort(iri, THING) and not self.is_subsort(THING, iri))
+
     def supersorts(self, iri: str) -> frozenset[str]:
         """Return all sorts that contain the sort, with itself (only itself if it is unknown)."""
         return self._sorts.get(iri) or frozenset({iri})
@@ -153,6 +158,9 @@ class Vocabulary:
     def sorts_of(self, object_iri: str) -> frozenset[str]:
         """Return every sort of an object; empty for an object that the ontology does not name."""
         return self._objects.get(object_iri, _NO_NAMES)
+
+    def objects(self) -> Sequence[str]:
+        return sorted(self._objects)
 
     def sorts(self) -> Sequence[str]:
         return sorted(self._sorts)

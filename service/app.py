@@ -25,29 +25,36 @@ from .durability.command_queue import CommandQueue
 from .http import problems
 from .http.access_log import AccessLog
 from .http.body_limit import BodyLimit, UnderWay
+from .http.compression import Compression
 from .http.response_limit import PART, LongAnswers, ResponseLimit
 from .routes import (
     annotations,
     docs,
     events,
-    explain,
     follow,
-    health,
     kpl,
     live,
-    match,
     ontologies,
     publish,
     queries,
     samples,
     session,
-    sparql,
     specifications,
-    status,
     streams,
     subscriptions,
     templates,
     transformations,
+)
+from .routes.introspection import (
+    explain,
+    graph,
+    health,
+    journal,
+    match,
+    objects,
+    requests,
+    sparql,
+    status,
     units,
 )
 from .runtime.context import Service
@@ -70,6 +77,8 @@ RESOURCES = (
     queries,
     streams,
     units,
+    graph,
+    objects,
     subscriptions,
     annotations,
     transformations,
@@ -80,6 +89,8 @@ RESOURCES = (
     sparql,
     explain,
     status,
+    requests,
+    journal,
     health,
     session,
     docs,
@@ -189,6 +200,7 @@ def create_app(
     for resource in RESOURCES:
         app.include_router(resource.router)
     app.add_middleware(ResponseLimit, long=answers, key=lambda request: service.client_key(request))
+    app.add_middleware(Compression)
     app.add_middleware(
         BodyLimit,
         limit=settings.body_limit,
@@ -199,7 +211,12 @@ def create_app(
         under_way=bodies,
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
-    app.add_middleware(AccessLog, metrics=service.metrics, slow=settings.slow_request)
+    app.add_middleware(
+        AccessLog,
+        metrics=service.metrics,
+        recent=service.recent_requests,
+        slow=settings.slow_request,
+    )
     app.openapi = lambda: openapi_schema(app)  # type: ignore[method-assign]
     return app
 

@@ -30,16 +30,22 @@ def checked_want(
             f"the ontology knows no feature {shorten(iri)}",
             did_you_mean(vocabulary.suggest(feature, "feature")),
         )
-    sort_iri = None if sort is None else iri_of(sort)
-    if sort_iri is not None and not vocabulary.is_sort(sort_iri):
-        raise UnknownFeature(
-            f"the ontology knows no sort {shorten(sort_iri)}",
-            did_you_mean(vocabulary.suggest(sort or "", "sort")),
-        )
+    sort_iri = None if sort is None else checked_sort(vocabulary, sort)
     if not objects:
         return Want(iri, sort_iri)
     first, *others = [SELF if text == "self" else iri_of(text) for text in objects]
     return Want(iri, sort_iri, first, tuple(Subject(None, other) for other in others))
+
+
+def checked_sort(vocabulary: Vocabulary, sort: str) -> str:
+    """Return the IRI of a sort. Raises `UnknownFeature`."""
+    iri = iri_of(sort)
+    if not vocabulary.is_sort(iri):
+        raise UnknownFeature(
+            f"the ontology knows no sort {shorten(iri)}",
+            did_you_mean(vocabulary.suggest(sort, "sort")),
+        )
+    return iri
 
 
 def checked_strategy(text: str) -> Strategy:

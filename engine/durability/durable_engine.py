@@ -68,11 +68,12 @@ class RecordedRunner:
 
 @dataclass(frozen=True, slots=True)
 class DiskUse:
-    """The size of a data directory: bytes and files of the log, free bytes of the disk, and the
-    newest checkpoint, if there is one."""
+    """The size of a data directory: bytes and files of the log, the position of its oldest command,
+    free bytes of the disk, and the newest checkpoint, if there is one."""
 
     log_bytes: int
     log_files: int
+    log_first: int
     free: int
     checkpoint: Kept | None
 
@@ -260,6 +261,7 @@ class RecordedEngine:
         return DiskUse(
             self.log.size,
             self.log.segments,
+            self.log.first,
             self._disk.free(self._directory.path),
             self._checkpoints.newest(),
         )

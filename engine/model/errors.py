@@ -111,6 +111,18 @@ class Refused(DyknowError):
     title = "refused"
 
 
+class UnknownObject(DyknowError):
+    """Neither the ontology nor a sample of an annotated stream names the object."""
+
+    title = "unknown object"
+
+
+class UnknownNode(DyknowError):
+    """Nothing that runs has this name."""
+
+    title = "unknown node"
+
+
 class UnknownQuery(DyknowError):
     """No registered query has this name."""
 

@@ -63,6 +63,11 @@ class Explanation:
         """Whether everything that was looked for is there."""
         return all(match.supply is not None for match in self.matches)
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The features that were looked for and are not there, with the reasons."""
+        return tuple(reason for match in self.matches for reason in match.lacks)
+
 
 def unit_view(unit: ComputationalUnit) -> UnitView:
     """Return the view of a unit."""

@@ -16,6 +16,9 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan
 from .plan_execution import Plans
 
+REMEDY = "annotate a stream that contains the feature, or one from which it can be computed"
+"""What to do about a missing feature."""
+
 
 def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
     """Raise `NoPlan` unless the graphs that a query names are loaded ontologies."""
@@ -39,19 +42,13 @@ def find_streams(
         matches = plans.match_from(wanted.wants, strategy, since, explained=True)
     except UnknownStrategy as error:
         raise BadArguments(str(error)) from error
-    missing = tuple(
-        f"{match.want}: {text}"
-        for match in matches
-        if match.supply is None
-        for text in match.missing or ("no stream or transformation provides it",)
-    )
+    missing = tuple(reason for match in matches for reason in match.lacks)
     if missing or not matches:
         raise NoPlan(
             f"no stream and no transformation answers {description}"
             + ("" if missing else ": the query needs no feature of a stream"),
             missing,
-            "annotate a stream that contains the feature, or one from which it can be computed; "
-            "POST /match shows the alternatives tried",
+            f"{REMEDY}; POST /match shows the alternatives tried",
         )
     return matches
 

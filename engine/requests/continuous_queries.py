@@ -8,7 +8,7 @@ The ontology stores registrations with a name over a restart; `accepted_commands
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
@@ -36,6 +36,7 @@ from ..model.errors import (
     NoResult,
     UnknownQuery,
 )
+from ..model.graph import Node, NodeKind
 from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import QueryView, Since
@@ -270,6 +271,15 @@ class RegisteredQueries:
             empty=why_empty(self._configuration, unit, self._ontology),
             plan=explanations.plan_view(self._configuration, unit),
         )
+
+    def nodes(self) -> Iterator[tuple[Node, str]]:
+        """Yield the node of each running query, and the stream of its results."""
+        for name, one in self._running.items():
+            state, _ = self._state(one)
+            yield (
+                Node(NodeKind.QUERY, name, one.registration.kind.lower(), state),
+                one.unit.output.name,
+            )
 
     def unit(self, name: str) -> RegisteredUnit:
         """The unit of a query. Raises `UnknownQuery`."""

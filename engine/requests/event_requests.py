@@ -7,7 +7,7 @@ unit over them. Equal requests share one stream.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
@@ -30,6 +30,7 @@ from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan, UnknownRequest
+from ..model.graph import Node, NodeKind
 from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
@@ -202,6 +203,15 @@ class EventRequests:
         """The ids of the requests whose answer is ``stream``."""
         requests = self._requests.values()
         return tuple(r.id for r in requests if r.running.unit.output.name == stream)
+
+    def nodes(self) -> Iterator[tuple[Node, str]]:
+        """Yield the node of each request, and the stream that answers it."""
+        for one in self._requests.values():
+            unit = one.running.unit
+            failure = self._configuration.failure_of(unit)
+            state = "running" if failure is None else "failed"
+            text = one.request.source.strip()
+            yield Node(NodeKind.REQUEST, one.id, text, state), unit.output.name
 
     def view(self, id: str) -> EventView:
         """The view of a running request. Raises `UnknownRequest`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 from ...languages.kpl import format_policy, parse_policy
@@ -13,6 +13,7 @@ from ..configuration.configuration import POLICY, Configuration
 from ..configuration.policy_keys import policy_keys
 from ..model.beginning import Beginning, check_retained, resolve_duration
 from ..model.errors import UnknownRequest
+from ..model.graph import Node, NodeKind
 from ..model.named_terms import names_any
 from ..model.views import AdaptiveView, Since, SubscriptionView
 from ..units.merge import object_fields
@@ -145,6 +146,16 @@ class Subscriptions:
             for id, subscription in self._subscriptions.items()
             if stream in _streams_of(subscription)
         )
+
+    def nodes(self) -> Iterator[tuple[Node, str]]:
+        """Yield the node of each subscription, and the stream that has its samples."""
+        for id in self._subscriptions:
+            view = self.view(id)
+            state = "running" if view.failure is None else "failed"
+            text = f"{view.source} {view.policy}".rstrip()
+            if view.adaptive is not None:
+                state, text = view.adaptive.state, view.adaptive.want
+            yield Node(NodeKind.SUBSCRIPTION, id, text, state), view.stream
 
     def view(self, id: str) -> SubscriptionView:
         """The view of a subscription. Raises `UnknownRequest`."""

@@ -34,8 +34,12 @@ READ = (
     "GET /streams",
     "GET /streams/{name}",
     "GET /streams/{name}/evaluation",
+    "GET /graph",
+    "GET /objects",
+    "GET /objects/{name:path}",
     "GET /units",
     "GET /units/{name}",
+    "GET /journal",
     "GET /problems",
     "GET /vocabulary",
     "GET /streams/{name}/samples",
@@ -85,8 +89,9 @@ PUBLISH = (
 )
 
 ADMIN = (
-    # A log may quote what others sent.
+    # They may quote what others sent.
     "GET /log",
+    "GET /requests",
     "GET /settings",
     "PUT /streams/{name}",
     "DELETE /streams/{name}",

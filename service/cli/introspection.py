@@ -1,4 +1,5 @@
-"""``dyknow sparql``, ``match`` and ``explain``: query the service, and show its reasons."""
+"""``dyknow sparql``, ``match``, ``explain`` and ``objects``: query the service, and show its
+reasons and what it knows."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from .output import (
     DEFAULT_URL,
     Json,
     Url,
+    clock_ms,
     connect,
     err,
     show_json,
@@ -117,21 +119,85 @@ def explain(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Explain a request, a template, a query or a match, stage by stage."""
+    """Explain a request, a template, a query or a match, stage by stage. Status 1 if there is no
+    plan."""
     if sum(value is not None for value in (event, template, query, id, feature)) != 1:
         raise typer.BadParameter("name one of: a request, --template, --query, --id, --feature")
+    thing = {"event": event, "template": template, "id": id, "feature": feature}
+    thing["query"] = None if query is None else text_or_file(query)
+    from ..client.errors import ServiceError
+
     with connect(url) as client:
-        text = client.explain(
-            event=event,
-            template=template,
-            query=None if query is None else text_or_file(query),
-            id=id,
-            feature=feature,
-        )
+        try:
+            found = client.explanation(**thing)
+        except ServiceError as error:
+            if "stages" not in error.problem:
+                raise
+            found = error.problem
     if as_json:
-        show_json({"text": text})
+        show_json(found)
     else:
-        show_text(text)
+        show_text(found["text"])
+    if not found["found"]:
+        raise typer.Exit(1)
+
+
+def objects(
+    name: Annotated[
+        str | None, typer.Argument(help="Only this object: its id in samples, dyknow:uav1 or IRI.")
+    ] = None,
+    sort: Annotated[
+        str | None, typer.Option(help="Only objects of this sort, such as dyknow:UAV.")
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="Objects at most.")] = 100,
+    after: Annotated[
+        str | None, typer.Option(help="Begin after this IRI, the last of the list before.")
+    ] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """List the known objects; with a name, show its sorts and its newest values."""
+    if name is not None and (sort, after) != (None, None):
+        raise typer.BadParameter("--sort and --after are for the list: leave the name out")
+    with connect(url) as client:
+        if name is not None:
+            found = client.object(name)
+        else:
+            found = client.objects(sort, after=after, limit=limit)
+    if as_json:
+        show_json(found)
+    elif name is not None:
+        _show_one(found)
+    else:
+        _show_list(found)
+
+
+def _show_list(found: dict[str, Any]) -> None:
+    rows = [(each["name"], ", ".join(each["sorts"][:1])) for each in found["objects"]]
+    show_table(["object", "sort"], rows, unfolded=["object"], empty="no such objects are known")
+    if found["more"]:
+        last = found["objects"][-1]["iri"]
+        err().print(f"hint: there are more: --after '{last}'", markup=False)
+
+
+def _show_one(found: dict[str, Any]) -> None:
+    show_text(f"{found['name']}: {', '.join(found['sorts']) or 'of no known sort'}")
+    show_table(
+        ["feature", "value", "unit", "of", "valid", "stream"],
+        [
+            (
+                each["feature"],
+                each["value"],
+                each["unit"],
+                ", ".join(each["of"]),
+                clock_ms(each["valid"]),
+                each["stream"],
+            )
+            for each in found["features"]
+        ],
+        unfolded=["stream"],
+        empty="no stream has a value of it",
+    )
 
 
 def _section(title: str, lines: list[str]) -> None:

@@ -51,6 +51,10 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
         "streams",
         "List the streams; with a name, show all of one: fields, counters, lag, annotation.",
     ),
+    "objects": (
+        "introspection",
+        "List the known objects; with a name, show its sorts and its newest values.",
+    ),
     "follow": (
         "follow",
         "Follow a stream, optionally under a policy; or a feature, with a line for each switch.",
@@ -69,7 +73,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     ),
     "explain": (
         "introspection",
-        "Explain a request, a template, a query or a match, stage by stage.",
+        "Explain a request, a template, a query or a match, stage by stage. Status 1 if there is "
+        "no plan.",
     ),
     "run": (
         "recordings.run",

@@ -256,6 +256,15 @@ class Routes:
         """Yield every change of the stream space."""
         return EventSource("/status/events", since, True)
 
+    @verb
+    def graph(self, around: str | None = None, depth: int | None = None) -> Flow[dict[str, Any]]:
+        """Return what runs as ``nodes`` (streams, units, requests, queries, subscriptions) and
+        ``edges``; with ``around`` what feeds the nodes of this name and what they feed, at most
+        ``depth`` edges away."""
+        bounds = {"around": around, "depth": depth}
+        parameters = {key: value for key, value in bounds.items() if value is not None}
+        return read_object("GET", "/graph", params=parameters)
+
     # -- meaning
 
     @verb
@@ -491,6 +500,21 @@ class Routes:
         return read_object("GET", "/vocabulary")
 
     @verb
+    def objects(
+        self, sort: str | None = None, *, after: str | None = None, limit: int = 100
+    ) -> Flow[dict[str, Any]]:
+        """Return a page of the known ``objects``, of a sort and the sorts below it or of any; with
+        ``more``, ask for the next page ``after`` the IRI of the last one."""
+        query = {"sort": sort, "after": after, "limit": limit}
+        parameters = {key: value for key, value in query.items() if value is not None}
+        return read_object("GET", "/objects", params=parameters)
+
+    @verb
+    def object(self, name: str) -> Flow[dict[str, Any]]:
+        """Return the sorts of an object, and the newest value of each of its features."""
+        return read_object("GET", f"/objects/{_part(name)}")
+
+    @verb
     def ontology_report(self) -> Flow[dict[str, Any]]:
         """Validate the stream space: ``conforms``, and the ``violations``."""
         return read_object("GET", "/ontologies/report")
@@ -691,9 +715,28 @@ class Routes:
     ) -> Flow[str]:
         """Return the stages of exactly one of these, as text."""
         things = {"event": event, "template": template, "query": query, "id": id}
-        things["feature"] = feature
-        parameters = {key: value for key, value in things.items() if value is not None}
-        return read_text("GET", "/explain", params=parameters, headers={"Accept": TEXT})
+        body = things | {"feature": feature}
+        return read_text("POST", "/explain", json=body, headers={"Accept": TEXT})
+
+    @verb
+    def explanation(self, /, **thing: str | None) -> Flow[dict[str, Any]]:
+        """Return the same as ``text``, ``stages`` and ``plan``, a tree of what was considered. Of a
+        feature also for a ``sort``, and by a ``strategy``.
+
+        Raises `ServiceError` 422 if there is no plan; its ``problem`` has the same members, and
+        ``missing``."""
+        return read_object("POST", "/explain", json=thing, headers={"Accept": JSON})
+
+    @verb
+    def http_requests(self, *, status: int = 100, limit: int = 200) -> Flow[list[dict[str, Any]]]:
+        """Return the newest HTTP requests that the service has answered, newest first: those with
+        ``status`` or a greater one."""
+        return read_list("GET", "/requests", params={"status": status, "limit": limit})
+
+    @verb
+    def journal(self) -> Flow[dict[str, Any]]:
+        """Return what the data directory holds; ``recording`` is false without one."""
+        return read_object("GET", "/journal")
 
     @verb
     def status(self) -> Flow[dict[str, Any]]:

@@ -36,6 +36,12 @@ export async function ask(path, { method = "GET", body, type, accept = "applicat
   return isJson && text ? JSON.parse(text) : text;
 }
 
+/** An explanation. Where there is no plan, it is the problem, which has the same members. */
+export const explain = (body) => ask("/explain", { method: "POST", body }).catch((error) => {
+  if (!error.stages) throw error;
+  return error;
+});
+
 /** The messages of whole blocks of an event stream, and the id of the last one. */
 export function messages(text) {
   const found = [];

@@ -1,5 +1,5 @@
-"""The outermost ASGI layer: an id, a log line and a count for each request; HEAD as a GET without
-its body; a 500 for failures."""
+"""The outermost ASGI layer: an id, a log line, a count and a place among the recent ones for each
+request; HEAD as a GET without its body; a 500 for failures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import asyncio
 import re
 import secrets
 import time
+from datetime import UTC, datetime
 from itertools import count
 from typing import Protocol
 
@@ -14,8 +15,9 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..config.logs import REQUEST, log
+from ..config.recent_requests import LONGEST, AnsweredRequest, RecentRequests
 from .body_limit import BODY, Body
-from .problems import REQUEST_ID, problem_of, stopping
+from .problems import PROBLEM, REQUEST_ID, problem_of, stopping
 
 HEAD = "dyknow.head"
 """In the scope of a HEAD request that the application handles as GET: an answer without end need
@@ -39,9 +41,12 @@ class AccessLog:
     begins: the rest depends on the client (service/http/response_limit).
     """
 
-    def __init__(self, app: ASGIApp, metrics: RequestCount, slow: float = 1.0) -> None:
+    def __init__(
+        self, app: ASGIApp, metrics: RequestCount, recent: RecentRequests, slow: float = 1.0
+    ) -> None:
         self._app = app
         self._metrics = metrics
+        self._recent = recent
         self._slow = slow
         self._life = secrets.token_hex(4)
         self._numbers = count(1)
@@ -55,13 +60,13 @@ class AccessLog:
         scope = {**scope, "method": "GET", HEAD: True} if method == "HEAD" else dict(scope)
         id = scope[REQUEST_ID] = self._id(scope)
         REQUEST.set(id)
-        begun = time.perf_counter()
-        status = 500
+        begun, begun_at = time.perf_counter(), datetime.now(UTC)
+        status, size = 500, 0
         started = endless = False
         ready: float | None = None
 
         async def observed(message: Message) -> None:
-            nonlocal status, started, endless, ready
+            nonlocal status, size, started, endless, ready
             if message["type"] == "http.response.start":
                 started, status, ready = True, message["status"], time.perf_counter()
                 headers = [*message["headers"], (b"x-request-id", id.encode())]
@@ -73,6 +78,7 @@ class AccessLog:
             elif method == "HEAD" and message["type"] == "http.response.body":
                 message = {**message, "body": b""}
             await send(message)
+            size += len(message.get("body", b""))
 
         try:
             await self._app(scope, receive, observed)
@@ -104,6 +110,19 @@ class AccessLog:
             body: Body | None = scope.get(BODY)
             endless = endless or (body is not None and body.live)
             self._metrics.request(method, path, status, None if endless else seconds)
+            self._recent.add(
+                AnsweredRequest(
+                    begun_at,
+                    id,
+                    method[:LONGEST],
+                    scope["path"][:LONGEST],
+                    "" if route is None else path,
+                    status,
+                    seconds,
+                    size,
+                    scope.get(PROBLEM),
+                )
+            )
             slow = seconds >= self._slow and not endless
             (log().warning if slow else log().debug)(
                 "slow request" if slow else "request",

@@ -31,6 +31,8 @@ HINTS: Final = {
     "syntax error": "line, column and excerpt give the place",
     "unknown declaration": "GET /kpl lists the declarations",
     "unknown event": "GET /templates lists the templates, whose names are those of events",
+    "unknown node": "GET /graph lists the names of all that runs",
+    "unknown object": "GET /objects lists the known ones",
     "unknown query": "GET /queries lists the running queries",
     "unknown request": "GET /events and /subscriptions list the running requests",
     "unknown stream": "GET /streams lists the streams; PUT /streams/{name} declares one",

@@ -1,4 +1,5 @@
-"""The files of the service's own pages: with an ETag, compressed, under a strict policy.
+"""The files of the service's own pages: with an ETag, under a strict policy. `Compression`
+compresses them like all answers.
 
 The policy allows own scripts, styles and fonts, nothing inline, requests to this service only, and
 no frames of other pages.
@@ -6,14 +7,13 @@ no frames of other pages.
 
 from __future__ import annotations
 
-import gzip
 from dataclasses import dataclass
 from functools import lru_cache
-from hashlib import sha256
 from pathlib import Path
 
 from fastapi import Request, Response
 
+from .entity_tags import entity_tag, names
 from .problems import Problem
 
 TYPES = {
@@ -31,7 +31,6 @@ POLICY = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-cache",
-    "Vary": "Accept-Encoding",
 }
 """Headers of every file; service/server adds those of all responses. ``no-cache``: browsers keep a
 file, and ask by its ETag whether it is current."""
@@ -39,11 +38,10 @@ file, and ask by its ETag whether it is current."""
 
 @dataclass(frozen=True, slots=True)
 class PageFile:
-    """A file as it is sent. ``compressed`` is None where gzip saves nothing, as with fonts."""
+    """A file as it is sent."""
 
     media_type: str
     content: bytes
-    compressed: bytes | None
     etag: str
 
 
@@ -58,7 +56,7 @@ class PageFiles:
         }
 
     def answer(self, name: str, request: Request) -> Response:
-        """Return the file as a response: 304 if the client has it, compressed if it takes that.
+        """Return the file as a response: 304 if the client has it.
 
         Raises a 404 `Problem` for any name that is none of the folder's files.
         """
@@ -67,30 +65,13 @@ class PageFiles:
             raise Problem(404, "no such route", f"there is no file {name!r}")
         file = _read(path, path.stat().st_mtime_ns)
         headers = POLICY | {"ETag": file.etag}
-        known = request.headers.get("if-none-match", "")
-        if file.etag in [each.strip() for each in known.split(",")]:
-            return Response(status_code=304, headers=headers)
-        if file.compressed is not None and _takes_gzip(request):
-            headers["Content-Encoding"] = "gzip"
-            return Response(file.compressed, media_type=file.media_type, headers=headers)
+        if names(request.headers.get("if-none-match"), file.etag):
+            return Response(status_code=304, headers=headers | {"Vary": "Accept-Encoding"})
         return Response(file.content, media_type=file.media_type, headers=headers)
-
-
-def _takes_gzip(request: Request) -> bool:
-    for part in request.headers.get("accept-encoding", "").split(","):
-        coding, _, weight = part.partition(";")
-        if coding.strip().lower() == "gzip":
-            return weight.replace(" ", "") not in ("q=0", "q=0.0")
-    return False
 
 
 @lru_cache(maxsize=128)
 def _read(path: Path, changed: int) -> PageFile:
     """The file as it is since ``changed`` (ns): a change of a page shows without a restart."""
     content = path.read_bytes()
-    # Compressed once, at the first request: the largest file takes some 20 ms.
-    packed = gzip.compress(content, 9, mtime=0)
-    compressed = packed if len(packed) < 0.9 * len(content) else None
-    # Weak: the compressed file and the plain one are the same file.
-    etag = f'W/"{sha256(content).hexdigest()[:32]}"'
-    return PageFile(TYPES[path.suffix], content, compressed, etag)
+    return PageFile(TYPES[path.suffix], content, entity_tag(content))

@@ -17,6 +17,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.routing import Match
+from starlette.types import Receive, Scope, Send
 
 from ...converters.arrow.stream import ArrowMissing
 from ...converters.errors import AheadOfClock, ConversionError, WireError
@@ -31,6 +32,7 @@ from ...streams.sample import SampleError
 from ...streams.time import format_time
 from ..config.defaults import AHEAD
 from ..config.logs import log
+from ..models import StageModel, StepModel
 from .hints import hint_for
 
 MEDIA_TYPE = "application/problem+json"
@@ -40,6 +42,10 @@ LONGEST = 4000
 """Characters of a text in an error, at most."""
 MOST_TOLD = 100
 """Values that do not fit whose places an error lists, so that it is not longer than its request."""
+WHOLE = frozenset({"text"})
+"""Members that the service has written, and therefore are not cut."""
+PROBLEM: Final = "dyknow.problem"
+"""In the scope of a request: the type of the problem that answers it."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -63,6 +69,10 @@ class ProblemModel(BaseModel):
     )
     oldest: str | None = Field(None, description="the available time of the oldest sample kept")
     missing: list[str] | None = Field(None, description="what semantic matching would need")
+    found: bool | None = Field(None, description="false: an explanation found no plan")
+    text: str | None = Field(None, description="see ExplainModel")
+    stages: list[StageModel] | None = Field(None, description="see ExplainModel")
+    plan: list[StepModel] | None = Field(None, description="see ExplainModel")
     used_by: list[str] | None = Field(None, description="what uses the terms of an ontology")
     errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
 
@@ -84,14 +94,20 @@ class Problem(HTTPException):
         self.title = title
         self.members: dict[str, object] = {"hint": hint or hint_for(title), **extra}
 
+    @property
+    def kind(self) -> str:
+        """Its type (RFC 9457)."""
+        return _NAMES + self.title.lower().replace(" ", "-")
+
     def model(self) -> ProblemModel:
-        kind = _NAMES + self.title.lower().replace(" ", "-")
         known: dict[str, Any] = {
-            key: _shown(value) for key, value in self.members.items() if value or value == 0
+            key: value if key in WHOLE else _shown(value)
+            for key, value in self.members.items()
+            if value or value == 0
         }
         detail = _shown(str(self.detail))
         return ProblemModel(
-            type=kind, title=self.title, status=self.status_code, detail=detail, **known
+            type=self.kind, title=self.title, status=self.status_code, detail=detail, **known
         )
 
     def response(self, request: str | None = None) -> Response:
@@ -99,8 +115,23 @@ class Problem(HTTPException):
         model = self.model()
         if request is not None:
             model.instance = _REQUESTS + quote(request, safe="")
-        body = model.model_dump(exclude_none=True)
-        return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
+        # Only the problem's own members are left out; those of a plan may be null.
+        body = {name: value for name, value in model.model_dump().items() if value is not None}
+        return _ProblemResponse(self.kind, body, self.status_code, self.headers)
+
+
+class _ProblemResponse(JSONResponse):
+    """Notes the problem's type in the scope, for the list of requests."""
+
+    media_type = MEDIA_TYPE
+
+    def __init__(self, kind: str, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._kind = kind
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        scope[PROBLEM] = self._kind
+        await super().__call__(scope, receive, send)
 
 
 def _shown(value: Any) -> Any:
@@ -118,6 +149,8 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownRequest, 404),
     (engine_errors.UnknownFeature, 404),
     (engine_errors.UnknownDeclaration, 404),
+    (engine_errors.UnknownNode, 404),
+    (engine_errors.UnknownObject, 404),
     (engine_errors.UnknownQuery, 404),
     (engine_errors.UnknownOntology, 404),
     (engine_errors.NoResult, 404),

@@ -12,20 +12,26 @@ from .events import (
     TemplateModel,
     UnitModel,
 )
+from .graph import GraphModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
+from .objects import ListedObjectsModel, ObjectModel
 from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
 from .queries import QueryModel
 from .reasoning import MatchesWhyModel, PartialMatchesModel, WhyModel
 from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
+    CheckpointModel,
     ExplainModel,
     FeatureModel,
     FindingModel,
     HealthModel,
+    HttpRequestModel,
+    JournalModel,
     LoadModel,
     LogLineModel,
+    LogModel,
     OntologyModel,
     OntologyReportModel,
     SettingModel,
@@ -70,6 +76,7 @@ __all__ = [
     "AcceptedModel",
     "AdaptiveModel",
     "AnnotationModel",
+    "CheckpointModel",
     "ContentsIn",
     "CountersModel",
     "DeclarationModel",
@@ -80,13 +87,19 @@ __all__ = [
     "FeatureModel",
     "FieldModel",
     "FindingModel",
+    "GraphModel",
     "HealthModel",
+    "HttpRequestModel",
     "InsertionModel",
+    "JournalModel",
+    "ListedObjectsModel",
     "LoadModel",
     "LogLineModel",
+    "LogModel",
     "MatchIn",
     "MatchModel",
     "MatchesWhyModel",
+    "ObjectModel",
     "OneDeclarationModel",
     "OntologyModel",
     "OntologyReportModel",

@@ -94,6 +94,51 @@ class LogLineModel(BaseModel):
     values: dict[str, str] = Field(description="its further members, without tokens")
 
 
+class HttpRequestModel(BaseModel):
+    """An answered HTTP request."""
+
+    time: str = Field(description="when it began")
+    id: str = Field(description="its `X-Request-Id`, as in the log")
+    method: str
+    path: str = Field(description="without the query")
+    route: str | None = Field(description="the path of its route; null: none has this path")
+    status: int
+    milliseconds: float = Field(description="until the answer began")
+    size: int = Field(description="bytes of the answer's body as sent, compressed or not")
+    problem: str | None = Field(description="the type of the problem, of an error")
+
+
+class LogModel(BaseModel):
+    """The log of a data directory. A position is the number of a command, from 1."""
+
+    segments: int = Field(description="its files")
+    bytes: int
+    first: int = Field(description="position of the oldest command in it")
+    last: int = Field(description="position of the newest command")
+    replayed: int = Field(description="commands after the checkpoint, which a start would replay")
+    waiting: int = Field(description="executed commands that are not on the disk yet")
+    waiting_bytes: int
+
+
+class CheckpointModel(BaseModel):
+    """The newest checkpoint: the state after the command at ``position``."""
+
+    position: int
+    bytes: int
+    written: str
+    age: float = Field(description="seconds since it was written")
+
+
+class JournalModel(BaseModel):
+    """What a data directory holds."""
+
+    recording: bool = Field(description="false: there is no data directory, and all is in memory")
+    log: LogModel | None
+    checkpoint: CheckpointModel | None = Field(description="null also before the first one")
+    free: int | None = Field(description="free bytes of its disk")
+    failing: list[str] = Field(description="why the log or a checkpoint cannot be written")
+
+
 class SettingModel(BaseModel):
     """A setting of the service."""
 
@@ -148,6 +193,7 @@ class ExplainModel(BaseModel):
 
     text: str = Field(description="the whole explanation, for reading")
     found: bool = Field(description="whether there is a plan for all that is needed")
+    missing: list[str] = Field(description="what a plan would need; empty if there is one")
     stages: list[StageModel] = Field(description="the same by stages")
     plan: list[StepModel] = Field(
         description="for each needed feature the plan, and what else was considered"
@@ -158,6 +204,7 @@ class ExplainModel(BaseModel):
         return cls(
             text=explanation.text,
             found=explanation.found,
+            missing=list(explanation.missing),
             stages=[StageModel(title=title, text=text) for title, text in explanation.stages],
             plan=[StepModel.of(steps(match)) for match in explanation.matches],
         )

@@ -25,7 +25,7 @@ async def home(request: Request) -> Response:
     """Return the console, or the list of routes for `Accept: application/json`."""
     if accepted(request, (HTML, JSON)) == HTML:
         answer = CONSOLE.answer("index.html", request)
-        answer.headers["Vary"] = "Accept, Accept-Encoding"
+        answer.headers.add_vary_header("Accept")
         return answer
     routes = [
         {"method": method.upper(), "path": path, "does": operation["description"].split("\n\n")[0]}

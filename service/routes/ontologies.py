@@ -19,7 +19,7 @@ from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
 from ...ontology.reasoning import Reasoning
 from ...ontology.units import format_unit
-from ...ontology.vocabulary import THING, Vocabulary
+from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import OWL, PREFIXES, RDF_TYPE, RDFS, shorten
 from ..config.media_types import TURTLE
 from ..http.negotiation import ONTOLOGY_FORMATS, accepted, content_type, utf8
@@ -106,14 +106,7 @@ def _comment(iri: str, store: Store) -> str | None:
 
 
 def _domain_sorts(vocabulary: Vocabulary) -> list[str]:
-    """``dyknow:Thing`` and the sorts below it, without its equivalents ``owl:Thing`` and
-    ``:Sort``."""
-    return [
-        each
-        for each in vocabulary.sorts()
-        if each == THING
-        or (vocabulary.is_subsort(each, THING) and not vocabulary.is_subsort(THING, each))
-    ]
+    return [each for each in vocabulary.sorts() if vocabulary.is_domain_sort(each)]
 
 
 def _parents(sort: str, sorts: Sequence[str], vocabulary: Vocabulary) -> list[str]:

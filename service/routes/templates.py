@@ -14,6 +14,7 @@ from ...engine.model.views import TemplateView
 from ...languages.templates import parse_any_template
 from ...rdf.namespaces import local_name, shorten
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
+from ..http.entity_tags import names
 from ..http.negotiation import accepted, text_body
 from ..http.problems import Problem, responses
 from ..http.text_limits import parse_aside, parse_registration
@@ -85,7 +86,7 @@ async def read_template(
     """Return one template; for ``Accept: text/plain`` its source text."""
     kind = accepted(request, (JSON, TEXT))
     view = service.engine.template(name)
-    if if_none_match is not None and _names(if_none_match, view):
+    if names(if_none_match, view.etag):
         return Response(status_code=304, headers=_headers(view))
     if kind == TEXT:
         return PlainTextResponse(view.source, headers=_headers(view))
@@ -150,7 +151,7 @@ def _existing(service: Service, name: str) -> TemplateView | None:
 
 def _check(view: TemplateView | None, if_match: str | None, if_none_match: str | None) -> None:
     """Raises a 412 `Problem` unless the conditions hold for the present template."""
-    if if_match is not None and (view is None or not _names(if_match, view)):
+    if if_match is not None and (view is None or not names(if_match, view.etag)):
         now = "it does not exist" if view is None else f"it is {_quoted(view.etag)} now"
         raise Problem(
             412,
@@ -158,13 +159,8 @@ def _check(view: TemplateView | None, if_match: str | None, if_none_match: str |
             f"the template is not {if_match}: {now}",
             hint="read the template again, then decide",
         )
-    if if_none_match is not None and view is not None and _names(if_none_match, view):
+    if if_none_match is not None and view is not None and names(if_none_match, view.etag):
         raise Problem(412, "precondition failed", "the template exists already")
-
-
-def _names(condition: str, view: TemplateView) -> bool:
-    tags = [tag.strip().removeprefix("W/") for tag in condition.split(",")]
-    return "*" in tags or _quoted(view.etag) in tags or view.etag in tags
 
 
 def _quoted(etag: str) -> str:

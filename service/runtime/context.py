@@ -24,6 +24,7 @@ from ..admission.gate import Gate
 from ..admission.memory_limit import Memory
 from ..admission.token_file import TokenFile
 from ..config.recent_log import RecentLog
+from ..config.recent_requests import RecentRequests
 from ..config.settings import Settings
 from ..durability.command_queue import CommandQueue
 from ..http.client_address import address_of
@@ -69,6 +70,8 @@ class Service:
     """Reads the tokens again when they change."""
     recent_log: RecentLog = field(default_factory=RecentLog)
     """The newest lines of the log."""
+    recent_requests: RecentRequests = field(default_factory=RecentRequests)
+    """The newest HTTP requests."""
     warming: WarmUp | None = None
     """The warm-up after the start; the service is not ready before its end."""
     collector: CollectionSchedule | None = None

@@ -400,3 +400,26 @@ def test_a_deep_hierarchy_loads_with_marks_and_answers_for_all_its_pairs() -> No
     sub_class = NamedNode(RDFS + "subClassOf")
     assert len(static.scan(None, sub_class, NamedNode(top))) == 1999
     assert static.scan(NamedNode(lowest), sub_class, NamedNode(top))
+
+
+FIRST_VALIDATION = """
+import gc
+from types import FrameType
+from dyknow.ontology.ontology import Ontology
+
+gc.disable()
+Ontology.open().validate()
+frames = [each for each in gc.get_objects() if isinstance(each, FrameType)]
+held = [type(value).__name__ for frame in frames for value in frame.f_locals.values()]
+assert "Ontology" in held, "the test looks at the wrong frames"
+assert "QuadIter" not in held
+"""
+
+
+def test_the_first_validation_leaves_no_iterator_of_the_store():
+    """pyoxigraph reports an error if the garbage collector of another thread drops one. The import
+    of pySHACL leaves the frames of its callers, so this is the first one of a process."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FIRST_VALIDATION], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr

@@ -4,7 +4,7 @@ import { html, useEffect, useState } from "../vendor/preact.js";
 import { byName, may, refresh, requests, templates, vocabulary } from "../state.js";
 import { shown, tick } from "../feed.js";
 import { local, plural, rate, unit, value, words } from "../format.js";
-import { ask } from "../http.js";
+import { ask, explain } from "../http.js";
 import { PlanTree } from "../plan.js";
 import { Chips, Empty, Trouble, say } from "../widgets.js";
 
@@ -127,7 +127,7 @@ export default function Ask() {
     feature: prefixed(want.feature), strategy: options.strategy,
     ...(want.object ? { objects: [prefixed(want.object)] } : { sort: prefixed(want.sort) }),
   };
-  const wished = isFeature ? { path: "/match", body: match } : event && { path: "/explain", body: { event, strategy: options.strategy } };
+  const wished = isFeature ? match : event && { event, strategy: options.strategy };
   const key = JSON.stringify(wished);
   const choose = (name) => {
     setChosen(name);
@@ -141,7 +141,7 @@ export default function Ask() {
     let isCurrent = true;
     const due = setTimeout(async () => {
       try {
-        const found = await ask(wished.path, { method: "POST", body: wished.body });
+        const found = await (isFeature ? ask("/match", { method: "POST", body: match }) : explain(wished));
         if (!isCurrent) return;
         setPlan(isFeature ? { ...found, stages: [], plan: [found.tree] } : found);
         setTrouble(null);

@@ -2,7 +2,7 @@
 // address holds the text, so that a question can be linked.
 import { html, useEffect, useMemo, useState } from "../vendor/preact.js";
 import { byName, may, refresh, requests, vocabulary } from "../state.js";
-import { address, ask } from "../http.js";
+import { address, ask, explain } from "../http.js";
 import { clock, duration, plural, shorten } from "../format.js";
 import { Editor } from "../editor.js";
 import { curve, layout } from "../layout.js";
@@ -160,7 +160,7 @@ export default function Query({ rest }) {
     const begun = performance.now();
     keep();
     watch(null);
-    const found = isContinuous ? await ask("/explain", { method: "POST", body: { query: text } })
+    const found = isContinuous ? await explain({ query: text })
       : shaped(await ask("/sparql", { method: "POST", type: "application/sparql-query", body: text, accept: ANSWERS }));
     show({ ...found, took: (performance.now() - begun) / 1000 });
   });

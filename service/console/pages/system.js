@@ -5,7 +5,7 @@ import { bytes, clock, count, duration, plural, rate } from "../format.js";
 import { ask } from "../http.js";
 import { Empty, Plot, Spark, theme } from "../widgets.js";
 
-const SPARKS = 60, LISTED = 200, SMOOTHED = 6, LOG_EVERY = 10_000;
+const SPARKS = 60, LISTED = 200, SMOOTHED = 6, POLL = 10_000, REFUSED = 400, FAILED = 500;
 const COLUMNS = {
   name: ["stream", (each) => each.name], rate: ["rate", (each) => -each.rate],
   last: ["last", (each) => -(silence(each) ?? Infinity)], late: ["late", (each) => -each.counters.late],
@@ -82,16 +82,45 @@ function Changes() {
     ${!list.length && html`<${Empty} title="No changes."><span>New and removed streams, units and annotations appear here.</span><//>`}</div></section>`;
 }
 
+/** The answer to `path`, asked again and again. */
+function usePolled(path, before) {
+  const [found, setFound] = useState(before);
+  useEffect(() => {
+    const read = () => ask(path).then(setFound).catch(() => {});
+    read();
+    const timer = setInterval(read, POLL);
+    return () => clearInterval(timer);
+  }, [path]);
+  return found;
+}
+
+const memory = html`<${Empty} title="All is in memory."><code>dyknow serve --data DIR</code><span>keeps it over a restart.</span><//>`;
+
+function Journal() {
+  const found = usePolled("/journal", null), { log, checkpoint } = found ?? {};
+  return html`<section class="panel w5" aria-label="data directory"><header><h2>Data directory</h2></header>
+    ${found && (!log ? memory : html`<div class="scroll cap" tabindex="0"><div class="body stack">
+      ${found.failing.map((each) => html`<div class="note bad" key=${each}>${each}</div>`)}
+      <dl class="facts"><dt>log</dt><dd>${bytes(log.bytes)} in ${plural(log.segments, "file")}</dd>
+      <dt>commands</dt><dd>${count(log.first)} to ${count(log.last)}${log.waiting > 0 && `, ${count(log.waiting)} not on the disk yet`}</dd>
+      <dt>checkpoint</dt><dd>${checkpoint ? `${bytes(checkpoint.bytes)}, ${duration(checkpoint.age)} ago` : "none yet"}</dd>
+      <dt>a start replays</dt><dd>${plural(log.replayed, "command")}</dd>
+      <dt>free on the disk</dt><dd>${bytes(found.free)}</dd></dl></div></div>`)}</section>`;
+}
+
+function Requests() {
+  const list = usePolled(`/requests?status=${REFUSED}&limit=${LISTED}`, []);
+  return html`<section class="panel w7" aria-label="refused requests"><header><h2 class="grow">Refused requests</h2>
+      <span class="faint small">${list.length || ""}</span></header>
+    <div class="scroll cap" tabindex="0">${list.length ? html`<table><tbody>${list.map((each) => html`<tr key=${each.id}>
+        <td class="faint num">${clock(each.time)}</td><td class=${each.status >= FAILED ? "num bad" : "num warn"}>${each.status}</td>
+        <td class="mono long">${each.method} ${each.path}</td><td class="muted">${each.problem?.split(":").at(-1).replaceAll("-", " ")}</td></tr>`)}</tbody></table>`
+      : html`<${Empty} title="None."><span>Requests that the service refuses appear here, with the kind of problem.</span><//>`}</div></section>`;
+}
+
 /** Warnings and errors of the service's log, and the settings that are not the defaults. */
 function Log() {
-  const [lines, setLines] = useState([]), [settings, setSettings] = useState([]);
-  useEffect(() => {
-    const read = () => ask("/log").then(setLines).catch(() => {});
-    read();
-    ask("/settings").then((list) => setSettings(list.filter((each) => !each.is_default))).catch(() => {});
-    const timer = setInterval(read, LOG_EVERY);
-    return () => clearInterval(timer);
-  }, []);
+  const lines = usePolled("/log", []), settings = usePolled("/settings", []).filter((each) => !each.is_default);
   const tone = (level) => (level === "warning" ? "warn" : "bad");
   const said = (values) => Object.entries(values).map(([name, text]) => `${name}=${text}`).join(" ");
   return html`<section class="panel w7" aria-label="log"><header><h2 class="grow">Log</h2>
@@ -125,5 +154,5 @@ function Foot() {
 
 export default function System() {
   theme.value;
-  return html`<main class="page"><div class="system"><${Tiles} /><${Problems} /><${Rate} /><${Streams} /><${Changes} />${may("admin") && html`<${Log} />`}<${Foot} /></div></main>`;
+  return html`<main class="page"><div class="system"><${Tiles} /><${Problems} /><${Rate} /><${Streams} /><${Changes} /><${Journal} />${may("admin") && html`<${Requests} /><${Log} />`}<${Foot} /></div></main>`;
 }

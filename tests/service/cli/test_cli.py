@@ -337,6 +337,11 @@ def test_match_and_explain(dyknow: Any, client: Client, template: str) -> None:
     assert "HighSpeedEvent" in dyknow("explain", REQUEST).stdout
     assert "text" in lines(dyknow("explain", "--template", "HighSpeedEvent", "--json"))[0]
     assert "--template" in dyknow("explain", status=2).stderr
+    lacking = REQUEST.replace("UAV", "Human")
+    assert "failed" in dyknow("explain", lacking, status=1).stdout
+    missed = lines(dyknow("explain", lacking, "--json", status=1))[0]
+    assert (missed["found"], missed["stages"][-1]["title"]) == (False, "semantic matching")
+    assert "knows no feature" in dyknow("explain", "--feature", "nosuch", status=1).stderr
 
 
 def test_no_service_at_the_address() -> None:

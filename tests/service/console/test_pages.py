@@ -5,12 +5,19 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import httpx
 import pytest
 from chromium import Page
+
+from dyknow.engine.durability.durable_engine import RecordedEngine
+from dyknow.journal.durability import Durability
+from dyknow.service.app import create_app
+from dyknow.service.config.settings import Settings
+from dyknow.service.server import running
 
 OPEN = Callable[..., Page]
 PAGES = ("live", "graph", "graph/adsb", "ask", "query", "query/continuous", "system")
@@ -268,3 +275,22 @@ def test_system_counts_a_silent_stream(flying: str, open_page: OPEN) -> None:
         page.wait("document.querySelector('.node.warn') !== null")
         http.delete(f"/events/{request}")
         assert http.delete("/streams/quiet").status_code == 204
+
+
+def test_system_shows_refused_requests_and_the_data_directory(flying: str, open_page: OPEN) -> None:
+    assert httpx.get(f"{flying}/streams/no_such_stream").status_code == 404
+    page = open_page(f"{flying}/#system")
+    page.wait_text("/streams/no_such_stream")
+    page.wait_text("unknown stream")
+    page.wait_text("All is in memory")
+
+
+def test_system_shows_what_the_data_directory_holds(tmp_path: Path, open_page: OPEN) -> None:
+    settings = Settings(port=0, sse_ping=0)
+    recorded = RecordedEngine(tmp_path / "data", now=0, durability=Durability.WRITE)
+    with running(create_app(recorded, settings, time.time_ns), settings) as url:
+        page = open_page(f"{url}/#system")
+        page.wait_text("a start replays")
+        shown = page.run("document.querySelector('[aria-label=\"data directory\"]').innerText")
+    assert "in 1 file" in shown
+    assert "none yet" in shown

@@ -18,8 +18,11 @@ from dyknow.engine.engine import Engine
 from dyknow.service.client.client import Client
 from dyknow.service.config.settings import Settings
 from dyknow.service.http.body_limit import BodyLimit
+from dyknow.service.http.problems import LONGEST
 from dyknow.service.server import bind
 
+PREFIX = "PREFIX dyknow: <http://www.ida.liu.se/dyknow/>"
+WINDOW = "WINDOW [RANGE 5s STEP 1s]"
 TEMPLATE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
 CONSTRUCT {?o dyknow:speed ?avgSpeed}
@@ -338,15 +341,43 @@ def test_the_plan_of_an_explanation_is_a_tree(annotated: httpx.Client) -> None:
     (speed,) = found["plan"]
     assert speed["text"] == "speed of every dyknow:UAV [km.h-1]"
     assert (speed["parts"][0]["verdict"], speed["parts"][0]["stream"]) == ("chosen", "s5")
-    lacking = REQUEST.replace("UAV", "Human")
-    missed = annotated.post("/explain", json={"event": lacking}, headers=accept).json()
-    assert not missed["found"]
-    verdicts = {part["verdict"] for part in missed["plan"][0]["parts"]}
-    assert verdicts == {"failed"}
-    (s5,) = [part for part in missed["plan"][0]["parts"] if part["stream"] == "s5"]
-    assert s5["reason"]
     match = {"feature": "dyknow:speed", "sort": "dyknow:UAV"}
     assert annotated.post("/match", json=match).json()["tree"]["parts"][0]["stream"] == "s5"
+
+
+def test_an_explanation_without_a_plan_is_a_problem(annotated: httpx.Client) -> None:
+    accept = {"Accept": "application/json"}
+    lacking = REQUEST.replace("UAV", "Human")
+    missed = annotated.post("/explain", json={"event": lacking}, headers=accept).json()
+    assert {part["verdict"] for part in missed["plan"][0]["parts"]} == {"failed"}
+    (s5,) = [part for part in missed["plan"][0]["parts"] if part["stream"] == "s5"]
+    assert s5["reason"]
+    query = f"REGISTER QUERY t AS {PREFIX} SELECT ?o WHERE {{ ?o dyknow:altitude ?a }} {WINDOW}"
+    for thing in ({"event": lacking}, {"feature": "altitude"}, {"query": query}):
+        text = annotated.post("/explain", json=thing, headers={"Accept": "text/plain"})
+        assert text.status_code == 200
+        answer = annotated.post("/explain", json=thing, headers=accept)
+        assert answer.status_code == 422, answer.text
+        assert answer.headers["content-type"] == "application/problem+json"
+        missed = answer.json()
+        assert (missed["type"], missed["found"]) == ("urn:dyknow:problem:no-plan", False)
+        assert missed["text"] == text.text
+        assert missed["stages"][-1]["title"] == "semantic matching"
+        assert missed["plan"][0]["parts"][0]["verdict"] in ("failed", "")
+        assert missed["missing"]
+        assert "annotate a stream" in missed["hint"]
+        got = annotated.get("/explain", params=thing, headers=accept)
+        assert got.status_code == 422
+        assert {**got.json(), "instance": ""} == {**missed, "instance": ""}
+
+
+def test_a_long_explanation_without_a_plan_is_whole(annotated: httpx.Client) -> None:
+    body = f'?o dyknow:altitude ?a FILTER (?a != "{"long " * LONGEST}")'
+    query = f"REGISTER QUERY t AS {PREFIX} SELECT ?o WHERE {{ {body} }} {WINDOW}"
+    accept = {"Accept": "application/json"}
+    missed = annotated.post("/explain", json={"query": query}, headers=accept).json()
+    assert len(missed["text"]) > len(query)
+    assert "…" not in missed["text"]
 
 
 def test_a_template_tells_what_its_parameters_stand_for(annotated: httpx.Client) -> None:

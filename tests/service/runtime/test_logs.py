@@ -25,7 +25,7 @@ SERVE = "from dyknow.service.cli import main; main()"
 FAILS = """
 import asyncio, logging, threading, warnings
 from dyknow.service import app
-from dyknow.service.routes import status
+from dyknow.service.routes.introspection import status
 async def broken():
     threading.Thread(target=lambda: 1 / 0).start()
     asyncio.get_running_loop().call_soon(lambda: {}["an error of the loop"])

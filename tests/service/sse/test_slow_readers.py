@@ -21,6 +21,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.client.client import Client
 from dyknow.service.config.media_types import ARROW
+from dyknow.service.config.recent_requests import RecentRequests
 from dyknow.service.config.settings import Settings
 from dyknow.service.http.access_log import AccessLog
 from dyknow.service.http.problems import Problem
@@ -273,6 +274,6 @@ def test_how_long_a_client_takes_is_no_slow_request(monkeypatch: pytest.MonkeyPa
         raise AssertionError
 
     scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "client": None}
-    asyncio.run(AccessLog(app, Count())(scope, receive, send))
+    asyncio.run(AccessLog(app, Count(), RecentRequests())(scope, receive, send))
     assert told == [2.0]
     assert now > 300.0

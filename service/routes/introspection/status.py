@@ -8,13 +8,13 @@ from typing import Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ...engine.durability.accepted_commands import QUERY, REQUEST, SUBSCRIPTION
-from ...streams.time import format_time
-from ..admission.memory_limit import CAN, resident
-from ..config.recent_log import KEPT
-from ..config.version import __version__
-from ..http.problems import responses
-from ..models import (
+from ....engine.durability.accepted_commands import QUERY, REQUEST, SUBSCRIPTION
+from ....streams.time import format_time
+from ...admission.memory_limit import CAN, resident
+from ...config.recent_log import KEPT
+from ...config.version import __version__
+from ...http.problems import responses
+from ...models import (
     FindingModel,
     LoadModel,
     LogLineModel,
@@ -22,9 +22,9 @@ from ..models import (
     StatusModel,
     WaitingModel,
 )
-from ..runtime.context import Context, Service
-from ..runtime.findings import findings
-from .follow import EVENTS, SINCE, follow
+from ...runtime.context import Context, Service
+from ...runtime.findings import findings
+from ..follow import EVENTS, SINCE, follow
 
 router = APIRouter(tags=["status"])
 

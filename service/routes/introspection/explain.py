@@ -8,16 +8,18 @@ from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field, model_validator
 
-from ...engine.model.views import MatchView
-from ..config.media_types import JSON, TEXT
-from ..http.negotiation import accepted
-from ..http.problems import Problem, responses
-from ..http.text_limits import parse_aside, parse_continuous
-from ..models import ExplainModel, StageModel, StepModel, Strategy
-from ..models.parts import Body
-from ..runtime.context import Context, Service
-from .json_body import JsonRoute
-from .streams import json_only
+from ....engine.model.errors import NoPlan
+from ....engine.model.views import MatchView
+from ....engine.planning.stream_binding import REMEDY
+from ...config.media_types import JSON, TEXT
+from ...http.negotiation import accepted
+from ...http.problems import Problem, responses
+from ...http.text_limits import parse_aside, parse_continuous
+from ...models import ExplainModel, StageModel, StepModel, Strategy
+from ...models.parts import Body
+from ...runtime.context import Context, Service
+from ..json_body import JsonRoute
+from ..streams import json_only
 
 router = APIRouter(tags=["explain"], route_class=JsonRoute)
 
@@ -80,7 +82,8 @@ async def explain(
 ) -> Response:
     """Explain exactly one of `event`, `template`, `query`, `id` and `feature`.
 
-    As JSON `found` tells whether there is a plan, and `plan` is a tree of what was considered.
+    As JSON `plan` is a tree of what was considered. 422: as JSON, where there is no plan; the
+    problem has `missing`, and the members of the explanation.
     """
     wanted = ExplainIn(
         event=event,
@@ -108,9 +111,13 @@ async def explain_long(request: Request, service: Context, wanted: ExplainIn) ->
 async def _answer(request: Request, service: Service, wanted: ExplainIn) -> Response:
     kind = accepted(request, (TEXT, JSON))
     model = await _explained(service, wanted)
-    if kind == JSON:
-        return Response(model.model_dump_json(), media_type=JSON)
-    return PlainTextResponse(model.text)
+    if kind == TEXT:
+        # For reading: the text itself says what is missing.
+        return PlainTextResponse(model.text)
+    if not model.found:
+        detail = "no stream and no transformation answers this"
+        raise Problem(422, NoPlan.title, detail, hint=REMEDY, **dict(model))
+    return Response(model.model_dump_json(), media_type=JSON)
 
 
 async def _explained(service: Service, wanted: ExplainIn) -> ExplainModel:
@@ -121,6 +128,7 @@ async def _explained(service: Service, wanted: ExplainIn) -> ExplainModel:
         return ExplainModel(
             text=text,
             found=view.found,
+            missing=[] if view.found else [f"{view.target}: {each}" for each in view.reasons],
             stages=[StageModel(title="semantic matching", text=text)],
             plan=[StepModel.of(view.tree)],
         )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends
 
-from ..http.problems import responses
-from ..models import MatchIn, MatchModel
-from ..runtime.context import Context
-from .json_body import JsonRoute
-from .streams import json_only
+from ...http.problems import responses
+from ...models import MatchIn, MatchModel
+from ...runtime.context import Context
+from ..json_body import JsonRoute
+from ..streams import json_only
 
 router = APIRouter(tags=["matching"], route_class=JsonRoute)
 

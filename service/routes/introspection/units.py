@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Response
 
-from ..http.json_lists import listed
-from ..http.problems import Problem, responses
-from ..models import RunningUnitModel
-from ..runtime.context import Context
+from ...http.json_lists import listed
+from ...http.problems import Problem, responses
+from ...models import RunningUnitModel
+from ...runtime.context import Context
 
 router = APIRouter(tags=["units"])
 

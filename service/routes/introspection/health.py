@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Response
 
-from ..models import HealthModel
-from ..runtime.context import Context
-from ..runtime.metrics import CONTENT_TYPE
+from ...models import HealthModel
+from ...runtime.context import Context
+from ...runtime.metrics import CONTENT_TYPE
 
 router = APIRouter(tags=["health"])
 

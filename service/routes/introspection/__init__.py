@@ -1,0 +1,1 @@
+"""The routes that answer what runs, how it is, and what could answer a question."""
