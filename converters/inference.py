@@ -108,7 +108,7 @@ def time_column(names: Sequence[str], wanted: str | None) -> str:
     raise WireError(
         None,
         f"no column is called {', '.join(TIME_NAMES[:-1])} or {TIME_NAMES[-1]}",
-        f"name the time column; the columns are {', '.join(names)}",
+        f"name the time column (--time-column); the columns are {', '.join(names)}",
     )
 
 

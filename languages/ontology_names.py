@@ -70,7 +70,7 @@ class OntologyNames:
         hint = (
             f"did you mean {' or '.join(near)}?"
             if near
-            else "declare it in the ontology as a :Feature first"
+            else "add it to the ontology first: dyknow ontology add-feature"
         )
         raise self._error(f"the ontology knows no feature `{name}`", span, hint)
 

@@ -241,7 +241,7 @@ class Describer:
             raise UnknownFeature(
                 f"the ontology knows no feature {shorten(iri)}",
                 did_you_mean(vocabulary.suggest(name, "feature"))
-                or "declare it in the ontology as a :Feature first",
+                or "add it to the ontology first: dyknow ontology add-feature",
             )
         return iri
 

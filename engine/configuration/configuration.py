@@ -145,7 +145,7 @@ class Configuration:
             listed = ", ".join(names[:_MOST_LISTED]) + (", …" if len(names) > _MOST_LISTED else "")
             raise UnknownStream(
                 f"there is no stream called {name!r}",
-                f"declare it with PUT /streams/{name} or annotate it; "
+                f"declare it (PUT /streams/{name}, client.put_stream) or annotate it; "
                 f"there are: {listed or 'none yet'}",
             )
         return found

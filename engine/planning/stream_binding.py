@@ -48,7 +48,7 @@ def find_streams(
             f"no stream and no transformation answers {description}"
             + ("" if missing else ": the query needs no feature of a stream"),
             missing,
-            f"{REMEDY}; POST /match shows the alternatives tried",
+            f"{REMEDY}; dyknow match (POST /match) shows the alternatives tried",
         )
     return matches
 

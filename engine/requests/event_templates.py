@@ -51,7 +51,8 @@ class EventTemplates:
             template = self._library.register(text, replace=replace)
         except TemplateExists as error:
             raise AlreadyExists(
-                f"there is a template {shorten(error.name)}", "replace it with PUT, or remove it"
+                f"there is a template {shorten(error.name)}",
+                "replace it (dyknow template add --replace NAME, or PUT), or remove it",
             ) from error
         except TemplateRefused as error:
             raise Refused(error.message, error.hint) from error
@@ -99,7 +100,11 @@ class EventTemplates:
             raise UnknownEvent(
                 f"no event {shorten(request.event)} has a template",
                 did_you_mean(error.suggestions)
-                or (f"there are {names}" if names else "register one with POST /templates"),
+                or (
+                    f"there are {names}"
+                    if names
+                    else "register one: dyknow template add FILE, or POST /templates"
+                ),
             ) from error
 
     def naming(self, terms: Set[str]) -> dict[str, str]:

@@ -19,6 +19,7 @@ from ...streams.past_queries import Moment
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..model.beginning import Beginning, last_before
+from ..model.errors import DyknowError
 from ..model.status_changes import Role
 from ..model.views import Since
 from ..processes.supervision import ErrorCounters
@@ -312,7 +313,8 @@ class ComputationalUnit(ABC):
             else:
                 self.busy_time.run(self, work)
         except Exception as error:  # noqa: BLE001  isolation: only this unit fails
-            self.failure = f"{type(error).__name__}: {error}"
+            kind = "" if isinstance(error, DyknowError) else f"{type(error).__name__}: "
+            self.failure = f"{kind}{error}"
             self.counters.note(self.failure, None)
             self._leave_inputs()
             self._on_failure(self)

@@ -10,6 +10,7 @@ from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch, Times
 from ...streams.time import TIME_MAX
+from ..model.errors import Conflict
 from .base import ComputationalUnit
 
 
@@ -88,8 +89,9 @@ class SampleReasoner(ComputationalUnit):
 
     def resume(self, source: StreamGenerator) -> None:
         if self.output.is_ended:
-            raise RuntimeError(
-                f"{source.name} goes on after its end, and all {self.results} are out"
+            raise Conflict(
+                f"{source.name} goes on after its end, and all {self.results} are out",
+                "remove the request, and make it again",
             )
         super().resume(source)
 

@@ -140,7 +140,7 @@ class TripleReader:
             raise self._error(
                 f"{shorten(predicate.value)} is neither a feature nor another known term",
                 triple.span,
-                _meant(near) or "declare it in the ontology as a :Feature first",
+                _meant(near) or "add it to the ontology first: dyknow ontology add-feature",
             )
         return StaticTriple(triple)
 

@@ -39,6 +39,8 @@ def ndjson(samples: Samples, stamp: bool) -> bytes:
     """Encode samples as NDJSON; ``stamp`` omits a batch's available times. Raises `BadTime`."""
     if isinstance(samples, bytes):
         return samples
+    if isinstance(samples, Mapping):
+        raise TypeError("samples are a list of rows, and this is a single row: write [row]")
     if (pandas := sys.modules.get("pandas")) is not None and isinstance(samples, pandas.DataFrame):
         return _lines(_frame_rows(samples, pandas))
     # A list has rows: skip the imports of numpy and the encoder of columns.

@@ -48,6 +48,7 @@ from ...config.defaults import AHEAD
 from ..output import (
     connect,
     err,
+    fail,
     show_json,
     show_text,
     show_values,
@@ -135,20 +136,29 @@ def play(options: ReplayOptions) -> None:
             tracks = {name: track.in_time_order(options.sort) for name, track in tracks.items()}
             for name, track in tracks.items():
                 show_order(name, track.order)
-        latest = min(time.time_ns() + _ahead(bound, tracks.values()), TIME_MAX)
-        extents = {
-            name: span(track.recording, latest) if piped is None else Span(piped.first, piped.first)
+        now = time.time_ns()
+        latest = min(now + _ahead(bound, tracks.values()), TIME_MAX)
+        extents: dict[str, Span | None] = {
+            name: span(track.recording) if piped is None else Span(piped.first, piped.first)
             for name, track in tracks.items()
         }
+        if not any(extents.values()):
+            show_text("the recording is empty")
+            raise typer.Exit(0)
+        beginning = min(each.first for each in extents.values() if each is not None)
+        if begin is not None:
+            # A recording of the future that is moved back is not ahead of the clock.
+            latest = min(latest + max(0, beginning - begin), TIME_MAX)
+        for name, whole in extents.items():
+            if piped is None and whole is not None and whole.last > latest:
+                extents[name] = span(tracks[name].recording, latest)
         known = [extent for extent in extents.values() if extent is not None]
         if not known:
-            far = any(track.recording.rows for track in tracks.values())
-            show_text(
-                "every sample is ahead of the clock: --ahead oo takes them"
-                if far
-                else "the recording is empty"
+            raise fail(
+                f"every sample is ahead of the clock: the first is of {format_time(beginning)}, "
+                f"and now it is {format_time(now)}",
+                "move it with --rebase now, or take it as it is with --ahead oo",
             )
-            raise typer.Exit(1 if far else 0)
         extent = Span(min(e.first for e in known), max(e.last for e in known))
         shift = 0 if begin is None else begin - extent.first
         if begin is not None and factor != 1:
@@ -542,5 +552,9 @@ def _summary(
         show_text(
             "hint: everything was late: the stream has later samples already, perhaps of the "
             "same recording.\n      "
-            + ("Wait, or use another stream." if rebased else "Play it with --rebase now.")
+            + (
+                "Wait, or use another stream."
+                if rebased
+                else f"Forget them first (dyknow streams --remove {stream}), or add --rebase now."
+            )
         )

@@ -49,7 +49,7 @@ def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
     if others:
         lines += [
             "# To use a field that is a comment, add its feature to the ontology:",
-            "#   dyknow ontology add-feature NAME --unit UNIT",
+            f"#   dyknow ontology add-feature NAME --unit UNIT --sort {SORT}",
         ]
     unknown = [f"{_new_name(field)}({whose}) = {field_words(field.name)}" for field in others]
     features = [_declared(field, iri, whose, vocabulary) for field, iri in known.items()]

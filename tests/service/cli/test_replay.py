@@ -274,10 +274,23 @@ def test_a_row_ahead_of_the_clock_is_named_and_left_out(
 def test_a_recording_of_the_future(command: Any, client: Client, tmp_path: Path) -> None:
     path = table(tmp_path / "t.csv", WILD)
     refused = command(str(path), "--stream", "s", "--speed", "max", status=1)
-    assert "--ahead oo takes them" in refused.output
+    assert "the first is of 2262-04-11T23:47:16Z, and now it is" in refused.output
+    assert "--ahead oo" in refused.output
     told = command(str(path), "--stream", "s", "--speed", "max", "--ahead", "oo", "--json").stdout
     assert (json.loads(told)["used"], json.loads(told)["ahead"]) == (1, 0)
     assert client.stream("s")["ahead"] == "oo"
+
+
+def test_a_recording_of_the_future_may_be_moved_back(
+    command: Any, client: Client, tmp_path: Path
+) -> None:
+    path = table(tmp_path / "t.csv", "2100-01-01T00:00:00Z", "2100-01-01T00:00:01Z")
+    moved = ("--rebase", "2021-10-07T11:00:00Z")
+    told = json.loads(
+        command(str(path), "--stream", "s", "--speed", "max", "--json", *moved).stdout
+    )
+    assert (told["used"], told["ahead"]) == (2, 0)
+    assert client.stream("s")["last_valid"] == "2021-10-07T11:00:01Z"
 
 
 def test_a_rebased_recording_may_get_as_far_ahead_as_it_is_long(
