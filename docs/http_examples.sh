@@ -26,6 +26,7 @@ curl -N $URL/streams/s5/events              # from now on
 curl -N "$URL/streams/s5/events?since=start"   # everything that is kept, then on
 curl -N "$URL/streams/s5/events?since=30s"     # the last 30 seconds of the stream, then on
 curl -N $URL/streams/s5/events -H 'Last-Event-ID: 3f2a91c0-120'
+curl -N "$URL/streams/s5/events?last=100&rdf=no&fields=id,spd&every=250ms"   # the newest of each object
 
 ## Subscriptions
 curl $URL/subscriptions -H 'Content-Type: application/json' \

@@ -9,7 +9,7 @@ from __future__ import annotations
 import uuid
 import warnings
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Unpack
 from urllib.parse import quote
 
 import httpx
@@ -24,7 +24,7 @@ from ..config.media_types import (
     TEXT,
     TURTLE,
 )
-from .event_streams import EventSource
+from .event_streams import Delivery, EventSource
 from .flows import (
     Flow,
     feed,
@@ -235,21 +235,36 @@ class Routes:
         return (yield from _history(stream, media_type, arguments)).text
 
     @feed
-    def events(self, stream: str, *, since: str | None = None, resume: bool = True) -> EventSource:
-        """Yield the stream's samples as they come, and `gap` and `end` messages.
+    def events(
+        self,
+        stream: str,
+        *,
+        since: str | None = None,
+        resume: bool = True,
+        **delivery: Unpack[Delivery],
+    ) -> EventSource:
+        """Yield the stream's samples as they come, and `gap` and `end` messages. ``last`` begins
+        with the newest samples; ``rdf``, ``fields`` and ``every`` make it less (`Delivery`).
 
         Returns after `end`. After a broken connection the client resumes behind the last sample; if
         ``resume`` is False it raises the error instead.
         """
-        return EventSource(f"/streams/{_part(stream)}/events", since, resume)
+        path = f"/streams/{_part(stream)}/events"
+        return EventSource(path, since, resume, delivery=delivery)
 
     @feed
-    def follow(self, streams: Sequence[str], *, since: str | None = None) -> EventSource:
+    def follow(
+        self,
+        streams: Sequence[str],
+        *,
+        since: str | None = None,
+        **delivery: Unpack[Delivery],
+    ) -> EventSource:
         """Yield the samples of several streams as they come, on one connection; cf. `events`.
 
         Returns after the last stream's ``end``. An event's ``data["stream"]`` names its stream.
         """
-        return EventSource("/follow", since, streams=tuple(streams))
+        return EventSource("/follow", since, streams=tuple(streams), delivery=delivery)
 
     @feed
     def status_events(self, *, since: str | None = None) -> EventSource:
@@ -384,11 +399,17 @@ class Routes:
 
     @feed
     def subscription_events(
-        self, id: str, *, since: str | None = None, resume: bool = True
+        self,
+        id: str,
+        *,
+        since: str | None = None,
+        resume: bool = True,
+        **delivery: Unpack[Delivery],
     ) -> EventSource:
         """Yield the events of a subscription, as `events` does; for a feature also `rematched`
         between the samples, each switch once."""
-        return EventSource(f"/subscriptions/{_part(id)}/events", since, resume)
+        path = f"/subscriptions/{_part(id)}/events"
+        return EventSource(path, since, resume, delivery=delivery)
 
     @verb
     def rematches(self, id: str) -> Flow[list[dict[str, Any]]]:
