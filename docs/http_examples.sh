@@ -14,6 +14,7 @@ curl -X PUT $URL/streams/s5 -H 'Content-Type: application/json' -d '{
 curl $URL/streams/s5/samples -H 'Content-Type: application/x-ndjson' -H 'Idempotency-Key: 1' \
   --data-binary $'{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "spd": 31.5}\n'
 curl "$URL/streams/s5/samples?limit=10" -H 'Accept: text/csv'
+curl "$URL/streams/s5/samples?every=10s&fields=spd" -H 'Accept: text/csv'   # minimum, maximum, last
 curl -X POST $URL/streams/s5/end
 printf '%s\n' '{"valid": "2021-10-07T19:12:54Z", "id": "uav1", "spd": 32}' \
   '{"valid": "2021-10-07T19:12:55Z", "id": "uav1", "spd": 32.5}' |

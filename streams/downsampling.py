@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .key_numbering import Numbers
-from .sample import Column, FieldType, SampleBatch, Schema
+from .sample import Column, FieldType, SampleBatch
 from .tuples import Rows
 
 MINIMUM, MAXIMUM = "_min", "_max"
@@ -65,14 +65,23 @@ def newest_of_each(numbers: Numbers) -> tuple[Rows, NDArray[np.int64]]:
     return rows, counts[numbers[rows]]
 
 
-def downsampled(batch: SampleBatch, keys: Sequence[str], every: int) -> SampleBatch:
+def downsampled(
+    batch: SampleBatch,
+    keys: Sequence[str],
+    every: int,
+    *,
+    most: int | None = None,
+    newest: bool = False,
+) -> SampleBatch:
     """One sample for each object and interval of valid time [k ``every``, (k + 1) ``every``) in ns
     that has samples: that with the greatest valid time, of several the one that became available
     last.
 
     Each field of numbers but the ``keys`` has two more beside it, the least and the greatest value
     of the interval (`MINIMUM`, `MAXIMUM`); no_value if the interval has no value. Samples are in
-    order of intervals, those of one interval in the order in which they became available.
+    order of intervals, those of one interval in the order in which they became available. At
+    ``most`` the ``newest`` of them; or the oldest and the rest of their last interval, so that the
+    next piece begins after it.
 
     Contract: ``batch`` is in order of available time, ``every`` > 0, and `name_clash` is None.
     Cost: O(n log n). Memory: some numbers for each sample.
@@ -86,6 +95,10 @@ def downsampled(batch: SampleBatch, keys: Sequence[str], every: int) -> SampleBa
     starts = np.flatnonzero(begins)
     last = order[np.append(starts[1:], len(order))[: len(starts)] - 1]
     sorted_groups = np.lexsort((last, intervals[last]))
+    if most is not None and len(sorted_groups) > most:
+        ordered = intervals[last[sorted_groups]]
+        end = len(ordered) if newest else int(ordered.searchsorted(ordered[most - 1], "right"))
+        sorted_groups = sorted_groups[end - most if newest else 0 : end]
     found = batch.take(last[sorted_groups])
     columns: dict[str, Column] = {}
     for name, column in found.columns.items():
@@ -97,15 +110,15 @@ def downsampled(batch: SampleBatch, keys: Sequence[str], every: int) -> SampleBa
     return SampleBatch(found.available, found.valid, columns)
 
 
-def name_clash(schema: Schema, keys: Sequence[str]) -> str | None:
-    """The name of a field that `downsampled` makes and that ``schema`` has already, or None."""
+def name_clash(batch: SampleBatch, keys: Sequence[str]) -> str | None:
+    """The name of a field that `downsampled` makes and that ``batch`` has already, or None."""
     made = (
-        f"{field.name}{suffix}"
-        for field in schema.fields
-        if field.name not in keys and field.type in NUMBERS
+        f"{name}{suffix}"
+        for name, column in batch.columns.items()
+        if name not in keys and column.type in NUMBERS
         for suffix in (MINIMUM, MAXIMUM)
     )
-    return next((name for name in made if schema.get(name) is not None), None)
+    return next((name for name in made if name in batch.columns), None)
 
 
 def _extremes(column: Column, starts: Rows) -> tuple[Column, Column]:

@@ -216,11 +216,13 @@ class Routes:
         start: str | int | None = None,
         end: str | int | None = None,
         limit: int | None = None,
-        **query: str | int | None,
+        **query: str | int | Sequence[str] | None,
     ) -> Flow[list[dict[str, Any]]]:
         """Return samples of the history by available time, with valid times from ``valid_from`` to
-        ``valid_to``. Or one of these queries: ``at`` or ``before`` (with ``known``), ``prev``,
-        ``last_avail`` [DyKnow10 Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
+        ``valid_to``, and with only some ``fields``. With ``every`` (``"10s"``) return a row for
+        each object and interval: the last sample, and minimum and maximum of each number. Or one of
+        these queries: ``at`` or ``before`` (with ``known``), ``prev``, ``last_avail`` [DyKnow10
+        Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
 
         Raises `ServiceError` 410 if the result depends on evicted samples.
         """
@@ -749,7 +751,7 @@ def _query_results(
 
 
 def _history(
-    stream: str, kind: str, arguments: Mapping[str, str | int | None]
+    stream: str, kind: str, arguments: Mapping[str, str | int | Sequence[str] | None]
 ) -> Flow[httpx.Response]:
     unknown = arguments.keys() - _HISTORY_PARAMETERS
     if unknown:
@@ -763,7 +765,7 @@ def _history(
 
 
 _HISTORY_PARAMETERS: Final = frozenset(
-    {"start", "end", "valid_from", "valid_to", "limit"}
+    {"start", "end", "valid_from", "valid_to", "limit", "fields", "every"}
     | {"at", "before", "prev", "last_avail", "known"}
 )
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dyknow.streams.downsampling import (
@@ -74,18 +74,32 @@ def by_definition(rows: list[Row], keys: tuple[str, ...], every: int) -> list[Ro
     return [row for _, _, row in sorted(found, key=lambda each: each[:2])]
 
 
-@given(histories(), keys, st.sampled_from([1, 3, 10, 2**63 - 1]), st.integers(0, 30))
-@example([], ("id",), 3, 0)
+@settings(deadline=None)
+@given(
+    histories(),
+    keys,
+    st.sampled_from([1, 3, 10, 2**63 - 1]),
+    st.integers(0, 30),
+    st.integers(1, 10),
+)
+@example([], ("id",), 3, 0, 1)
 def test_each_interval_of_each_object_has_its_last_sample_and_extremes(
-    rows: list[Row], keys: tuple[str, ...], every: int, cut: int
+    rows: list[Row], keys: tuple[str, ...], every: int, cut: int, most: int
 ) -> None:
     stream = FluentStream(SCHEMA)
     for part in (rows[:cut], rows[cut:]):
         stream.append(batch_from_rows(SCHEMA, part))
     found = downsampled(stream.all(), keys, every)
-    assert list(found.rows()) == by_definition(rows, keys, every)
+    whole = by_definition(rows, keys, every)
+    assert list(found.rows()) == whole
+    newest = downsampled(stream.all(), keys, every, most=most, newest=True)
+    assert list(newest.rows()) == whole[-most:]
+    oldest = downsampled(stream.all(), keys, every, most=most)
+    ends = {valid // every for _, valid, _ in whole[:most]}
+    assert list(oldest.rows()) == [each for each in whole if each[1] // every in ends]
 
 
+@settings(deadline=None)
 @given(histories(), keys)
 def test_the_newest_of_each_object_stands_for_its_samples(
     rows: list[Row], keys: tuple[str, ...]
@@ -98,6 +112,7 @@ def test_the_newest_of_each_object_stands_for_its_samples(
     assert counts.tolist() == [names.count(names[row]) for row in found.tolist()]
 
 
+@settings(deadline=None)
 @given(histories(), st.integers(0, 30), st.data())
 def test_samples_are_found_by_their_numbers(rows: list[Row], cut: int, data: st.DataObject) -> None:
     stream = FluentStream(SCHEMA, first=5)
@@ -118,4 +133,4 @@ def test_a_name_that_would_be_there_twice_is_found(
     names: str, keys: tuple[str, ...], clash: str | None
 ) -> None:
     schema = Schema(tuple(Field(name, FieldType.FLOAT) for name in names.split()))
-    assert name_clash(schema, keys) == clash
+    assert name_clash(batch_from_rows(schema, []), keys) == clash

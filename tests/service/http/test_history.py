@@ -14,6 +14,7 @@ import pytest
 from fastapi import Response
 from fastapi.responses import StreamingResponse
 from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from dyknow.converters.arrow.stream import decode_arrow
@@ -29,6 +30,7 @@ from dyknow.service.http.history_encoding import (
     history_answer,
     pieces,
 )
+from dyknow.service.routes import samples
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -40,6 +42,7 @@ from dyknow.streams.sample import (
 KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG)
 FIELDS = Schema((Field("t", FieldType.STRING), Field("v", FieldType.FLOAT)))
 LINES = {"Content-Type": NDJSON}
+SECOND = 1_000_000_000
 
 
 @pytest.fixture
@@ -96,6 +99,91 @@ def test_an_instant_that_retention_has_cut(http: httpx.Client, client: Client) -
         client.history("s", later=1)
 
 
+@pytest.fixture
+def plotted(client: Client) -> Client:
+    """Two objects, a sample a second of each, of which one comes late in valid time."""
+    client.put_stream("s", {"id": "string", "spd": "float", "mode": "string"})
+    client.annotate("stream s contains speed(UAV) = spd for every UAV = id")
+    seconds = [0, 1, 2, 3, 14, 12, 13]
+    rows = [
+        {"available": i, "valid": second * SECOND, "id": name, "spd": sign * second, "mode": "m"}
+        for i, second in enumerate(seconds)
+        for name, sign in (("a", 1.0), ("b", -1.0))
+    ]
+    client.publish("s", rows)
+    return client
+
+
+def test_intervals_have_minimum_maximum_and_last(plotted: Client) -> None:
+    rows = plotted.history("s", every="10s")
+    assert [(row["valid"][17:], row["id"]) for row in rows] == [
+        ("03Z", "a"),
+        ("03Z", "b"),
+        ("14Z", "a"),
+        ("14Z", "b"),
+    ]
+    assert rows[3] == {
+        "available": "1970-01-01T00:00:00.000000004Z",
+        "valid": "1970-01-01T00:00:14Z",
+        "id": "b",
+        "spd": -14.0,
+        "spd_min": -14.0,
+        "spd_max": -12.0,
+        "mode": "m",
+    }
+    chosen = plotted.history("s", every="10s", fields=["mode"])
+    assert chosen[0].keys() == {"available", "valid", "id", "mode"}
+    bounded = plotted.history("s", every="10s", valid_from=2 * SECOND, valid_to=12 * SECOND)
+    assert [(row["spd_min"], row["spd"]) for row in bounded if row["id"] == "a"] == [
+        (2.0, 3.0),
+        (12.0, 12.0),
+    ]
+
+
+def test_intervals_come_in_all_tables_and_in_pieces(http: httpx.Client, plotted: Client) -> None:
+    path, columns = "/streams/s/samples?every=10s", "available,valid,id,spd,spd_min,spd_max,mode"
+    answers = {kind: http.get(path, headers={"Accept": kind}) for kind in KINDS}
+    assert answers[CSV].text.splitlines()[0] == columns
+    assert pa.ipc.open_stream(answers[ARROW].content).read_all().num_rows == 4
+    assert len(answers[NDJSON].text.splitlines()) == len(answers[JSON].json()) == 4
+    assert {answers[kind].status_code for kind in (NTRIPLES, NQUADS, TRIG)} == {406}
+    assert [row["spd"] for row in plotted.history("s", every="1s", limit=2)] == [14.0, -14.0]
+    # A piece ends with its interval, so that the next one begins after it.
+    first = plotted.history("s", every="1s", limit=1, valid_from=0)
+    assert [row["id"] for row in first] == ["a", "b"]
+    rest = plotted.history("s", every="1s", limit=100, valid_from=SECOND)
+    assert first + rest == plotted.history("s", every="1s")
+
+
+def test_what_has_no_intervals_is_refused(
+    http: httpx.Client, plotted: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plotted.put_stream("t", {"v": "float", "v_max": "float"})
+    for stream, query, status, told in (
+        ("s", "every=0s", 400, "too short"),
+        ("s", "every=1000d", 400, "too long"),
+        ("s", "every=1s&at=5", 400, "excludes"),
+        ("s", "every=1s&fields=sped", 400, "no field 'sped'"),
+        ("s", "fields=", 400, "no field ''"),
+        ("t", "every=1s", 400, "'v_max'"),
+        ("t", "every=1s&fields=v", 200, ""),
+        ("nothing", "every=1s", 404, "nothing"),
+    ):
+        answer = http.get(f"/streams/{stream}/samples?{query}")
+        assert (answer.status_code, told in answer.text) == (status, True), query
+    monkeypatch.setattr(samples, "MOST_DOWNSAMPLED", 13)
+    answer = http.get("/streams/s/samples?every=1s")
+    assert (answer.status_code, answer.json()["title"]) == (422, "range too long")
+    assert http.get(f"/streams/s/samples?every=1s&valid_to={13 * SECOND}").status_code == 200
+
+
+def test_a_history_may_have_only_some_fields(http: httpx.Client, plotted: Client) -> None:
+    rows = plotted.history("s", limit=2, fields="mode,id")
+    assert [list(row) for row in rows] == [["available", "valid", "mode", "id"]] * 2
+    refused = http.get("/streams/s/samples?fields=id", headers={"Accept": NTRIPLES})
+    assert refused.status_code == 406
+
+
 def batch(*sizes: int | None) -> SampleBatch:
     """A sample each, with a text so long."""
     texts = [None if size is None else "x" * size for size in sizes]
@@ -106,6 +194,7 @@ def told(part: SampleBatch) -> list[str]:
     return [f"<urn:{time}> <urn:p> <urn:o> ." for time in part.available.tolist()]
 
 
+@hypothesis_settings(deadline=None)  # its texts take long to make on a busy machine
 @given(st.lists(st.sampled_from([None, 0, 1, PIECE_BYTES // 3, PIECE_BYTES, 2 * PIECE_BYTES])))
 def test_pieces_are_the_batch_and_have_a_bound(sizes: list[int | None]) -> None:
     whole = batch(*sizes)
