@@ -233,7 +233,7 @@ class Routes:
     @verb
     def history_text(self, /, stream: str, media_type: str = CSV, **arguments: Any) -> Flow[str]:
         """Return the same as text: ``text/csv``, ``application/x-ndjson``,
-        ``application/n-triples``."""
+        ``application/n-triples``, ``application/ld+json``."""
         return (yield from _history(stream, media_type, arguments)).text
 
     @feed

@@ -8,7 +8,9 @@ from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
+import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
+from numpy.typing import NDArray
 
 from ...converters.objects import object_iri
 from ...engine.model.errors import UnknownStream
@@ -18,7 +20,7 @@ from ...streams.downsampling import downsampled, name_clash
 from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import DAY, NANOSECOND, TIME_MAX
-from ..config.media_types import ARROW, CSV, JSON, NDJSON, NQUADS, NTRIPLES, TRIG
+from ..config.media_types import ARROW, CSV, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
 from ..http.field_lists import chosen_fields
 from ..http.history_encoding import RdfWriter, history_answer
 from ..http.negotiation import accepted
@@ -29,7 +31,7 @@ from ..runtime.context import Context, Service
 router = APIRouter(tags=["samples"])
 
 TABLES = (NDJSON, JSON, CSV, ARROW)
-FORMATS = (*TABLES, NTRIPLES, NQUADS, TRIG)
+FORMATS = (*TABLES, NTRIPLES, NQUADS, TRIG, JSON_LD)
 LONGEST_INTERVAL = 366 * DAY
 MOST_DOWNSAMPLED = 10_000_000
 """Samples in the range of an answer by intervals: some seconds of another thread."""
@@ -167,9 +169,11 @@ def _intervals(name: str, service: Service, parameters: HistoryParameters) -> _I
     return _Intervals(name, service.engine.object_fields(name), every, newest)
 
 
-def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:
+def _triples(
+    service: Service, name: str, batch: SampleBatch, places: NDArray[np.int64]
+) -> list[str]:
     try:
-        return service.engine.rdf_of(name, batch)
+        return service.engine.rdf_of(name, batch, places)
     except UnknownStream:  # removed while the response was sent, and its annotation with it
         return []
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import numpy as np
 import pyarrow as pa
 import pytest
 from fastapi import Response
@@ -16,16 +17,29 @@ from fastapi.responses import StreamingResponse
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pyoxigraph import RdfFormat, parse
 
 from dyknow.converters.arrow.stream import decode_arrow
 from dyknow.service.client.client import Client
 from dyknow.service.client.connection import ServiceError
-from dyknow.service.config.media_types import ARROW, CSV, JSON, NDJSON, NQUADS, NTRIPLES, TRIG
+from dyknow.service.config.media_types import (
+    ARROW,
+    CSV,
+    JSON,
+    JSON_LD,
+    NDJSON,
+    NQUADS,
+    NTRIPLES,
+    TRIG,
+)
 from dyknow.service.config.settings import Settings
 from dyknow.service.http import history_encoding
 from dyknow.service.http.history_encoding import (
     PIECE_BYTES,
     PIECE_SAMPLES,
+    RDF_KINDS,
+    RDF_SAMPLES,
     RdfWriter,
     history_answer,
     pieces,
@@ -39,7 +53,7 @@ from dyknow.streams.sample import (
     batch_from_rows,
 )
 
-KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG)
+KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG, JSON_LD)
 FIELDS = Schema((Field("t", FieldType.STRING), Field("v", FieldType.FLOAT)))
 LINES = {"Content-Type": NDJSON}
 SECOND = 1_000_000_000
@@ -146,7 +160,7 @@ def test_intervals_come_in_all_tables_and_in_pieces(http: httpx.Client, plotted:
     assert answers[CSV].text.splitlines()[0] == columns
     assert pa.ipc.open_stream(answers[ARROW].content).read_all().num_rows == 4
     assert len(answers[NDJSON].text.splitlines()) == len(answers[JSON].json()) == 4
-    assert {answers[kind].status_code for kind in (NTRIPLES, NQUADS, TRIG)} == {406}
+    assert {answers[kind].status_code for kind in RDF_KINDS} == {406}
     assert [row["spd"] for row in plotted.history("s", every="1s", limit=2)] == [14.0, -14.0]
     # A piece ends with its interval, so that the next one begins after it.
     first = plotted.history("s", every="1s", limit=1, valid_from=0)
@@ -190,7 +204,7 @@ def batch(*sizes: int | None) -> SampleBatch:
     return batch_from_rows(FIELDS, [(i, i, {"t": t, "v": 0.5}) for i, t in enumerate(texts)])
 
 
-def told(part: SampleBatch) -> list[str]:
+def told(part: SampleBatch, places: NDArray[np.int64]) -> list[str]:
     return [f"<urn:{time}> <urn:p> <urn:o> ." for time in part.available.tolist()]
 
 
@@ -228,7 +242,7 @@ def count_of(table: bytes) -> int:
 def rows_of(kind: str, body: bytes) -> list[Any]:
     if kind == ARROW:
         return list(decode_arrow(body, FIELDS, {}).batch.rows()) if count_of(body) else []
-    return json.loads(body) if kind == JSON else body.splitlines()
+    return json.loads(body) if kind in (JSON, JSON_LD) else body.splitlines()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -249,6 +263,34 @@ def test_in_pieces_it_says_what_it_says_in_one(
         assert b"".join(parts) == whole[0]
 
 
+def test_json_ld_is_what_nquads_are_and_pieces_may_cut_an_instant(
+    http: httpx.Client, client: Client
+) -> None:
+    """Of samples whose triples have a node, named by the place in the instant; some have none."""
+    client.put_stream("s", {"id": "string", "to": "string", "v": "float"})
+    client.annotate("stream s contains xydist(UAV as a, UAV as b) = v for every a = id, b = to")
+    count, instant = 2 * RDF_SAMPLES + 100, RDF_SAMPLES - 300
+    rows = [
+        {"available": i // instant, "valid": i, "id": "a", "to": "b", "v": i} for i in range(count)
+    ]
+    rows[-200:] = [{**row, "id": None} for row in rows[-200:]]
+    for begin in range(0, count, RDF_SAMPLES):
+        client.publish("s", rows[begin : begin + RDF_SAMPLES])
+    texts = {
+        kind: http.get(f"/streams/s/samples?limit={count}", headers={"Accept": kind}).content
+        for kind in (NQUADS, JSON_LD, NTRIPLES)
+    }
+    quads = set(parse(texts[NQUADS], RdfFormat.N_QUADS))
+    assert set(parse(texts[JSON_LD], RdfFormat.JSON_LD)) == quads
+    nodes = {quad.object for quad in quads if str(quad.predicate).endswith("xydist>")}
+    assert len(nodes) == count - 200
+    triples = {quad.triple for quad in parse(texts[NTRIPLES], RdfFormat.N_TRIPLES)}
+    assert triples < {quad.triple for quad in quads}
+    assert {graph["@id"] for graph in json.loads(texts[JSON_LD])} == {
+        str(quad.graph_name)[1:-1] for quad in quads if "/" in str(quad.graph_name)
+    }
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_encoded_before_it_is_asked_for(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -256,9 +298,9 @@ def test_nothing_is_encoded_before_it_is_asked_for(
     taken = 0
     cut = pieces
 
-    def counted(whole: SampleBatch) -> Iterator[SampleBatch]:
+    def counted(whole: SampleBatch, most: int) -> Iterator[SampleBatch]:
         nonlocal taken
-        for part in cut(whole):
+        for part in cut(whole, most):
             taken += 1
             yield part
 
