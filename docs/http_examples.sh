@@ -20,6 +20,7 @@ printf '%s\n' '{"valid": "2021-10-07T19:12:54Z", "id": "uav1", "spd": 32}' \
   '{"valid": "2021-10-07T19:12:55Z", "id": "uav1", "spd": 32.5}' |
   curl $URL/streams/s5/samples/live -H 'Content-Type: application/x-ndjson' -X POST -T -
 curl -X POST $URL/streams/s5/end
+curl "$URL/streams?fields=name,rate,silent_for&changed=start" -i   # Dyknow-Position is the next `changed`
 curl $URL/streams/s5_late
 curl $URL/streams/s5_late/samples
 curl -X DELETE $URL/streams/s5_late

@@ -19,6 +19,7 @@ from ..config.media_types import (
     JSON,
     NDJSON,
     NTRIPLES,
+    POSITION,
     SPARQL_JSON,
     SPARQL_QUERY,
     TEXT,
@@ -127,9 +128,19 @@ class Routes:
         return accepted
 
     @verb
-    def streams(self) -> Flow[list[dict[str, Any]]]:
-        """Return all streams."""
-        return read_list("GET", "/streams")
+    def streams(self, *, fields: Sequence[str] | None = None) -> Flow[list[dict[str, Any]]]:
+        """Return all streams, with only these members (``fields``) if there are any."""
+        return read_list("GET", "/streams", params={"fields": fields} if fields else {})
+
+    @verb
+    def changed_streams(
+        self, position: str = "start", *, fields: Sequence[str] | None = None
+    ) -> Flow[tuple[list[dict[str, Any]], str]]:
+        """Return the streams that have changed since ``position``, and the position after them for
+        the next call. A removed stream is in no result: `status_events` reports it."""
+        parameters = {"changed": position, **({"fields": fields} if fields else {})}
+        response = yield from send("GET", "/streams", params=parameters, headers={"Accept": JSON})
+        return response.json(), response.headers[POSITION]
 
     @verb
     def stream(self, name: str) -> Flow[dict[str, Any]]:
