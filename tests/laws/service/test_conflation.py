@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from typing import Any
+from unittest.mock import patch
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -17,8 +18,9 @@ from dyknow.engine.model.views import StreamDeclaration
 from dyknow.service.sse.clients import EventClient, EventClients
 from dyknow.service.sse.conflation import ConflatedCursor
 from dyknow.service.sse.cursor import Cursor
-from dyknow.service.sse.delivery import Projection
+from dyknow.service.sse.delivery import Delivery, Projection
 from dyknow.service.sse.feeds import Feeds
+from dyknow.service.sse.multi_stream import MultiCursor, Position, open_cursor
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import SECOND
@@ -238,3 +240,83 @@ def test_cut_anywhere_nothing_comes_twice_and_the_newest_always(
         for name in {service.name(n) for n in range(1, len(service.published) + 1)}
     }
     cursor.leave(client)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(
+        st.tuples(st.just("publish"), st.sampled_from("st"), batches)
+        | st.tuples(st.just("pass"), st.integers(0, 12), st.none())
+        | st.tuples(st.just("cut"), st.floats(0, 1), st.integers(0, 3)),
+        max_size=15,
+    ),
+    st.integers(1, 10),
+)
+def test_several_streams_are_conflated_each_by_itself(
+    steps: list[tuple[str, Any, Any]], every: int
+) -> None:
+    """After any id of several streams, no sample comes twice, and the newest of each object."""
+    now = 0.0
+    engine = Engine(epoch="e1")
+    published: dict[str, list[str | None]] = {"s": [], "t": []}
+    for name in published:
+        engine.declare(StreamDeclaration(name, SCHEMA.fields))
+        engine.annotate(SSL.replace("stream s", f"stream {name}"))
+    feeds = Feeds(engine, 5_000, EventClients(100, 100, 0, 30))
+    client, text = EventClient("x"), b""
+    id = str(Position("e1", dict.fromkeys(published, 0)))
+    last = dict.fromkeys(published, 0)
+    newest: dict[tuple[str, str | None], int] = {}
+
+    def opened() -> MultiCursor:
+        cursor = open_cursor(feeds, [*published], Delivery(id, every=every * SECOND))
+        cursor.join(client)
+        return cursor
+
+    def take(share: float = 1.0) -> bool:
+        nonlocal id, text
+        data = cursor.take()
+        text += (data or b"")[: int(share * len(data or b""))]
+        end = 0
+        for found in MESSAGE.finditer(text):
+            end, told = found.end(), json.loads(found[3])
+            name, id = told["stream"], found[1].decode()
+            assert last[name] < told["sequence"]
+            last[name] = told["sequence"]
+            newest[name, told["values"]["id"]] = told["sequence"]
+        text = text[end:]
+        return data is not None
+
+    with patch("dyknow.service.sse.feeds.monotonic", lambda: now):
+        cursor = opened()
+        for kind, what, how in steps:
+            if kind == "publish":
+                first = len(published[what]) + 1
+                published[what] += how
+                rows = [
+                    (n, n, {"id": object, "n": n, "text": ""})
+                    for n, object in enumerate(how, first)
+                ]
+                pools = engine.accepting(what).stream.pools
+                engine.publish(what, Incoming(batch_from_rows(SCHEMA, rows, pools), False), 0)
+            elif kind == "pass":
+                now += what
+                while take():
+                    pass
+            else:
+                for _ in range(how):
+                    take()
+                take(what)
+                cursor.leave(client)
+                text = b""
+                cursor = opened()
+        for _ in range(2):
+            now += every
+            while take():
+                pass
+        cursor.leave(client)
+    assert newest == {
+        (name, object): number
+        for name, objects in published.items()
+        for number, object in enumerate(objects, 1)
+    }
