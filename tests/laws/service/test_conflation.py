@@ -15,6 +15,7 @@ from sse_clients import MESSAGE
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import StreamDeclaration
+from dyknow.engine.requests.adaptive_subscription import Rematch
 from dyknow.service.sse.clients import EventClient, EventClients
 from dyknow.service.sse.conflation import ConflatedCursor
 from dyknow.service.sse.cursor import Cursor
@@ -320,3 +321,22 @@ def test_several_streams_are_conflated_each_by_itself(
         for name, objects in published.items()
         for number, object in enumerate(objects, 1)
     }
+
+
+def test_a_switch_between_the_samples_of_a_round_cuts_it_in_two() -> None:
+    service = Service()
+    service.publish(["a", "b", "a", "b", "a", "b"], 0)
+    start = service.feeds.start("s", "e1-0")
+    switches = [Rematch(0, 3, "s1 ended", ("s1",), ("s2",)), Rematch(0, 6, "again", (), ())]
+    cursor = ConflatedCursor(
+        service.feeds, "s", start, switches, Projection(), 5 * SECOND, lambda: service.now
+    )
+    cursor.join(EventClient("x"))
+    text = b""
+    while (data := cursor.take()) is not None:
+        text += data
+    told = [(found[2].decode(), json.loads(found[3])) for found in MESSAGE.finditer(text)]
+    assert [
+        (data["sequence"], data["count"]) if kind == "sample" else data["why"]
+        for kind, data in told
+    ] == [(2, 1), (3, 2), "s1 ended", (5, 1), (6, 2), "again"]
