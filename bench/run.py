@@ -25,6 +25,7 @@ TABLES = (
     "service.py",
     "latency.py",
     "sse.py",
+    "sse_messages.py",
     "turns.py",
     "batches.py",
     "bombs.py",

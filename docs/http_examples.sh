@@ -14,11 +14,13 @@ curl -X PUT $URL/streams/s5 -H 'Content-Type: application/json' -d '{
 curl $URL/streams/s5/samples -H 'Content-Type: application/x-ndjson' -H 'Idempotency-Key: 1' \
   --data-binary $'{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "spd": 31.5}\n'
 curl "$URL/streams/s5/samples?limit=10" -H 'Accept: text/csv'
+curl "$URL/streams/s5/samples?every=10s&fields=spd" -H 'Accept: text/csv'   # minimum, maximum, last
 curl -X POST $URL/streams/s5/end
 printf '%s\n' '{"valid": "2021-10-07T19:12:54Z", "id": "uav1", "spd": 32}' \
   '{"valid": "2021-10-07T19:12:55Z", "id": "uav1", "spd": 32.5}' |
   curl $URL/streams/s5/samples/live -H 'Content-Type: application/x-ndjson' -X POST -T -
 curl -X POST $URL/streams/s5/end
+curl "$URL/streams?fields=name,rate,silent_for&changed=start" -i   # Dyknow-Position is the next `changed`
 curl $URL/streams/s5_late
 curl $URL/streams/s5_late/samples
 curl -X DELETE $URL/streams/s5_late
@@ -26,6 +28,7 @@ curl -N $URL/streams/s5/events              # from now on
 curl -N "$URL/streams/s5/events?since=start"   # everything that is kept, then on
 curl -N "$URL/streams/s5/events?since=30s"     # the last 30 seconds of the stream, then on
 curl -N $URL/streams/s5/events -H 'Last-Event-ID: 3f2a91c0-120'
+curl -N "$URL/streams/s5/events?last=100&rdf=no&fields=id,spd&every=250ms"   # the newest of each object
 
 ## Subscriptions
 curl $URL/subscriptions -H 'Content-Type: application/json' \

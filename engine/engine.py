@@ -12,6 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..continuous.columns.budget import UNLIMITED, Budget
 from ..converters.objects import object_iri
 from ..converters.wire import Incoming
@@ -370,10 +373,18 @@ class Engine:
             self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
             self._parts.manager.mirror_samples(streams)
 
-    def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
+    def rdf_of(
+        self, name: str, batch: SampleBatch, places: NDArray[np.int64] | None = None
+    ) -> list[str]:
         """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
-        triples."""
-        return self._parts.rdf.of(name, batch)
+        triples. ``places`` as in `SampleRdf.of`."""
+        return self._parts.rdf.of(name, batch, places)
+
+    def object_fields(self, name: str) -> tuple[str, ...]:
+        """The fields that name the objects of a stream's samples, by its annotation or that of the
+        answer that it is; the subject of a statement. None: it has no objects that are known.
+        Raises `UnknownStream`."""
+        return self._parts.object_fields(self._parts.configuration.stream(name))
 
     # -- templates ---------------------------------------------------------------------------
 

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..continuous.columns.budget import Budget
+from ..converters.rdf.statements import SUBJECT
 from ..converters.to_triples import ToTriples
-from ..languages.ssl.annotation import Content, StreamAnnotation
+from ..languages.ssl.annotation import Content, StreamAnnotation, id_fields
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
+from ..streams.generator import StreamGenerator
 from ..templates.library import TemplateLibrary
 from .catalog.annotations import Annotations
 from .catalog.declared_streams import DeclaredStreams
@@ -21,6 +23,7 @@ from .catalog.transformation_library import Transformations
 from .configuration.configuration import Configuration
 from .configuration.idle_streams import Idleness
 from .configuration.ingest import Intake
+from .configuration.policy_keys import policy_keys
 from .kpl.application import Application
 from .kpl.declarations import KplDeclarations
 from .model.status_changes import Change, ChangeKind
@@ -274,6 +277,19 @@ class Parts:
             return annotation.contents
         found = self.rematching.of_stream(name)
         return () if found is None else found.contents(self.ontology.vocabulary)
+
+    def object_fields(self, generator: StreamGenerator) -> tuple[str, ...]:
+        """The fields that name the objects of its samples; none if they are not known."""
+        name = generator.name
+        if name in self.configuration.statements:
+            return (SUBJECT,)
+        annotation = self._annotation_of_answer(name)
+        if annotation is not None:
+            return id_fields(annotation.contents)
+        converter = self._query_converter(name)
+        if converter is not None:
+            return id_fields(converter.annotation.contents)
+        return policy_keys(self.configuration, generator)
 
     def _annotation_of_answer(self, name: str) -> StreamAnnotation | None:
         """The annotation by which the samples of an answer convert to triples."""

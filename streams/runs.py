@@ -186,6 +186,19 @@ class Runs:
                 found.append(Segment(run.first + cut, part))
         return found
 
+    def at(self, numbers: NDArray[np.int64]) -> SampleBatch:
+        """The samples with these numbers, which increase and are all kept; at least one.
+
+        Cost: O(runs + numbers).
+        """
+        parts = []
+        first, last = int(numbers[0]), int(numbers[-1])
+        for segment in self.since(first, last + 1 - first):
+            low, high = numbers.searchsorted((segment.first, segment.last + 1))
+            if low < high:
+                parts.append(segment.batch.take(numbers[low:high] - segment.first))
+        return concatenate(parts)
+
     def _number(self, time: int, side: Literal["left", "right"]) -> int:
         """The number of the first sample available after ``time`` (``left``: at it or after)."""
         i = (bisect_left if side == "left" else bisect_right)(self._runs, time, key=_END)

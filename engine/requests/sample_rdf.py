@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...converters.to_triples import ToTriples, node_names
 from ...languages.ssl.annotation import StreamAnnotation
@@ -37,14 +38,19 @@ class SampleRdf:
         self._query_converter = query
         self._converters: dict[str, ToTriples] = {}
 
-    def of(self, name: str, batch: SampleBatch) -> list[str]:
+    def of(
+        self, name: str, batch: SampleBatch, places: NDArray[np.int64] | None = None
+    ) -> list[str]:
         """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
-        triples."""
+        triples. ``places``: the place of each sample in its instant, from 0, which names its
+        nodes; without it the batch begins with an instant."""
         converter = self.converter(name)
         if converter is None or not len(batch):
             return [""] * len(batch)
         lines: list[list[str]] = [[] for _ in range(len(batch))]
-        names = node_names(batch.available, places_in_instants(batch.available))
+        if places is None:
+            places = places_in_instants(batch.available)
+        names = node_names(batch.available, places)
         # Convert with row numbers in place of times, since samples of one instant share a time.
         numbered = batch.with_available(np.arange(len(batch)))
         for row, subject, predicate, object in converter.convert(numbered, names):

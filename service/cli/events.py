@@ -194,7 +194,9 @@ def show_events(
         if as_json:
             show_json({"event": message.kind, "id": message.id, **message.data})
         elif message.kind == "sample":
-            show_text(sample_line(str(message.data["valid"]), message.values, units))
+            line = sample_line(str(message.data["valid"]), message.values, units)
+            # With --every it stands for others, too.
+            show_text(line if message.count == 1 else f"{line}  ({message.count} samples)")
         elif message.kind == "gap":
             first, last = message.data.get("from"), message.data.get("to")
             reason = message.data.get("reason", "")

@@ -20,6 +20,7 @@ from .parameters import NOW, Beginning
 
 if TYPE_CHECKING:
     from ..client.client import Client, Event
+    from ..client.event_streams import Delivery
 
 
 def follow(
@@ -57,6 +58,19 @@ def follow(
         typer.Option(help="A policy as after `with` in KPL: 'sample every 1s, max delay 200'."),
     ] = "",
     since: Beginning = "now",
+    last: Annotated[
+        int | None, typer.Option(min=1, help="Begin with so many of the stream's newest samples.")
+    ] = None,
+    fields: Annotated[
+        str | None, typer.Option(help="Only these fields: id,spd.", metavar="FIELD,...")
+    ] = None,
+    every: Annotated[
+        str | None,
+        typer.Option(
+            help="At most one sample of each object in this time, its newest: 1s.",
+            metavar="DURATION",
+        ),
+    ] = None,
     count: Annotated[
         int | None, typer.Option("--count", "-n", min=1, help="Stop after this number of samples.")
     ] = None,
@@ -76,7 +90,21 @@ def follow(
     }
     wanted = {key: value for key, value in options.items() if value is not None}
     if stream is not None and wanted:
-        raise typer.BadParameter("a stream takes only --policy, --since and --count")
+        raise typer.BadParameter(
+            "a stream takes only --policy, --since, --last, --fields, --every and --count"
+        )
+    if last is not None and since != NOW:
+        raise typer.BadParameter("--last and --since both say where to begin; give one of them")
+    if last is not None and (feature is not None or policy):
+        what = "a feature" if feature is not None else "a policy"
+        raise typer.BadParameter(f"{what} has no samples yet; begin in the past with --since")
+    delivery: Delivery = {}
+    if last is not None:
+        delivery["last"] = last
+    if fields is not None:
+        delivery["fields"] = fields.split(",")
+    if every is not None:
+        delivery["every"] = every
     with connect(url) as client, stoppable():
         if feature is not None:
             view = client.subscribe_to(feature, policy=policy, since=since, **wanted)
@@ -84,7 +112,7 @@ def follow(
             view = client.subscribe(stream or "", policy, since=since)
         try:
             units = None if as_json else stream_units(client, _carrier(view))
-            show_events(_events(client, view), count, as_json, units)
+            show_events(_events(client, view, delivery), count, as_json, units)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
@@ -108,9 +136,9 @@ def _carrier(view: dict[str, Any]) -> str:
     return carrier
 
 
-def _events(client: Client, view: dict[str, Any]) -> Iterator[Event]:
+def _events(client: Client, view: dict[str, Any], delivery: Delivery) -> Iterator[Event]:
     if view.get("adaptive") is not None:
         # The stream is this subscription's own, so "start" brings no older samples.
-        return client.subscription_events(view["id"], since="start")
+        return client.subscription_events(view["id"], since="start", **delivery)
     since = view["since"]  # the service has replaced a duration by a time
-    return client.events(view["stream"], since=None if since == NOW else since)
+    return client.events(view["stream"], since=None if since == NOW else since, **delivery)

@@ -125,7 +125,7 @@ def _show_one(stream: dict[str, object]) -> None:
     for key, value in stream.items():
         if isinstance(value, dict):
             value = show_values(value)
-        elif key == "lag" and isinstance(value, str):
+        elif key in ("lag", "silent_for") and isinstance(value, str):
             value = brief(value)
         elif key == "fields" and isinstance(value, list):
             value = ", ".join(f"{field['name']}: {field['type']}" for field in value)

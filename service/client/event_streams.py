@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypedDict
 
 import httpx
 import msgspec
@@ -46,6 +46,22 @@ class Event:
         """The sample as N-Triples."""
         return str(self.data.get("rdf", ""))
 
+    @property
+    def count(self) -> int:
+        """The number of samples that this one stands for, with ``every``."""
+        return int(self.data.get("count", 1))
+
+
+class Delivery(TypedDict, total=False):
+    """What the messages of samples are. ``last`` begins with so many of the newest samples;
+    ``rdf=False`` leaves out the RDF, and ``fields`` all values but these; ``every`` (``"250ms"``)
+    is the least time between two messages of one object: its newest sample, and `Event.count`."""
+
+    last: int
+    rdf: bool
+    fields: Sequence[str]
+    every: str
+
 
 @dataclass(frozen=True, slots=True)
 class EventSource:
@@ -56,6 +72,27 @@ class EventSource:
     since: str | None = None
     resume: bool = True
     streams: tuple[str, ...] = ()
+    delivery: Delivery = field(default_factory=Delivery)
+
+    def __post_init__(self) -> None:
+        unknown = self.delivery.keys() - Delivery.__annotations__.keys()
+        if unknown:
+            raise TypeError(f"unknown parameters of events: {', '.join(sorted(unknown))}")
+
+    def parameters(self, *, begins: bool) -> dict[str, Any]:
+        """The parameters of a request; unless it ``begins``, without those that say where."""
+        found: dict[str, Any] = {"stream": list(self.streams)} if self.streams else {}
+        if begins and self.since is not None:
+            found["since"] = self.since
+        if begins and "last" in self.delivery:
+            found["last"] = self.delivery["last"]
+        if not self.delivery.get("rdf", True):
+            found["rdf"] = "no"
+        if "fields" in self.delivery:
+            found["fields"] = list(self.delivery["fields"])
+        if "every" in self.delivery:
+            found["every"] = self.delivery["every"]
+        return found
 
 
 class Following:
@@ -91,15 +128,11 @@ class Following:
         headers = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
         if self._last is not None:
             headers["Last-Event-ID"] = self._last
-        streams = list(self._source.streams)
-        parameters: dict[str, Any] = {"stream": streams} if streams else {}
-        if self._source.since is not None and self._last is None:
-            parameters["since"] = self._source.since
         return {
             "method": "GET",
             "url": self._source.path,
             "headers": headers,
-            "params": parameters,
+            "params": self._source.parameters(begins=self._last is None),
             "timeout": self._timeout,
         }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import uuid
 import warnings
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Unpack
 from urllib.parse import quote
 
 import httpx
@@ -19,12 +19,13 @@ from ..config.media_types import (
     JSON,
     NDJSON,
     NTRIPLES,
+    POSITION,
     SPARQL_JSON,
     SPARQL_QUERY,
     TEXT,
     TURTLE,
 )
-from .event_streams import EventSource
+from .event_streams import Delivery, EventSource
 from .flows import (
     Flow,
     feed,
@@ -127,9 +128,19 @@ class Routes:
         return accepted
 
     @verb
-    def streams(self) -> Flow[list[dict[str, Any]]]:
-        """Return all streams."""
-        return read_list("GET", "/streams")
+    def streams(self, *, fields: Sequence[str] | None = None) -> Flow[list[dict[str, Any]]]:
+        """Return all streams, with only these members (``fields``) if there are any."""
+        return read_list("GET", "/streams", params={"fields": fields} if fields else {})
+
+    @verb
+    def changed_streams(
+        self, position: str = "start", *, fields: Sequence[str] | None = None
+    ) -> Flow[tuple[list[dict[str, Any]], str]]:
+        """Return the streams that have changed since ``position``, and the position after them for
+        the next call. A removed stream is in no result: `status_events` reports it."""
+        parameters = {"changed": position, **({"fields": fields} if fields else {})}
+        response = yield from send("GET", "/streams", params=parameters, headers={"Accept": JSON})
+        return response.json(), response.headers[POSITION]
 
     @verb
     def stream(self, name: str) -> Flow[dict[str, Any]]:
@@ -216,11 +227,13 @@ class Routes:
         start: str | int | None = None,
         end: str | int | None = None,
         limit: int | None = None,
-        **query: str | int | None,
+        **query: str | int | Sequence[str] | None,
     ) -> Flow[list[dict[str, Any]]]:
         """Return samples of the history by available time, with valid times from ``valid_from`` to
-        ``valid_to``. Or one of these queries: ``at`` or ``before`` (with ``known``), ``prev``,
-        ``last_avail`` [DyKnow10 Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
+        ``valid_to``, and with only some ``fields``. With ``every`` (``"10s"``) return a row for
+        each object and interval: the last sample, and minimum and maximum of each number. Or one of
+        these queries: ``at`` or ``before`` (with ``known``), ``prev``, ``last_avail`` [DyKnow10
+        Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
 
         Raises `ServiceError` 410 if the result depends on evicted samples.
         """
@@ -231,25 +244,40 @@ class Routes:
     @verb
     def history_text(self, /, stream: str, media_type: str = CSV, **arguments: Any) -> Flow[str]:
         """Return the same as text: ``text/csv``, ``application/x-ndjson``,
-        ``application/n-triples``."""
+        ``application/n-triples``, ``application/ld+json``."""
         return (yield from _history(stream, media_type, arguments)).text
 
     @feed
-    def events(self, stream: str, *, since: str | None = None, resume: bool = True) -> EventSource:
-        """Yield the stream's samples as they come, and `gap` and `end` messages.
+    def events(
+        self,
+        stream: str,
+        *,
+        since: str | None = None,
+        resume: bool = True,
+        **delivery: Unpack[Delivery],
+    ) -> EventSource:
+        """Yield the stream's samples as they come, and `gap` and `end` messages. ``last`` begins
+        with the newest samples; ``rdf``, ``fields`` and ``every`` make it less (`Delivery`).
 
         Returns after `end`. After a broken connection the client resumes behind the last sample; if
         ``resume`` is False it raises the error instead.
         """
-        return EventSource(f"/streams/{_part(stream)}/events", since, resume)
+        path = f"/streams/{_part(stream)}/events"
+        return EventSource(path, since, resume, delivery=delivery)
 
     @feed
-    def follow(self, streams: Sequence[str], *, since: str | None = None) -> EventSource:
+    def follow(
+        self,
+        streams: Sequence[str],
+        *,
+        since: str | None = None,
+        **delivery: Unpack[Delivery],
+    ) -> EventSource:
         """Yield the samples of several streams as they come, on one connection; cf. `events`.
 
         Returns after the last stream's ``end``. An event's ``data["stream"]`` names its stream.
         """
-        return EventSource("/follow", since, streams=tuple(streams))
+        return EventSource("/follow", since, streams=tuple(streams), delivery=delivery)
 
     @feed
     def status_events(self, *, since: str | None = None) -> EventSource:
@@ -393,11 +421,17 @@ class Routes:
 
     @feed
     def subscription_events(
-        self, id: str, *, since: str | None = None, resume: bool = True
+        self,
+        id: str,
+        *,
+        since: str | None = None,
+        resume: bool = True,
+        **delivery: Unpack[Delivery],
     ) -> EventSource:
         """Yield the events of a subscription, as `events` does; for a feature also `rematched`
         between the samples, each switch once."""
-        return EventSource(f"/subscriptions/{_part(id)}/events", since, resume)
+        path = f"/subscriptions/{_part(id)}/events"
+        return EventSource(path, since, resume, delivery=delivery)
 
     @verb
     def rematches(self, id: str) -> Flow[list[dict[str, Any]]]:
@@ -771,7 +805,7 @@ def _query_results(
 
 
 def _history(
-    stream: str, kind: str, arguments: Mapping[str, str | int | None]
+    stream: str, kind: str, arguments: Mapping[str, str | int | Sequence[str] | None]
 ) -> Flow[httpx.Response]:
     unknown = arguments.keys() - _HISTORY_PARAMETERS
     if unknown:
@@ -785,7 +819,7 @@ def _history(
 
 
 _HISTORY_PARAMETERS: Final = frozenset(
-    {"start", "end", "valid_from", "valid_to", "limit"}
+    {"start", "end", "valid_from", "valid_to", "limit", "fields", "every"}
     | {"at", "before", "prev", "last_avail", "known"}
 )
 

@@ -118,7 +118,7 @@ async function kept(names, bounds) {
   return lists.flat().sort((a, b) => (isLater(a.valid, b.valid) ? 1 : -1));
 }
 
-let connection = 0, epoch = null;
+let epoch = null;
 /** Show a gap where the service has begun anew; `position` is that of a new connection. */
 function noteEpoch(position) {
   const now = position.split("-").slice(0, -2).join("-");
@@ -127,14 +127,15 @@ function noteEpoch(position) {
 }
 
 /** Show what streams had before a connection that has begun, each sample once: the past of those
-    that were not followed, and of others what came since their last one. */
-async function begin(names, own) {
+    that were not followed, and of others what came since their last one. False if meanwhile another
+    connection has begun, so that it is not `isNewest`. */
+async function begin(names, isNewest) {
   const known = new Map(latest);
   const past = await kept(names, (name) => {
     if (known.has(name)) return { from: known.get(name) };
     return { limit: place(byName.value.get(name)) ? PAST_POSITIONS : PAST_EVENTS };
   });
-  if (own !== connection) return; // another connection has begun, and reads the same again
+  if (!isNewest()) return false; // the other connection reads the same again
   for (const each of past) if (isLater(each.available, known.get(each.stream))) note(each);
   const ends = new Map();
   for (const { stream, available } of past) {
@@ -145,8 +146,8 @@ async function begin(names, own) {
     early.delete(name);
     take(messages.filter((each) => isLater(each.available, ends.get(name) ?? known.get(name))));
   }
-  following.value = names;
   dirty = true;
+  return true;
 }
 
 // -- which streams are followed ----------------------------------------------------------------------
@@ -154,37 +155,67 @@ async function begin(names, own) {
 /** The streams whose samples are shown from their past on. */
 export const following = signal([]);
 
-let stop = null, followed = [];
-effect(() => {
-  if (!streams.value.length) return;
-  const names = new Set([...requests.value.map((request) => request.stream), extra.value]);
-  for (const stream of streams.value) {
-    if (!stream.producer && stream.rate < FAST && place(stream)) names.add(stream.name);
+/** A connection that follows streams. Nothing here shows their RDF. */
+class Connection {
+  names = [];
+  /** The streams whose past has been read. */
+  ready = [];
+  #number = 0;
+  #stop = null;
+
+  constructor(parameters) {
+    this.parameters = { ...parameters, rdf: "no" };
   }
-  const wanted = [...names].filter((name) => byName.value.has(name)).sort().slice(0, MOST_STREAMS);
-  if (wanted.join() === followed.join()) return;
-  followed = wanted;
-  stop?.();
-  stop = null;
-  connection++;
-  if (wanted.length) {
-    stop = follow(address("/follow", { stream: wanted }), take, (state, position) => {
+
+  follow(names) {
+    if (names.join() === this.names.join()) return;
+    this.names = names;
+    this.#stop?.();
+    this.#stop = null;
+    this.#number++;
+    this.ready = this.ready.filter((name) => names.includes(name));
+    if (!names.length) return;
+    const path = address("/follow", { stream: names, ...this.parameters });
+    this.#stop = follow(path, take, (state, position) => {
       feedState.value = state;
       if (!position) return;
       noteEpoch(position);
       // What comes from here on is sent; what came before is read.
-      for (const name of wanted) early.set(name, []);
-      begin(wanted, ++connection);
+      for (const name of names) early.set(name, []);
+      const own = ++this.#number;
+      begin(names, () => own === this.#number).then((isRead) => {
+        if (!isRead) return;
+        this.ready = names;
+        following.value = [events, positions].flatMap((each) => each.ready);
+      });
     });
   }
+}
+
+/** Pages list all events. Of positions the map draws the newest of each object, at each tick. */
+const events = new Connection({}), positions = new Connection({ every: `${TICK}ms` });
+const hasObjects = (stream) => stream.ports.some((port) => port.of.some((each) => each.id));
+effect(() => {
+  if (!streams.value.length) return;
+  const all = new Set([...requests.value.map((request) => request.stream), extra.value]);
+  const newest = new Set();
+  for (const stream of streams.value) {
+    if (stream.producer || stream.rate >= FAST || !place(stream) || all.has(stream.name)) continue;
+    (hasObjects(stream) ? newest : all).add(stream.name);
+  }
+  const wanted = (names) =>
+    [...names].filter((name) => byName.value.has(name)).sort().slice(0, MOST_STREAMS);
+  positions.follow(wanted(newest));
+  events.follow(wanted(all));
 });
 
 // -- playback ----------------------------------------------------------------------------------------
 
 let wish = 0;
+const followed = () => [...events.names, ...positions.names];
 /** The earliest time (ms) that all is kept since, of the streams that are followed. */
 export function oldest() {
-  const times = followed.map((name) => byName.value.get(name)?.first_available).filter(Boolean);
+  const times = followed().map((name) => byName.value.get(name)?.first_available).filter(Boolean);
   return times.length ? Math.min(...times.map((time) => Date.parse(time))) : Date.now();
 }
 
@@ -199,7 +230,7 @@ export async function play(time) {
   }
   const rings = new Rings(), iso = (at) => new Date(at).toISOString();
   const bounds = { valid_from: iso(time - PLAYED_PAST), valid_to: iso(time), limit: PAST_POSITIONS };
-  const samples = await kept(followed, () => bounds);
+  const samples = await kept(followed(), () => bounds);
   if (own !== wish) return; // another time has been chosen since
   for (const each of samples) rings.note(each.stream, each.valid, each.values);
   shown.value = rings;

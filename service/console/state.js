@@ -170,5 +170,5 @@ export async function start() {
   };
   again();
   refreshSoon();
-  follow("/status/events?since=start", note);
+  follow("/status/events?since=start&rdf=no", note);
 }

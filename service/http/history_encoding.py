@@ -17,6 +17,7 @@ import numpy as np
 from fastapi import Response
 from fastapi.responses import StreamingResponse
 from numpy.typing import NDArray
+from pyoxigraph import RdfFormat, parse, serialize
 from starlette.types import Receive, Scope, Send
 
 from ...converters.arrow.stream import ArrowWriter
@@ -25,9 +26,10 @@ from ...converters.ndjson import encode_ndjson
 from ...converters.rdf.ntriples import GENERATED
 from ...converters.rdf.statements import GRAPH
 from ...rdf.namespaces import XSD
+from ...streams.instants import Places
 from ...streams.sample import Column, SampleBatch
 from ...streams.time import format_time
-from ..config.media_types import ARROW, CSV, NDJSON, NQUADS, NTRIPLES, TRIG
+from ..config.media_types import ARROW, CSV, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
 from .response_limit import HELD
 
 PIECE_BYTES = 256 * 1024
@@ -37,25 +39,30 @@ PIECE_SAMPLES = 10_000
 _SAMPLE, _VALUE = 64, 24
 """Estimated bytes of a sample's times, and of a value that is no text."""
 
-RDF_KINDS = (NTRIPLES, NQUADS, TRIG)
+RDF_KINDS = (NTRIPLES, NQUADS, TRIG, JSON_LD)
+RDF_SAMPLES = 1_000
+"""Samples of a piece of RDF, at most: the event loop makes it, in some 20 ms."""
 
 
 @dataclass(slots=True)
 class RdfWriter:
     """Writes the samples of one answer as RDF, in order of available time. ``stream`` is the IRI of
-    their stream; ``triples`` returns the N-Triples of each sample, in lines; ``is_rdf``: they are
-    statements, which may have a graph."""
+    their stream; ``triples`` returns the N-Triples of each sample, in lines, by its place in its
+    instant; ``is_rdf``: they are statements, which may have a graph."""
 
     stream: str
-    triples: Callable[[SampleBatch], list[str]]
+    triples: Callable[[SampleBatch, NDArray[np.int64]], list[str]]
     is_rdf: bool = False
+    _places: Places = field(default_factory=Places)
     _timed: set[tuple[str, int]] = field(default_factory=set)
     """The graphs of the last available time whose time is written."""
 
     def written(self, batch: SampleBatch, kind: str) -> str:
         """The samples as N-Triples, or as timestamped graphs in N-Quads or TriG: the samples of one
         available time are a graph, unless they have a graph of their own."""
-        texts = self.triples(batch)
+        if not len(batch):
+            return ""
+        texts = self.triples(batch, self._places.of(batch.available))
         if kind == NTRIPLES:
             return "".join(f"{text}\n" for text in texts if text)
         times = batch.available.tolist()
@@ -77,6 +84,16 @@ class RdfWriter:
             else:
                 lines += [f"{statement[:-1]}{name} ." for statement in statements]
         return "".join(f"{line}\n" for line in lines)
+
+
+def _json_ld(nquads: str) -> bytes:
+    """The same as JSON-LD: the objects of an array, without its brackets. Objects of several arrays
+    with one ``@id`` are one, so that the arrays of all pieces are a document."""
+    # The service has written these terms itself, so that they need no check.
+    quads = parse(nquads.encode(), RdfFormat.N_QUADS, lenient=True)
+    written = serialize(quads, format=RdfFormat.JSON_LD)
+    assert written is not None  # without a file to write to
+    return written[1:-1]
 
 
 async def history_answer(kind: str, batch: SampleBatch, rdf: RdfWriter) -> Response:
@@ -120,14 +137,14 @@ class HistoryResponse(StreamingResponse):
         await super().__call__(scope, receive, send)
 
 
-def pieces(batch: SampleBatch) -> Iterator[SampleBatch]:
+def pieces(batch: SampleBatch, most: int = PIECE_SAMPLES) -> Iterator[SampleBatch]:
     """Cut the batch into parts to encode one by one; at least one, which may be empty.
 
-    Law: the parts concatenated are the batch, and each has at most `PIECE_SAMPLES`, and either
-    `PIECE_BYTES` or one sample. Cost: O(samples), and each text once per `PIECE_SAMPLES`.
+    Law: the parts concatenated are the batch, and each has at ``most`` so many samples, and either
+    `PIECE_BYTES` or one sample. Cost: O(samples), and each text once per ``most`` samples.
     """
-    for start in range(0, max(1, len(batch)), PIECE_SAMPLES):
-        part = batch.take(slice(start, start + PIECE_SAMPLES))
+    for start in range(0, max(1, len(batch)), most):
+        part = batch.take(slice(start, start + most))
         for cut in _cuts(_sizes(part)):
             yield part.take(cut)
 
@@ -163,12 +180,18 @@ def _cuts(sizes: NDArray[np.int64]) -> Iterator[slice]:
 def _written(kind: str, batch: SampleBatch, rdf: RdfWriter) -> Iterator[bytes]:
     """The encoded pieces of an answer."""
     table = ArrowWriter() if kind == ARROW else None
-    parts = pieces(batch)
+    parts = pieces(batch, RDF_SAMPLES if kind in RDF_KINDS else PIECE_SAMPLES)
     part: SampleBatch | None = next(parts)
-    is_first = True
+    is_first, has_objects = True, False
     while part is not None:
         following = next(parts, None)
-        if kind in RDF_KINDS:
+        if kind == JSON_LD:
+            objects = _json_ld(rdf.written(part, NQUADS))
+            # A piece may have none: samples without triples.
+            comma = b"," if has_objects and objects else b""
+            has_objects |= bool(objects)
+            yield b"[" * is_first + comma + objects + b"]" * (following is None)
+        elif kind in RDF_KINDS:
             yield rdf.written(part, kind).encode()
         elif kind == NDJSON:
             yield encode_ndjson(part)

@@ -19,12 +19,18 @@ PIECE: Final = 50
 
 
 async def listed(
-    items: Sequence[T], told: Callable[[T], BaseModel], rest: Iterable[BaseModel] = ()
+    items: Sequence[T],
+    told: Callable[[T], BaseModel | None],
+    rest: Iterable[BaseModel] = (),
+    *,
+    members: Iterable[str] | None = None,
 ) -> Response:
-    """A JSON list of the models of ``items`` that ``told`` returns, then of ``rest``, a few models.
+    """A JSON list of the models of ``items`` that ``told`` returns, then of ``rest``, a few models,
+    with only these ``members``, if there are any. Items without a model are left out.
 
     Each model is of the time when it is written; items removed before are left out.
     """
+    included = None if members is None else set(members)
     written: list[bytes] = []
     for begin in range(0, len(items), PIECE):
         if begin:
@@ -34,10 +40,11 @@ async def listed(
                 model = told(item)
             except UNKNOWN:
                 continue
-            written.append(_written(model))
-    written += map(_written, rest)
+            if model is not None:
+                written.append(_written(model, included))
+    written += [_written(model, included) for model in rest]
     return Response(b"[" + b",".join(written) + b"]", media_type=JSON)
 
 
-def _written(model: BaseModel) -> bytes:
-    return model.model_dump_json(by_alias=True).encode()
+def _written(model: BaseModel, members: set[str] | None) -> bytes:
+    return model.model_dump_json(by_alias=True, include=members).encode()

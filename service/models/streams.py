@@ -218,7 +218,10 @@ class StreamModel(BaseModel):
     last_available: str | None
     last_valid: str | None
     rate: float = Field(description="recent samples per second of available time")
-    lag: str | None = Field(description="how far the stream is behind the clock")
+    lag: str | None = Field(description="how late the newest sample became available")
+    silent_for: str | None = Field(
+        description="time since the newest sample became available, by the service's clock"
+    )
     annotation: str | None = Field(description="the SSL text")
     ports: list[PortModel] = Field(
         description="the features that the annotation gives to fields; that of a subscription to it"
@@ -229,8 +232,8 @@ class StreamModel(BaseModel):
     events: str
 
     @classmethod
-    def of(cls, view: views.StreamView) -> StreamModel:
-        age = view.retention.age
+    def of(cls, view: views.StreamView, now: int) -> StreamModel:
+        age, last = view.retention.age, view.last_available
         return cls(
             name=view.name,
             kind="samples" if view.time_property is None else "rdf",
@@ -266,6 +269,7 @@ class StreamModel(BaseModel):
             last_valid=iso(view.last_valid),
             rate=round(view.rate, 3),
             lag=None if view.lag is None else signed(view.lag),
+            silent_for=None if last is None else format_duration(max(0, now - last)),
             annotation=view.annotation,
             ports=[PortModel.of_content(content) for content in view.contents],
             producer=view.producer,

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ...engine.requests.adaptive_subscription import Rematch
+from ...streams.time import HOUR, MILLISECOND
 from ..config.media_types import EVENT_STREAM
-from ..http.problems import responses
+from ..http.field_lists import chosen_fields
+from ..http.problems import Problem, responses
+from ..http.time_parameters import duration_of
 from ..runtime.context import Context, Service
+from ..sse.delivery import Delivery, Projection
 from ..sse.feeds import event_stream
 from ..sse.multi_stream import MOST_STREAMS, follow_many
 from .fast_route import direct
@@ -22,18 +27,62 @@ EVENTS: dict[int | str, dict[str, Any]] = {
     }
 }
 
+LEAST_EVERY, MOST_EVERY = MILLISECOND, HOUR
 SINCE = (
     "`start` of the history, a time, a duration before the newest sample (`30s`), or the id of a "
     "sample"
 )
 
 
+@dataclass(frozen=True, slots=True)
+class EventParameters:
+    """Where the messages of samples begin, what they hold, and how often they come."""
+
+    since: Annotated[str | None, Query(description=SINCE)] = None
+    last: Annotated[
+        int | None,
+        Query(ge=1, description="begin with so many of the newest samples; excludes `since`"),
+    ] = None
+    rdf: Annotated[Literal["yes", "no"], Query(description="`no`: messages without `rdf`")] = "yes"
+    fields: Annotated[
+        list[str] | None, Query(description="only these fields in `values`: `fields=id,spd`")
+    ] = None
+    every: Annotated[
+        str | None,
+        Query(
+            description="at most one message of each object in this time, such as `250ms`: its "
+            "newest sample, with the `count` of those that it stands for"
+        ),
+    ] = None
+
+    def delivery(self, service: Service, names: Sequence[str]) -> Delivery:
+        """Return what the client asks of the streams ``names``. Raises a 400 `Problem`, and
+        `UnknownStream` if it asks for fields."""
+        if self.last is not None and self.since is not None:
+            raise Problem(
+                400,
+                "wrong arguments",
+                "`last` and `since` both say where the messages begin",
+                hint="send one of them",
+            )
+        fields = None
+        if self.fields is not None:
+            schemas = [service.engine.generator(name).schema for name in names]
+            known = dict.fromkeys(name for schema in schemas for name in schema.names)
+            fields = chosen_fields(self.fields, known, " and ".join(map(repr, names)))
+        every = duration_of(self.every, "every", LEAST_EVERY, MOST_EVERY)
+        return Delivery(self.since, self.last, Projection(fields, self.rdf == "yes"), every)
+
+
+Parameters = Annotated[EventParameters, Depends()]
+
+
 async def _follow_directly(request: Request) -> Response | None:
     name = request.path_params.get("name")
-    if name is None:
+    if name is None or request.query_params.keys() - {"since"}:
         return None
-    since = request.query_params.get("since")
-    return await follow(request.app.state.service, request, name, since)
+    delivery = Delivery(request.query_params.get("since"))
+    return await follow(request.app.state.service, request, name, delivery)
 
 
 router = APIRouter(tags=["streams"], route_class=direct(_follow_directly))
@@ -41,30 +90,27 @@ router = APIRouter(tags=["streams"], route_class=direct(_follow_directly))
 
 @router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 410, 429, 503)})
 async def follow_stream(
-    name: str,
-    request: Request,
-    service: Context,
-    since: str | None = Query(None, description=SINCE),
+    name: str, request: Request, service: Context, parameters: Parameters
 ) -> Response:
     """Send the stream's samples as server-sent events, from now on.
 
-    A client that resumes sends ``Last-Event-ID``; ``since`` begins elsewhere. Messages: `sample`,
-    `gap` (samples that the stream no longer has), `end` (the stream has ended or was removed; the
-    response ends with it).
+    A client that resumes sends ``Last-Event-ID``; ``since`` and ``last`` begin elsewhere. Messages:
+    `sample`, `gap` (samples that the stream no longer has), `end` (the stream has ended or was
+    removed; the response ends with it).
     """
-    return await follow(service, request, name, since)
+    return await follow(service, request, name, parameters.delivery(service, [name]))
 
 
 async def follow(
     service: Service,
     request: Request,
     name: str,
-    since: str | None,
+    delivery: Delivery,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
     """Return the event stream of ``name``; ``switches`` as in `event_stream`."""
     key = service.client_key(request)
-    response = event_stream(service.feeds, request, key, name, since, switches)
+    response = event_stream(service.feeds, request, key, name, delivery, switches)
     # The response names its start, which must be durable: a client may resume from it after a
     # restart.
     await service.commands.try_commit()
@@ -79,15 +125,17 @@ async def follow_streams(
         list[str],
         Query(min_length=1, max_length=MOST_STREAMS, description="a stream's name; repeat it"),
     ],
-    since: str | None = Query(None, description=SINCE),
+    parameters: Parameters,
 ) -> Response:
     """Send the samples of several streams as server-sent events, on one connection.
 
     Messages are those of `/streams/{name}/events`; `data.stream` names the stream. An `id` is
     opaque: sent as `Last-Event-ID` with the same streams, it resumes all of them. `end` concerns
-    one stream; the response ends with the last of them.
+    one stream; the response ends with the last of them. ``last`` is of each stream; `fields` are
+    those of any.
     """
     key = service.client_key(request)
-    response = follow_many(service.feeds, request, key, stream, since)
+    delivery = parameters.delivery(service, stream)
+    response = follow_many(service.feeds, request, key, stream, delivery)
     await service.commands.try_commit()
     return response

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
+import anyio.to_thread
+import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
+from numpy.typing import NDArray
 
 from ...converters.objects import object_iri
 from ...engine.model.errors import UnknownStream
 from ...rdf.namespaces import DYKNOW
 from ...streams import past_queries
+from ...streams.downsampling import downsampled, name_clash
 from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch
-from ...streams.time import TIME_MAX
-from ..config.media_types import ARROW, CSV, JSON, NDJSON, NQUADS, NTRIPLES, TRIG
+from ...streams.time import DAY, NANOSECOND, TIME_MAX
+from ..config.media_types import ARROW, CSV, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
+from ..http.field_lists import chosen_fields
 from ..http.history_encoding import RdfWriter, history_answer
 from ..http.negotiation import accepted
 from ..http.problems import Problem, responses
-from ..http.time_parameters import Time, time_of
+from ..http.time_parameters import Time, duration_of, time_of
 from ..runtime.context import Context, Service
 
 router = APIRouter(tags=["samples"])
 
-FORMATS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG)
+TABLES = (NDJSON, JSON, CSV, ARROW)
+FORMATS = (*TABLES, NTRIPLES, NQUADS, TRIG, JSON_LD)
+LONGEST_INTERVAL = 366 * DAY
+MOST_DOWNSAMPLED = 10_000_000
+"""Samples in the range of an answer by intervals: some seconds of another thread."""
 CONTENT: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "the samples, oldest first",
@@ -59,6 +68,16 @@ class HistoryParameters:
     known: Annotated[
         Time, Query(description="with `at` or `before`: only samples available by then")
     ] = None
+    fields: Annotated[
+        list[str] | None, Query(description="only these fields, not as RDF: `fields=id,spd`")
+    ] = None
+    every: Annotated[
+        str | None,
+        Query(
+            description="of a range, not as RDF: one row for each object and interval of valid "
+            "time, such as `10s`: the last sample, and `_min` and `_max` of each field of numbers"
+        ),
+    ] = None
 
 
 @router.get(
@@ -73,7 +92,9 @@ async def read_samples(
     parameters: Annotated[HistoryParameters, Depends()],
 ) -> Response:
     """Return the samples of the history with available time from `from` to `to` and valid time from
-    `valid_from` to `valid_to`, inclusive.
+    `valid_from` to `valid_to`, inclusive. With `every` minimum, maximum and last value of each
+    interval, for plots; `limit` then counts rows, and the oldest ones come with the rest of their
+    last interval.
 
     A long response comes in pieces; the service encodes each after the client has read the previous
     one.
@@ -83,27 +104,82 @@ async def read_samples(
     sample before or at an available time. 410 with `oldest`, the oldest available time in the
     history: the result depends on evicted samples.
     """
-    kind = accepted(request, FORMATS)
     stream = service.engine.generator(name).stream
-    query = _history_query(parameters, parameters.limit or service.settings.history_limit)
+    intervals = _intervals(name, service, parameters)
+    fields = chosen_fields(parameters.fields, stream.schema.names, repr(name))
+    kind = accepted(request, FORMATS if intervals is None and fields is None else TABLES)
+    limit = parameters.limit or service.settings.history_limit
+    query = _history_query(parameters, limit if intervals is None else None)
     # No limit on long responses applies yet (service/http/response_limit), so few histories are
     # looked up at a time: many simultaneous requests then need no more memory than that limit.
     async with service.histories:
         batch = query(stream)
+        if intervals is not None:
+            batch = await intervals.downsampled(batch, fields, limit)
+        elif fields is not None:
+            batch = batch.select(fields)
         is_rdf = service.engine.time_property(name) is not None
         rdf = RdfWriter(object_iri(name, DYKNOW), partial(_triples, service, name), is_rdf)
         return await history_answer(kind, batch, rdf)
 
 
-def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class _Intervals:
+    """The intervals of ``every`` ns of an answer about stream ``name``, whose fields ``keys`` name
+    its objects. ``newest``: the newest rows are wanted."""
+
+    name: str
+    keys: tuple[str, ...]
+    every: int
+    newest: bool
+
+    async def downsampled(
+        self, batch: SampleBatch, fields: Sequence[str] | None, limit: int
+    ) -> SampleBatch:
+        """Return the rows of the samples in range. Raises a 400 `Problem` for a stream that has a
+        field of the name of an extreme, and 422 for too many samples."""
+        keys = [key for key in self.keys if key in batch.columns]
+        if fields is not None:
+            batch = batch.select(list(dict.fromkeys([*keys, *fields])))
+        clash = name_clash(batch, keys)
+        if clash is not None:
+            raise Problem(
+                400,
+                "wrong arguments",
+                f"every: {self.name!r} has a field {clash!r}, the name of an extreme of another",
+                hint="choose the fields without one of the two, such as fields=spd",
+            )
+        if len(batch) > MOST_DOWNSAMPLED:
+            raise Problem(
+                422,
+                "range too long",
+                f"every: {len(batch):,} samples are in the range, at most {MOST_DOWNSAMPLED:,}",
+                hint="narrow it with valid_from and valid_to, or from and to",
+            )
+        # Safe in another thread: batches are immutable.
+        reduce = partial(downsampled, most=limit, newest=self.newest)
+        return await anyio.to_thread.run_sync(reduce, batch, keys, self.every)
+
+
+def _intervals(name: str, service: Service, parameters: HistoryParameters) -> _Intervals | None:
+    every = duration_of(parameters.every, "every", NANOSECOND, LONGEST_INTERVAL)
+    if every is None:
+        return None
+    newest = parameters.start is None and parameters.valid_from is None
+    return _Intervals(name, service.engine.object_fields(name), every, newest)
+
+
+def _triples(
+    service: Service, name: str, batch: SampleBatch, places: NDArray[np.int64]
+) -> list[str]:
     try:
-        return service.engine.rdf_of(name, batch)
+        return service.engine.rdf_of(name, batch, places)
     except UnknownStream:  # removed while the response was sent, and its annotation with it
         return []
 
 
 def _history_query(
-    parameters: HistoryParameters, limit: int
+    parameters: HistoryParameters, limit: int | None
 ) -> Callable[[FluentStream], SampleBatch]:
     """Return the query over the stream. Raises a 400 `Problem` for parameters that exclude each
     other."""
@@ -114,7 +190,8 @@ def _history_query(
     bounds = {key: time_of(text, key) for key, text in ranges.items()}
     times = {key: time for key, text in single.items() if (time := time_of(text, key)) is not None}
     known = time_of(parameters.known, "known")
-    if len(times) > 1 or (times and any(text is not None for text in ranges.values())):
+    is_range = parameters.every is not None or any(text is not None for text in ranges.values())
+    if len(times) > 1 or (times and is_range):
         raise Problem(
             400,
             "wrong arguments",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from ...engine.durability.commands import (
     DeclareStream,
@@ -15,7 +15,8 @@ from ...engine.durability.commands import (
 from ...engine.model.errors import UnknownStream
 from ...streams.history import Retention
 from ...streams.sample import LONGEST_NAME
-from ..config.media_types import JSON
+from ..config.media_types import JSON, POSITION
+from ..http.field_lists import chosen_fields
 from ..http.json_lists import listed
 from ..http.negotiation import content_type
 from ..http.problems import responses
@@ -41,11 +42,47 @@ async def json_only(request: Request) -> None:
 
 
 @router.get("/streams", response_model=list[StreamModel])
-async def list_streams(service: Context) -> Response:
-    """List all streams with rate, counters, lag, annotation, producer and subscribers."""
-    engine = service.engine
+async def list_streams(
+    service: Context,
+    fields: Annotated[
+        list[str] | None, Query(description="only these members: `fields=name,rate`")
+    ] = None,
+    changed: Annotated[
+        str | None,
+        Query(
+            max_length=200,
+            description="only streams that have changed since the answer with this "
+            "`Dyknow-Position`; `start`: all, with a position",
+        ),
+    ] = None,
+) -> Response:
+    """List all streams with rate, counters, lag, annotation, producer and subscribers.
+
+    A page that polls begins with `changed=start`, and sends the header `Dyknow-Position` of each
+    answer with the next request. `watermark` and `silent_for` alone are no change. A removed stream
+    is in no answer; `/status/events` reports it.
+    """
+    engine, now = service.engine, service.clock()
     names = [generator.name for generator in engine.generators()]
-    return await listed(names, lambda name: StreamModel.of(engine.stream(name)))
+    members = chosen_fields(fields, StreamModel.model_fields, "a stream")
+
+    def told(name: str) -> StreamModel:
+        return StreamModel.of(engine.stream(name), now)
+
+    if changed is None:
+        return await listed(names, told, members=members)
+    versions = service.stream_versions
+    async with versions.lock:
+        versions.keep(names)
+        after = versions.after(changed)
+
+        def told_if_changed(name: str) -> StreamModel | None:
+            model = told(name)
+            return model if versions.note(model) > after else None
+
+        answer = await listed(names, told_if_changed, members=members)
+        answer.headers[POSITION] = versions.position
+        return answer
 
 
 @router.get("/streams/{name}", responses=responses(404))
@@ -56,7 +93,7 @@ async def read_stream(name: str, service: Context) -> StreamModel:
     INPUT that came too late for the unit or query that makes NAME. Such a stream begins when a
     request first names it, here or elsewhere.
     """
-    return StreamModel.of(service.engine.stream(name))
+    return StreamModel.of(service.engine.stream(name), service.clock())
 
 
 @router.get("/streams/{name}/evaluation", responses=responses(404))
@@ -86,7 +123,7 @@ async def declare_stream(
     if is_new:
         response.status_code = 201
         response.headers["Location"] = f"/streams/{view.name}"
-    return StreamModel.of(view)
+    return StreamModel.of(view, service.clock())
 
 
 @router.delete("/streams/{name}", status_code=204, responses=responses(403, 404, 409))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from ...engine.durability.accepted_commands import SUBSCRIPTION
 from ...engine.durability.commands import (
@@ -19,7 +19,7 @@ from ..http.json_lists import listed
 from ..http.problems import Problem, responses
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..runtime.context import Context
-from .follow import SINCE, follow
+from .follow import Parameters, follow
 from .json_body import JsonRoute
 from .streams import json_only
 
@@ -100,7 +100,7 @@ async def follow_subscription(
     id: str,
     request: Request,
     service: Context,
-    since: str | None = Query(None, description=SINCE),
+    parameters: Parameters,
 ) -> Response:
     """Send the samples as server-sent events; see `/streams/{name}/events`.
 
@@ -109,7 +109,8 @@ async def follow_subscription(
     """
     view = service.engine.subscription(id)
     switches = None if view.adaptive is None else service.engine.rematches(id)
-    return await follow(service, request, view.stream, since, switches)
+    delivery = parameters.delivery(service, [view.stream])
+    return await follow(service, request, view.stream, delivery, switches)
 
 
 def _command(wanted: SubscriptionIn, engine: Engine) -> Subscribe | SubscribeToFeature:

@@ -35,6 +35,7 @@ from ..workers.services import Isolation
 from .gc_policy import CollectionSchedule
 from .live_ingest import LiveBodies
 from .metrics import Metrics
+from .stream_versions import StreamVersions
 from .warm_up import WarmUp
 
 LATE = 5.0
@@ -80,6 +81,12 @@ class Service:
     """The key under which the event streams of a client count (`Settings.sse_clients_each`)."""
     histories: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(BEGUN))
     """Held while a history is looked up and its first pieces are encoded."""
+
+    stream_versions: StreamVersions = field(init=False)
+    """The versions of streams, for pages that poll."""
+
+    def __post_init__(self) -> None:
+        self.stream_versions = StreamVersions(self.engine.epoch)
 
     def reasons(self) -> list[str]:
         """The reasons why the service is not ready; none if it is."""

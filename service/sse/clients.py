@@ -80,18 +80,22 @@ class EventClient:
         self.blocked_since = None
         self.idle_since = loop.time()
 
-    async def wait(self) -> bool:
-        """Wait for a wake-up; returns False if only a heartbeat is due.
+    async def wait(self, delay: float | None = None) -> bool:
+        """Wait for a wake-up, or for ``delay`` seconds; returns False if only a heartbeat is due.
 
         Look for messages only after this returns: a wake-up in between makes the next call return
         at once, so none is lost.
         """
         if not self._awake:
-            self._wake_up = asyncio.get_running_loop().create_future()
+            loop = asyncio.get_running_loop()
+            self._wake_up = loop.create_future()
+            timer = None if delay is None else loop.call_later(delay, self.wake)
             try:
                 await self._wake_up
             finally:
                 self._wake_up = None
+                if timer is not None:
+                    timer.cancel()
         is_heartbeat = self._is_heartbeat_due and not self._awake
         self._awake = self._is_heartbeat_due = False
         return not is_heartbeat

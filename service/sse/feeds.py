@@ -3,21 +3,20 @@
 
 A feed sends from the stream's own history, so no client needs a queue. A cursor is the number of
 the next sample for its client. A feed encodes samples when a client needs them, once for all
-clients, into a bounded cache (`message_cache`). A client that resumes after evicted samples gets a
-``gap``. The switches of an adaptive subscription are messages between its samples
+clients that want the same members, into a bounded cache (`message_cache`). A client that resumes
+after evicted samples gets a ``gap``. A client may have only the newest sample of each object now
+and then (`conflation`). The switches of an adaptive subscription are messages between its samples
 (`switch_markers`). `clients` decides when to wake which client, and `response` sends.
 
-Cost: a publish O(1), then O(1) for each client; encoding is per sample, once. Memory: the cache's
-limit, and the unsent part of each response (`EventStream`).
+Cost: a publish O(1), then O(1) for each client; encoding is per sample and `Projection`, once.
+Memory: the cache's limit, and the unsent part of each response (`EventStream`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from time import monotonic
 
-import msgspec
 from fastapi import Request
 from fastapi.responses import Response
 
@@ -25,270 +24,22 @@ from ...engine.engine import Engine
 from ...engine.model.errors import UnknownStream
 from ...engine.requests.adaptive_subscription import Rematch
 from ...streams import past_queries
-from ...streams.generator import StreamGenerator
 from ...streams.past_queries import Moment
-from ...streams.sample import SampleBatch
-from ...streams.time import format_time
 from ..admission.gate import CALLER
 from ..config.media_types import EVENT_STREAM, POSITION
 from ..http.access_log import HEAD
 from ..http.negotiation import accepted
 from ..http.problems import Problem
-from ..models import RematchModel
 from .clients import EventClient, EventClients
-from .message_cache import PIECE_BYTES, Block, Blocks, MessageCache
+from .conflation import ConflatedCursor
+from .cursor import Cursor, Start, message
+from .delivery import Delivery, Projection
+from .feed import Feed, Visible
+from .message_cache import MessageCache
 from .response import EventStream, Messages
-from .switch_markers import SwitchMarkers
 
 LONGEST_EPOCH = 64
 """The greatest length of an epoch in a client's id; the service's own have eight characters."""
-
-
-@dataclass(frozen=True, slots=True)
-class Visible:
-    """The part of a stream that clients may see: the number of the newest sample, whether the
-    stream has ended, the time (ns) of the last switch, and the failure of its source."""
-
-    newest: int
-    is_ended: bool
-    switched: int | None
-    failure: str | None = None
-
-
-class Feed:
-    """A stream with clients, which it wakes when its generator publishes.
-
-    With a data directory, clients see the durable part only: `Feeds.release` advances it.
-    """
-
-    def __init__(
-        self,
-        engine: Engine,
-        generator: StreamGenerator,
-        cache: MessageCache,
-        clients: EventClients,
-        pending: dict[Feed, None] | None,
-    ) -> None:
-        self.generator = generator
-        self.name = generator.name
-        self.clients: dict[EventClient, None] = {}
-        self.is_removed = False
-        self.switches: Sequence[Rematch] = ()
-        """The switches of the adaptive subscription that publishes the stream."""
-        self.failure = engine.failure_of(generator)
-        """The failure of the stream's source, as of the last `check`."""
-        self._last_switch: Rematch | None = None
-        self._engine = engine
-        self._all = clients
-        self._blocks = Blocks(cache)
-        self._encoder = msgspec.json.Encoder()
-        self._pending = pending
-        self.visible: Visible | None = None
-        """The part that clients may see; None: all."""
-
-    @property
-    def newest(self) -> int:
-        """The number of the newest sample that clients may see."""
-        last = self.generator.stream.last_number
-        return last if self.visible is None else min(last, self.visible.newest)
-
-    def state(self) -> Visible:
-        """Return the stream's present state, durable or not."""
-        generator = self.generator
-        latest = self.switches[-1].time if self.switches else None
-        last = generator.stream.last_number
-        return Visible(last, generator.is_ended, latest, self.failure)
-
-    @property
-    def oldest(self) -> int:
-        """The number of the oldest sample in the history."""
-        return self.generator.stream.first_number
-
-    @property
-    def end_reason(self) -> str | None:
-        """The reason why no sample follows `newest`; None while one may follow."""
-        if self.is_removed:
-            return "removed"
-        if self.newest != self.generator.stream.last_number:
-            return None
-        visible = self.visible or self.state()
-        if visible.failure is not None and self.failure is not None:
-            return "failed"
-        return "ended" if self.generator.is_ended and visible.is_ended else None
-
-    def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self._mark_changed()
-
-    def ended(self, source: StreamGenerator) -> None:
-        self.failure = self._engine.failure_of(self.generator)
-        self._mark_changed()
-
-    def _mark_changed(self) -> None:
-        if self._pending is None:
-            self.wake()
-        else:
-            self._pending[self] = None
-
-    def show(self, visible: Visible) -> None:
-        """Let clients see the stream up to ``visible``."""
-        self.visible = visible
-        self.wake()
-
-    def wake(self) -> None:
-        """Let every client check for messages. Several wakes before it does so count as one."""
-        self._all.rounds.add(self)
-
-    def check(self, *, failures: bool = True) -> None:
-        """Wake the clients for a new switch, or for a new failure of the source (looked up if
-        ``failures``). These need not come with a sample."""
-        if failures and self.failure != (failure := self._engine.failure_of(self.generator)):
-            self.failure = failure
-            self._mark_changed()
-        if self.switches and self.switches[-1] is not self._last_switch:
-            self._last_switch = self.switches[-1]
-            self._mark_changed()
-
-    def messages(self, number: int, until: int) -> tuple[int, bytes]:
-        """Return the messages of one piece, from sample ``number`` to at most ``until``: the last
-        sample's number, and the bytes. Contract: the history has ``number``."""
-        block = self._blocks.find(number) or self._fill_block(number)
-        return block.part(number, until)
-
-    def close(self) -> None:
-        """Stop listening to the generator: the last client has left."""
-        self.generator.leave(self)
-        self._blocks.clear()
-
-    def _fill_block(self, number: int) -> Block:
-        """Encode sample ``number`` and some that follow it into a block, and return the block."""
-        block, room = self._blocks.place(number)
-        room = min(room, self.newest + 1 - number)
-        batch = self.generator.stream.since(number, room)[0].batch
-        self._blocks.extend(block, self._encode(number, batch.take(slice(0, room))))
-        return block
-
-    def _encode(self, first: int, batch: SampleBatch) -> list[bytes]:
-        """Return the messages of at least one sample from ``first`` on, and of at most a piece."""
-        rows: list[tuple[int, int, msgspec.Raw]] = []
-        size = 0
-        for available, valid, values in batch.rows():
-            encoded = self._encoder.encode(values)
-            rows.append((available, valid, msgspec.Raw(encoded)))
-            size += len(encoded)
-            if size > PIECE_BYTES:
-                break
-        rdf = self._rdf(batch.take(slice(0, len(rows))))
-        epoch = self._engine.epoch.encode()
-        messages = []
-        for i, (available, valid, raw) in enumerate(rows):
-            sample = {
-                "stream": self.name,
-                "sequence": first + i,
-                "available": format_time(available),
-                "valid": format_time(valid),
-                "values": raw,
-                "rdf": rdf[i],
-            }
-            data = self._encoder.encode(sample)
-            messages.append(b"id: %s-%d\nevent: sample\ndata: %s\n\n" % (epoch, first + i, data))
-        return messages
-
-    def _rdf(self, batch: SampleBatch) -> list[str]:
-        try:
-            return self._engine.rdf_of(self.name, batch)
-        except UnknownStream:
-            # The stream was removed, and its annotation with it; its last samples still go out.
-            return [""] * len(batch)
-
-
-@dataclass(slots=True)
-class Start:
-    """The start of a cursor: the next sample's number, and an ``opening`` message about a loss.
-
-    ``last`` is the number of the newest sample at that time. The route awaits a commit after it
-    finds the start, so clients may see samples up to ``last``.
-    """
-
-    number: int
-    opening: bytes = b""
-    last: int = 0
-
-
-def _is_visible(feed: Feed, switch: Rematch) -> bool:
-    visible = feed.visible
-    return visible is None or (visible.switched is not None and switch.time <= visible.switched)
-
-
-class Cursor:
-    """The position of one client in one stream, and its `Messages` from there on.
-
-    Law (tests/laws): cut the messages of a cursor anywhere, and resume after the last complete
-    sample. The client gets every sample once and in order, and a ``gap`` for evicted samples.
-    """
-
-    def __init__(
-        self, feeds: Feeds, name: str, start: Start, switches: Sequence[Rematch] | None = None
-    ) -> None:
-        self.name = name
-        self.number = start.number
-        """The next sample's number."""
-        self.end_reason: str | None = None
-        self._feeds = feeds
-        self._feed: Feed | None = None
-        self._opening = start.opening
-        self._last = start.last
-        self._switches = switches
-        self._markers = SwitchMarkers((), 0)
-        self._start = start.number
-
-    def join(self, client: EventClient) -> None:
-        """Wake ``client`` when there are new messages. Raises `UnknownStream`."""
-        feed = self._feed = self._feeds.join(self.name, self._last, client)
-        if self._switches is not None:
-            feed.switches = self._switches
-            # Not a bound method: a reference cycle would outlive the client until a collection.
-            self._markers = SwitchMarkers(
-                self._switches, self._start - 1, partial(_is_visible, feed)
-            )
-
-    def leave(self, client: EventClient) -> None:
-        """Wake ``client`` no more."""
-        if self._feed is not None:
-            self._feeds.leave(self._feed, client)
-
-    def piece(self, feed: Feed, number: int, until: int) -> tuple[int, bytes]:
-        """Return the messages of one piece of samples: see `Feed.messages`."""
-        return feed.messages(number, until)
-
-    def take(self) -> bytes | None:
-        """Return the next messages; None while there are none. Contract: after `join`."""
-        feed, number = self._feed, self.number
-        assert feed is not None
-        if self._opening:
-            opening, self._opening = self._opening, b""
-            return opening
-        switch = next(self._markers.before(number), None)
-        if switch is not None:
-            return message("rematched", RematchModel.of(switch).model_dump())
-        oldest = feed.oldest
-        if number < oldest:
-            self.number = oldest
-            return _gap(feed.name, number, oldest - 1)
-        newest = feed.newest
-        if number <= newest:
-            mark = self._markers.next
-            until = newest if mark is None else min(newest, mark)
-            last, data = self.piece(feed, number, until)
-            self.number = last + 1
-            self.end_reason = None  # a stream that ended may have gone on
-            return data
-        if self.end_reason is None and feed.end_reason is not None:
-            self.end_reason = feed.end_reason
-            end = {"stream": feed.name, "sequence": number - 1, "reason": self.end_reason}
-            if self.end_reason == "failed":
-                end["failure"] = feed.failure
-            return message("end", end)
-        return None
 
 
 class Feeds:
@@ -321,6 +72,13 @@ class Feeds:
     def clients(self) -> int:
         """The number of clients."""
         return len(self.all)
+
+    def start_of_last(self, name: str, count: int) -> Start:
+        """Return the start of a client that begins with so many of the newest samples, or with all
+        that are kept. Raises `UnknownStream`."""
+        stream = self._engine.generator(name).stream
+        number = max(stream.first_number, self._newest(name) + 1 - count)
+        return Start(number, last=stream.last_number)
 
     def start(self, name: str, since: str | None) -> Start:
         """Return the start of a client: now, at the ``start`` of the history, at a time or a
@@ -356,7 +114,7 @@ class Feeds:
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
         return Start(1, message("gap", lost), last=last)
 
-    def join(self, name: str, last: int, client: EventClient) -> Feed:
+    def join(self, name: str, last: int, client: EventClient, projection: Projection) -> Feed:
         """Add ``client`` to the feed of a stream that is durable up to sample ``last``. Raises
         `UnknownStream`."""
         generator = self._engine.generator(name)
@@ -372,12 +130,12 @@ class Feeds:
                     self._pending[feed] = None
             generator.listen(feed)
             self._feeds[generator.name] = feed
-        feed.clients[client] = None
+        feed.clients[client] = projection
         return feed
 
     def leave(self, feed: Feed, client: EventClient) -> None:
         """Remove ``client`` from ``feed``, and close a feed without clients."""
-        del feed.clients[client]
+        feed.forget(client)
         if feed.clients:
             return
         feed.close()
@@ -438,20 +196,36 @@ class Feeds:
         return generator.stream.last_number if feed is None else feed.newest
 
 
+def cursor_of(
+    feeds: Feeds,
+    name: str,
+    start: Start,
+    delivery: Delivery,
+    switches: Sequence[Rematch] | None = None,
+) -> Cursor:
+    """Return the cursor of a client from ``start`` on."""
+    projection = delivery.projection
+    if delivery.every is None:
+        return Cursor(feeds, name, start, switches, projection)
+    return ConflatedCursor(feeds, name, start, switches, projection, delivery.every, monotonic)
+
+
 def event_stream(
     feeds: Feeds,
     request: Request,
     key: str,
     name: str,
-    since: str | None,
+    delivery: Delivery,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
     """Return the response that sends a stream's events, with ``switches`` between them for an
-    adaptive subscription. ``Last-Event-ID`` goes before ``since``: a browser that reconnects
+    adaptive subscription. ``Last-Event-ID`` goes before ``delivery``: a browser that reconnects
     repeats the URL. Clients of one ``key`` count together (`EventClients.admit`)."""
-    return stream_of(
-        feeds, request, key, name, since, lambda start: Cursor(feeds, name, start, switches)
-    )
+
+    def opened(start: Start) -> Cursor:
+        return cursor_of(feeds, name, start, delivery, switches)
+
+    return stream_of(feeds, request, key, name, delivery, opened)
 
 
 def stream_of(
@@ -459,14 +233,18 @@ def stream_of(
     request: Request,
     key: str,
     name: str,
-    since: str | None,
-    cursor: Callable[[Start], Messages],
+    delivery: Delivery,
+    opened: Callable[[Start], Messages],
 ) -> Response:
-    """Return the response that sends the messages of a ``cursor`` from its start on; the other
+    """Return the response that sends the messages of a cursor, ``opened`` at its start; the other
     arguments are those of `event_stream`."""
     accepted(request, [EVENT_STREAM])
-    start = feeds.start(name, request.headers.get("last-event-id") or since)
-    return respond(feeds, request, key, cursor(start), f"{feeds.epoch}-{start.number - 1}")
+    id = request.headers.get("last-event-id")
+    if id or delivery.last is None:
+        start = feeds.start(name, id or delivery.since)
+    else:
+        start = feeds.start_of_last(name, delivery.last)
+    return respond(feeds, request, key, opened(start), f"{feeds.epoch}-{start.number - 1}")
 
 
 def respond(
@@ -479,11 +257,6 @@ def respond(
         return Response(headers=headers, media_type=EVENT_STREAM)
     client = feeds.all.admit(key, request.scope.get(CALLER))
     return EventStream(feeds.all, client, messages, headers)
-
-
-def message(event: str, data: dict[str, object]) -> bytes:
-    """Return a message that is no sample. It has no id, so clients resume after samples only."""
-    return b"event: %s\ndata: %s\n\n" % (event.encode(), msgspec.json.encode(data))
 
 
 def is_number(digits: str) -> bool:
@@ -499,8 +272,3 @@ def bad_id(since: str) -> Problem:
         f"{since!r} is no id of a sample",
         hint="send the id of the last message, or since=start, a time or a duration such as 30s",
     )
-
-
-def _gap(name: str, first: int, last: int) -> bytes:
-    reason = "these samples are no longer kept"
-    return message("gap", {"stream": name, "from": first, "to": last, "reason": reason})

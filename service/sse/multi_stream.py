@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fastapi import Request
 from fastapi.responses import Response
@@ -20,7 +20,9 @@ from ..config.media_types import EVENT_STREAM
 from ..http.negotiation import accepted
 from ..http.problems import Problem
 from .clients import EventClient
-from .feeds import Cursor, Feeds, bad_id, is_number, message, respond
+from .cursor import Cursor, message
+from .delivery import Delivery
+from .feeds import Feeds, bad_id, cursor_of, is_number, respond
 
 MOST_STREAMS = 50
 """On one connection: each message has an id, which takes up to 19 bytes for each stream."""
@@ -91,6 +93,12 @@ class MultiCursor:
             return None
         return next(one for one in ("failed", "ended", "removed") if one in reasons)
 
+    @property
+    def delay(self) -> float | None:
+        """See `Messages.delay`."""
+        delays = [cursor.delay for cursor in self._cursors if cursor.delay is not None]
+        return min(delays, default=None)
+
     def join(self, client: EventClient) -> None:
         """Wake ``client`` when there are new messages."""
         for cursor in self._cursors:
@@ -128,31 +136,42 @@ class MultiCursor:
 
 
 def follow_many(
-    feeds: Feeds, request: Request, key: str, names: Sequence[str], since: str | None
+    feeds: Feeds, request: Request, key: str, names: Sequence[str], delivery: Delivery
 ) -> Response:
     """Return the response that sends the events of all streams ``names`` (cf. `event_stream`).
 
     Raises `UnknownStream`, unless the client had the stream and it was removed since.
     """
     accepted(request, [EVENT_STREAM])
-    cursor = open_cursor(feeds, names, request.headers.get("last-event-id") or since)
-    return respond(feeds, request, key, cursor, str(cursor.position))
+    id = request.headers.get("last-event-id")
+    if id:
+        delivery = replace(delivery, since=id, last=None)
+    opened = open_cursor(feeds, names, delivery)
+    return respond(feeds, request, key, opened, str(opened.position))
 
 
-def open_cursor(feeds: Feeds, names: Sequence[str], since: str | None) -> MultiCursor:
+def open_cursor(feeds: Feeds, names: Sequence[str], delivery: Delivery) -> MultiCursor:
     """Return the cursor of a client in the streams ``names``: from now on, from the ``start`` of
-    the histories, from a `Moment`, or after an id. Raises `UnknownStream`, `Forgotten`, and a 400
-    `Problem` for a malformed id or one of other streams."""
+    the histories, from a `Moment`, after an id, or with the newest samples of each. Raises
+    `UnknownStream`, `Forgotten`, and a 400 `Problem` for a malformed id or one of other streams."""
     names = sorted(set(names))
-    if since is None or since == "start" or Moment.parse(since) is not None:
+    since = delivery.since
+    if delivery.last is not None:
+        starts = {name: feeds.start_of_last(name, delivery.last) for name in names}
+    elif since is None or since == "start" or Moment.parse(since) is not None:
         starts = {name: feeds.start(name, since) for name in names}
-        cursors = [Cursor(feeds, name, start) for name, start in starts.items()]
-        return MultiCursor(feeds.epoch, cursors, {})
-    position = Position.parse(since, names)
+    else:
+        return _after(feeds, Position.parse(since, names), delivery)
+    cursors = [cursor_of(feeds, name, start, delivery) for name, start in starts.items()]
+    return MultiCursor(feeds.epoch, cursors, {})
+
+
+def _after(feeds: Feeds, position: Position, delivery: Delivery) -> MultiCursor:
     cursors, removed = [], {}
     for name, number in position.numbers.items():
         try:
-            cursors.append(Cursor(feeds, name, feeds.after(name, position.epoch, number)))
+            start = feeds.after(name, position.epoch, number)
+            cursors.append(cursor_of(feeds, name, start, delivery))
         except UnknownStream:
             if position.epoch != feeds.epoch:
                 raise  # in this epoch the stream may not exist yet, so it may not have been removed

@@ -36,6 +36,11 @@ class Messages(Protocol):
     def end_reason(self) -> str | None:
         """The reason why no messages follow; None while some may follow."""
 
+    @property
+    def delay(self) -> float | None:
+        """The seconds until the next messages when `take` has returned None: the client then needs
+        no wake-up for them. None: only a wake-up brings some."""
+
     def take(self) -> bytes | None:
         """Return the next messages; None while there are none."""
 
@@ -76,7 +81,7 @@ class _Body:
             if self._messages.end_reason is not None or self._clients.is_closing:
                 break
             self._is_sending = False
-            if not await self._client.wait():
+            if not await self._client.wait(self._messages.delay):
                 return HEARTBEAT
         raise StopAsyncIteration
 

@@ -17,7 +17,10 @@ from ...continuous.operators.results import WindowResult
 from ...streams.time import format_time
 from ..http.problems import Problem
 from ..http.sparql_results import result_json
-from .feeds import Cursor, Feed, Feeds, Start, message, stream_of
+from .cursor import Cursor, Start, message
+from .delivery import Delivery
+from .feed import Feed
+from .feeds import Feeds, stream_of
 
 Kept = Callable[[int], WindowResult | None]
 """Returns the kept result of the window that ends at a time (ns)."""
@@ -64,6 +67,8 @@ def result_stream(
     feeds: Feeds, request: Request, key: str, name: str, since: str | None, kept: Kept, most: int
 ) -> Response:
     """Return the response that sends the windows of a query, as `feeds.event_stream`."""
-    return stream_of(
-        feeds, request, key, name, since, lambda start: WindowCursor(feeds, name, start, kept, most)
-    )
+
+    def opened(start: Start) -> WindowCursor:
+        return WindowCursor(feeds, name, start, kept, most)
+
+    return stream_of(feeds, request, key, name, Delivery(since), opened)

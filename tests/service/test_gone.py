@@ -17,7 +17,8 @@ from dyknow.engine.units.base import ComputationalUnit
 from dyknow.engine.units.windowed import WindowUnit
 from dyknow.service.config.settings import Settings
 from dyknow.service.runtime.context import Service
-from dyknow.service.sse.feeds import Cursor, Feed
+from dyknow.service.sse.cursor import Cursor
+from dyknow.service.sse.feed import Feed
 from dyknow.service.turns.window_turns import WindowTurns
 from dyknow.streams.generator import StreamGenerator
 

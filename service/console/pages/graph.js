@@ -153,12 +153,11 @@ function useTail(name) {
     setRows([]);
     setTrouble(null);
     const base = `/streams/${encodeURIComponent(name)}`;
-    ask(address(`${base}/samples`, { limit: 200 })).then((list) => { kept.unshift(...list); show(); }).catch((error) => { if (!isOver) setTrouble(error); });
-    const stop = follow(`${base}/events`, (messages) => {
+    const stop = follow(address(`${base}/events`, { last: 200, rdf: "no" }), (messages) => {
       for (const each of messages) if (each.event === "sample") kept.push({ available: each.available, valid: each.valid, ...each.values });
       if (kept.length > 1.5 * KEPT) kept.splice(0, kept.length - KEPT);
       show();
-    });
+    }, (state, error) => { if (state === "failed" && !isOver) setTrouble(error); });
     return () => {
       isOver = true;
       stop();

@@ -24,7 +24,7 @@ from ...models import (
 )
 from ...runtime.context import Context, Service
 from ...runtime.findings import findings
-from ..follow import EVENTS, SINCE, follow
+from ..follow import EVENTS, Parameters, follow
 
 router = APIRouter(tags=["status"])
 
@@ -113,7 +113,7 @@ async def list_settings(service: Context) -> list[SettingModel]:
 async def follow_status(
     request: Request,
     service: Context,
-    since: str | None = Query(None, description=SINCE),
+    parameters: Parameters,
 ) -> Response:
     """Send every change of the stream space as server-sent events: the stream `status`."""
-    return await follow(service, request, "status", since)
+    return await follow(service, request, "status", parameters.delivery(service, ["status"]))

@@ -15,7 +15,9 @@ from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.service.sse.clients import EventClient, EventClients
-from dyknow.service.sse.feeds import Cursor, Feeds
+from dyknow.service.sse.cursor import Cursor
+from dyknow.service.sse.delivery import Delivery
+from dyknow.service.sse.feeds import Feeds
 from dyknow.service.sse.multi_stream import Position, open_cursor
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -199,7 +201,7 @@ def test_several_streams_go_on_after_any_id(
     """By stream: the last number that was had, or told to be lost."""
     client = EventClient("x")
     id = str(Position("e1", known))
-    followed, text = open_cursor(feeds, names, id), b""
+    followed, text = open_cursor(feeds, names, Delivery(id)), b""
     followed.join(client)
 
     def take(share: float = 1.0) -> bool:
@@ -241,7 +243,7 @@ def test_several_streams_go_on_after_any_id(
             followed.leave(client)
             # Of a gap that was told since the last sample nothing is in its id: it is told again.
             known = Position.parse(id, names).numbers
-            followed, text = open_cursor(feeds, names, id), b""
+            followed, text = open_cursor(feeds, names, Delivery(id)), b""
             followed.join(client)
     while take():
         pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import signal
 import subprocess
@@ -79,6 +80,26 @@ def test_numbers_have_units_for_people(dyknow: Any, speeds: Client) -> None:
     assert speeds.stream(wanted)["annotation"] is None
     for told in (dyknow(*feature, "--json"), dyknow("events", REQUEST, *from_start, "--json")):
         assert "km.h-1" not in told.stdout.splitlines()[-1]
+
+
+def test_a_stream_is_followed_from_its_newest_samples_and_in_part(
+    dyknow: Any, speeds: Client
+) -> None:
+    publish(speeds, range(1, 11))
+    speeds.end("s5")
+    last = dyknow("follow", "s5", "--last", "2", "--fields", "spd").stdout.splitlines()
+    assert [line.partition("  ")[2] for line in last] == ["spd=150 km.h-1"] * 2
+    conflated = dyknow("follow", "s5", "--since", "start", "--every", "1s").stdout
+    assert conflated.endswith("id=uav2  spd=150 km.h-1  (10 samples)\n")
+    told = dyknow("follow", "s5", "--last", "4", "--every", "1s", "--json").stdout
+    assert json.loads(told.splitlines()[0])["count"] == 4
+    for wrong in (
+        ("s5", "--last", "2", "--since", "start"),
+        ("s5", "--last", "2", "--policy", "any change"),
+        ("--feature", "speed", "--sort", "UAV", "--last", "2"),
+    ):
+        dyknow("follow", *wrong, status=2)
+    assert "did you mean spd?" in dyknow("follow", "s5", "--fields", "sped", status=1).stderr
 
 
 def test_texts_truth_values_and_plain_counts_have_no_unit(dyknow: Any, client: Client) -> None:

@@ -128,6 +128,43 @@ def test_a_cut_connection_loses_no_sample(open_page: OPEN) -> None:
         proxy.close()
 
 
+TRACKS = """(async () => { const { shown } = await import('/console/feed.js');
+  const of = ([id, track]) => [id, track.points.length, track.values.n];
+  return [...shown.value.tracks].map(of).sort(); })()"""
+
+
+def test_of_positions_the_newest_of_each_object_comes(open_page: OPEN) -> None:
+    """A request for the same stream then brings all of its samples."""
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        fields = {"id": "string", "lat": "float", "lon": "float", "n": "integer"}
+        assert http.put("/streams/flights", json={"fields": fields}).status_code == 201
+        ssl = "stream flights contains latitude(UAV) = lat, longitude(UAV) = lon for every UAV = id"
+        assert http.post("/annotations", content=ssl).status_code == 201
+        page = open_page(f"{url}/#live")
+        page.wait(OPEN_FEED.replace("numbers", "flights"))
+
+        def move(first: int) -> None:
+            now = time.time_ns()
+            lines = [
+                {"valid": now + i, "id": f"o{i % 2}", "lat": 58.0, "lon": 15.0, "n": first + i}
+                for i in range(200)
+            ]
+            body = "\n".join(map(json.dumps, lines))
+            assert http.post("/streams/flights/samples", content=body, headers=LINES).is_success
+
+        move(0)
+        page.wait(f"{TRACKS}.then((each) => each.length === 2 && each[1][2] === 199)")
+        assert page.run(TRACKS) == [["o0", 1, 198], ["o1", 1, 199]]
+        assert http.post("/subscriptions", json={"stream": "flights"}).status_code == 201
+        # A page looks for requests when the stream space changes.
+        assert http.put("/streams/others", json={"fields": {"v": "integer"}}).status_code == 201
+        page.wait("import('/console/state.js').then((m) => m.requests.value.length === 1)")
+        page.wait(OPEN_FEED.replace("numbers", "flights"))
+        move(200)
+        page.wait(f"{TRACKS}.then((each) => each[1][2] === 399)")
+        assert [count for _, count, _ in page.run(TRACKS)] == [101, 101]
+
+
 HOLD_FOLLOWING = """window.own = window.own ?? window.fetch; window.asked = 0; window.go = false;
 window.fetch = async (path, ...rest) => {
   if (String(path).includes('/follow')) {

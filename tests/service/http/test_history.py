@@ -9,26 +9,42 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import numpy as np
 import pyarrow as pa
 import pytest
 from fastapi import Response
 from fastapi.responses import StreamingResponse
 from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pyoxigraph import RdfFormat, parse
 
 from dyknow.converters.arrow.stream import decode_arrow
 from dyknow.service.client.client import Client
 from dyknow.service.client.connection import ServiceError
-from dyknow.service.config.media_types import ARROW, CSV, JSON, NDJSON, NQUADS, NTRIPLES, TRIG
+from dyknow.service.config.media_types import (
+    ARROW,
+    CSV,
+    JSON,
+    JSON_LD,
+    NDJSON,
+    NQUADS,
+    NTRIPLES,
+    TRIG,
+)
 from dyknow.service.config.settings import Settings
 from dyknow.service.http import history_encoding
 from dyknow.service.http.history_encoding import (
     PIECE_BYTES,
     PIECE_SAMPLES,
+    RDF_KINDS,
+    RDF_SAMPLES,
     RdfWriter,
     history_answer,
     pieces,
 )
+from dyknow.service.routes import samples
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -37,9 +53,10 @@ from dyknow.streams.sample import (
     batch_from_rows,
 )
 
-KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG)
+KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES, NQUADS, TRIG, JSON_LD)
 FIELDS = Schema((Field("t", FieldType.STRING), Field("v", FieldType.FLOAT)))
 LINES = {"Content-Type": NDJSON}
+SECOND = 1_000_000_000
 
 
 @pytest.fixture
@@ -96,16 +113,102 @@ def test_an_instant_that_retention_has_cut(http: httpx.Client, client: Client) -
         client.history("s", later=1)
 
 
+@pytest.fixture
+def plotted(client: Client) -> Client:
+    """Two objects, a sample a second of each, of which one comes late in valid time."""
+    client.put_stream("s", {"id": "string", "spd": "float", "mode": "string"})
+    client.annotate("stream s contains speed(UAV) = spd for every UAV = id")
+    seconds = [0, 1, 2, 3, 14, 12, 13]
+    rows = [
+        {"available": i, "valid": second * SECOND, "id": name, "spd": sign * second, "mode": "m"}
+        for i, second in enumerate(seconds)
+        for name, sign in (("a", 1.0), ("b", -1.0))
+    ]
+    client.publish("s", rows)
+    return client
+
+
+def test_intervals_have_minimum_maximum_and_last(plotted: Client) -> None:
+    rows = plotted.history("s", every="10s")
+    assert [(row["valid"][17:], row["id"]) for row in rows] == [
+        ("03Z", "a"),
+        ("03Z", "b"),
+        ("14Z", "a"),
+        ("14Z", "b"),
+    ]
+    assert rows[3] == {
+        "available": "1970-01-01T00:00:00.000000004Z",
+        "valid": "1970-01-01T00:00:14Z",
+        "id": "b",
+        "spd": -14.0,
+        "spd_min": -14.0,
+        "spd_max": -12.0,
+        "mode": "m",
+    }
+    chosen = plotted.history("s", every="10s", fields=["mode"])
+    assert chosen[0].keys() == {"available", "valid", "id", "mode"}
+    bounded = plotted.history("s", every="10s", valid_from=2 * SECOND, valid_to=12 * SECOND)
+    assert [(row["spd_min"], row["spd"]) for row in bounded if row["id"] == "a"] == [
+        (2.0, 3.0),
+        (12.0, 12.0),
+    ]
+
+
+def test_intervals_come_in_all_tables_and_in_pieces(http: httpx.Client, plotted: Client) -> None:
+    path, columns = "/streams/s/samples?every=10s", "available,valid,id,spd,spd_min,spd_max,mode"
+    answers = {kind: http.get(path, headers={"Accept": kind}) for kind in KINDS}
+    assert answers[CSV].text.splitlines()[0] == columns
+    assert pa.ipc.open_stream(answers[ARROW].content).read_all().num_rows == 4
+    assert len(answers[NDJSON].text.splitlines()) == len(answers[JSON].json()) == 4
+    assert {answers[kind].status_code for kind in RDF_KINDS} == {406}
+    assert [row["spd"] for row in plotted.history("s", every="1s", limit=2)] == [14.0, -14.0]
+    # A piece ends with its interval, so that the next one begins after it.
+    first = plotted.history("s", every="1s", limit=1, valid_from=0)
+    assert [row["id"] for row in first] == ["a", "b"]
+    rest = plotted.history("s", every="1s", limit=100, valid_from=SECOND)
+    assert first + rest == plotted.history("s", every="1s")
+
+
+def test_what_has_no_intervals_is_refused(
+    http: httpx.Client, plotted: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plotted.put_stream("t", {"v": "float", "v_max": "float"})
+    for stream, query, status, told in (
+        ("s", "every=0s", 400, "too short"),
+        ("s", "every=1000d", 400, "too long"),
+        ("s", "every=1s&at=5", 400, "excludes"),
+        ("s", "every=1s&fields=sped", 400, "no field 'sped'"),
+        ("s", "fields=", 400, "no field ''"),
+        ("t", "every=1s", 400, "'v_max'"),
+        ("t", "every=1s&fields=v", 200, ""),
+        ("nothing", "every=1s", 404, "nothing"),
+    ):
+        answer = http.get(f"/streams/{stream}/samples?{query}")
+        assert (answer.status_code, told in answer.text) == (status, True), query
+    monkeypatch.setattr(samples, "MOST_DOWNSAMPLED", 13)
+    answer = http.get("/streams/s/samples?every=1s")
+    assert (answer.status_code, answer.json()["title"]) == (422, "range too long")
+    assert http.get(f"/streams/s/samples?every=1s&valid_to={13 * SECOND}").status_code == 200
+
+
+def test_a_history_may_have_only_some_fields(http: httpx.Client, plotted: Client) -> None:
+    rows = plotted.history("s", limit=2, fields="mode,id")
+    assert [list(row) for row in rows] == [["available", "valid", "mode", "id"]] * 2
+    refused = http.get("/streams/s/samples?fields=id", headers={"Accept": NTRIPLES})
+    assert refused.status_code == 406
+
+
 def batch(*sizes: int | None) -> SampleBatch:
     """A sample each, with a text so long."""
     texts = [None if size is None else "x" * size for size in sizes]
     return batch_from_rows(FIELDS, [(i, i, {"t": t, "v": 0.5}) for i, t in enumerate(texts)])
 
 
-def told(part: SampleBatch) -> list[str]:
+def told(part: SampleBatch, places: NDArray[np.int64]) -> list[str]:
     return [f"<urn:{time}> <urn:p> <urn:o> ." for time in part.available.tolist()]
 
 
+@hypothesis_settings(deadline=None)  # its texts take long to make on a busy machine
 @given(st.lists(st.sampled_from([None, 0, 1, PIECE_BYTES // 3, PIECE_BYTES, 2 * PIECE_BYTES])))
 def test_pieces_are_the_batch_and_have_a_bound(sizes: list[int | None]) -> None:
     whole = batch(*sizes)
@@ -139,7 +242,7 @@ def count_of(table: bytes) -> int:
 def rows_of(kind: str, body: bytes) -> list[Any]:
     if kind == ARROW:
         return list(decode_arrow(body, FIELDS, {}).batch.rows()) if count_of(body) else []
-    return json.loads(body) if kind == JSON else body.splitlines()
+    return json.loads(body) if kind in (JSON, JSON_LD) else body.splitlines()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -160,6 +263,34 @@ def test_in_pieces_it_says_what_it_says_in_one(
         assert b"".join(parts) == whole[0]
 
 
+def test_json_ld_is_what_nquads_are_and_pieces_may_cut_an_instant(
+    http: httpx.Client, client: Client
+) -> None:
+    """Of samples whose triples have a node, named by the place in the instant; some have none."""
+    client.put_stream("s", {"id": "string", "to": "string", "v": "float"})
+    client.annotate("stream s contains xydist(UAV as a, UAV as b) = v for every a = id, b = to")
+    count, instant = 2 * RDF_SAMPLES + 100, RDF_SAMPLES - 300
+    rows = [
+        {"available": i // instant, "valid": i, "id": "a", "to": "b", "v": i} for i in range(count)
+    ]
+    rows[-200:] = [{**row, "id": None} for row in rows[-200:]]
+    for begin in range(0, count, RDF_SAMPLES):
+        client.publish("s", rows[begin : begin + RDF_SAMPLES])
+    texts = {
+        kind: http.get(f"/streams/s/samples?limit={count}", headers={"Accept": kind}).content
+        for kind in (NQUADS, JSON_LD, NTRIPLES)
+    }
+    quads = set(parse(texts[NQUADS], RdfFormat.N_QUADS))
+    assert set(parse(texts[JSON_LD], RdfFormat.JSON_LD)) == quads
+    nodes = {quad.object for quad in quads if str(quad.predicate).endswith("xydist>")}
+    assert len(nodes) == count - 200
+    triples = {quad.triple for quad in parse(texts[NTRIPLES], RdfFormat.N_TRIPLES)}
+    assert triples < {quad.triple for quad in quads}
+    assert {graph["@id"] for graph in json.loads(texts[JSON_LD])} == {
+        str(quad.graph_name)[1:-1] for quad in quads if "/" in str(quad.graph_name)
+    }
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_encoded_before_it_is_asked_for(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -167,9 +298,9 @@ def test_nothing_is_encoded_before_it_is_asked_for(
     taken = 0
     cut = pieces
 
-    def counted(whole: SampleBatch) -> Iterator[SampleBatch]:
+    def counted(whole: SampleBatch, most: int) -> Iterator[SampleBatch]:
         nonlocal taken
-        for part in cut(whole):
+        for part in cut(whole, most):
             taken += 1
             yield part
 

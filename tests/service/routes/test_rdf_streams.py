@@ -236,7 +236,7 @@ def test_an_empty_query_does_not_ask_for_an_annotation(rdf: httpx.Client) -> Non
     assert "annotated" not in told
 
 
-@pytest.mark.parametrize("kind", [NQUADS, TRIG])
+@pytest.mark.parametrize("kind", [NQUADS, TRIG, JSON_LD])
 def test_the_history_is_timestamped_graphs_that_come_in_again(rdf: httpx.Client, kind: str) -> None:
     rdf.put("/streams/copy", json={"kind": "rdf"})
     send(rdf, GRAPHS, TRIG)

@@ -177,9 +177,9 @@ def test_clients_share_one_subscription_and_one_encoding(
     encoded: list[int] = []
     rdf_of = engine.rdf_of
 
-    def counted(name: str, batch: SampleBatch) -> list[str]:
+    def counted(name: str, batch: SampleBatch, places: Any) -> list[str]:
         encoded.append(len(batch))
-        return rdf_of(name, batch)
+        return rdf_of(name, batch, places)
 
     monkeypatch.setattr(engine, "rdf_of", counted)
     client.publish(stream, samples(1, 20))
@@ -188,6 +188,21 @@ def test_clients_share_one_subscription_and_one_encoding(
     assert [numbers(take(events, 20)) for events in listeners] == [list(range(1, 21))] * 3
     assert client.stream(stream)["subscribers"] == 1
     assert sum(encoded) == 20
+
+
+def test_the_rdf_of_a_sample_is_the_same_wherever_a_client_begins(
+    client: Client, engine: Engine
+) -> None:
+    client.put_stream("dist", {"id": "string", "to": "string", "v": "float"})
+    client.annotate("stream dist contains xydist(UAV as a, UAV as b) = v for every a = id, b = to")
+    rows = [{"valid": 5, "available": 5, "id": "a", "to": "b", "v": float(k)} for k in range(4)]
+    client.publish("dist", rows)
+    client.end("dist")
+    whole = engine.rdf_of("dist", engine.generator("dist").stream.all())
+    assert len(set(whole)) == 4
+    for begin in range(4):
+        events = list(client.events("dist", since=f"e1-{begin}"))
+        assert [event.rdf for event in events if event.kind == "sample"] == whole[begin:]
 
 
 def test_status_is_a_stream_like_any_other(client: Client) -> None:
