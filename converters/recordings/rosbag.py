@@ -28,6 +28,7 @@ def open_rosbag(path: Path | str) -> TopicLog:
         from rosbags import rosbag1, rosbag2
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.rosbag2.reader import zstd  # type: ignore[attr-defined]  # by Python's version
+        from rosbags.serde import SerdeError
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise WireError(
@@ -47,6 +48,7 @@ def open_rosbag(path: Path | str) -> TopicLog:
         AnyReaderError,
         rosbag1.ReaderError,
         rosbag2.ReaderError,
+        SerdeError,
         zstd.ZstdError,
         apsw.Error,
         sqlite3.Error,

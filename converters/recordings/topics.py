@@ -40,12 +40,12 @@ DAMAGED: Final = (
 """What libraries raise for damaged data, beside errors of their own."""
 MOST_ELEMENTS: Final = 16
 """An array of more elements is no set of fields: a covariance of 9 is, an image is not."""
-_HEADER: Final = "header"
-_STAMP: Final = "stamp"
+HEADER: Final = "header"
+STAMP: Final = "stamp"
 _VALID: Final = "valid"
 _AVAILABLE: Final = "available"
-_SECONDS: Final = ("sec", "secs")
-_NANOSECONDS: Final = ("nanosec", "nsec", "nsecs")
+SECONDS: Final = ("sec", "secs")
+NANOSECONDS: Final = ("nanosec", "nsec", "nsecs")
 _PLAIN: Final = (bool, int, float, str)
 
 
@@ -146,7 +146,7 @@ class _Topic:
                 part = rows[start : start + CHUNK]
                 yield list(range(start + 1, start + 1 + len(part))), part
 
-        clock = f"{_HEADER}.{_STAMP}" if self._stamped else "time of publication"
+        clock = f"{HEADER}.{STAMP}" if self._stamped else "time of publication"
         return replace(open_rows(read, _VALID, TimeReader("ns"), None, {}), time_column=clock)
 
     def _flatten(self, prefix: str, members: Mapping[str, Any], row: dict[str, Any]) -> None:
@@ -200,19 +200,19 @@ def _elements(value: Any) -> Sequence[Any] | None:
 
 def _stamp(members: dict[str, Any]) -> int | None:
     """Take the stamp (ns) out of a message's header; None for no stamp, or one of 0."""
-    header = members.get(_HEADER)
+    header = members.get(HEADER)
     if header is None or isinstance(header, _PLAIN) or _elements(header) is not None:
         return None
     inside = dict(_members(header))
-    stamp = inside.get(_STAMP)
+    stamp = inside.get(STAMP)
     if stamp is None or isinstance(stamp, _PLAIN) or _elements(stamp) is not None:
         return None
     parts = dict(_members(stamp))
-    seconds = next((parts[name] for name in _SECONDS if name in parts), None)
-    rest = next((parts[name] for name in _NANOSECONDS if name in parts), None)
+    seconds = next((parts[name] for name in SECONDS if name in parts), None)
+    rest = next((parts[name] for name in NANOSECONDS if name in parts), None)
     if not isinstance(seconds, int) or not isinstance(rest, int):
         return None
-    members[_HEADER] = {name: value for name, value in inside.items() if name != _STAMP}
+    members[HEADER] = {name: value for name, value in inside.items() if name != STAMP}
     return seconds * SECOND + rest or None
 
 
