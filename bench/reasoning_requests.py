@@ -1,0 +1,109 @@
+"""Many requests of one template whose body is a pattern or a formula, an object each.
+
+    python bench/reasoning_requests.py
+
+1,000 objects have a sample each in a batch of 1,000; requests name the first of them. Printed is the
+processor time of a batch: of one request for all objects, then of 1, 10, … requests for one object
+each, without the time of publishing alone. One process; the median of some batches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+
+import numpy as np
+
+from dyknow.converters.wire import Incoming
+from dyknow.engine.engine import Engine
+from dyknow.streams.sample import Column, FieldType, SampleBatch
+from dyknow.streams.string_pool import StringPool
+
+SECOND = 10**9
+OBJECTS, WARM, BATCHES = 1_000, 4, 8
+SSL = "stream a contains speed(UAV) = v [m.s-1], altitude(UAV) = w [m] for every UAV = id"
+EVENTS = (
+    "event(speed[?x]:(?, > 97 [m.s-1]), t1); event(altitude[?x]:(?, > 70 [m]), t2); "
+    "t2 - t1 in [1ms, 3s];"
+)
+TEMPLATES = {
+    "chronicle": f"REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS chronicle Odd(?x) {{ {EVENTS} }}",
+    "with noevent": f"REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS chronicle Odd(?x) {{ {EVENTS} "
+    "noevent(speed[?x]:(?, < 10 [m.s-1]), (t1, t2)); }",
+    "formula": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS always[0s, 3s] (speed(?x) > 97 [m.s-1] "
+    "-> eventually[0s, 2s] altitude(?x) > 70 [m]) with violations",
+}
+
+
+class Samples:
+    """A second of samples of all objects."""
+
+    def __init__(self) -> None:
+        self._random = np.random.default_rng(5)
+        self._pool = StringPool()
+        names = [f"uav{i}" for i in range(OBJECTS)]
+        self._ids = np.array([self._pool.code(name) for name in names], np.int32)
+
+    def of(self, second: int) -> SampleBatch:
+        times = second * SECOND + np.arange(1, OBJECTS + 1, dtype=np.int64)
+        values = self._random.uniform(0, 100, (2, OBJECTS))
+        columns = {
+            "id": Column(FieldType.STRING, self._ids, None, self._pool),
+            "v": Column(FieldType.FLOAT, values[0]),
+            "w": Column(FieldType.FLOAT, values[1]),
+        }
+        return SampleBatch(times, times, columns)
+
+
+def measured(template: str, arguments: list[str]) -> tuple[float, float, int]:
+    """Return the milliseconds of a batch, those to register a request, and the results."""
+    engine = Engine()
+    engine.annotate(SSL)
+    begun = time.process_time()
+    if arguments:
+        engine.register_template(template)
+    for each in arguments:
+        engine.request_event(engine.parse_request(f"dyknow:Odd({each})"))
+    registering = (time.process_time() - begun) * 1e3 / max(len(arguments), 1)
+    samples, taken = Samples(), []
+    for second in range(WARM + BATCHES):
+        batch = samples.of(second)
+        begun = time.process_time()
+        engine.publish("a", Incoming(batch, False), 0)
+        taken.append((time.process_time() - begun) * 1e3)
+    results = sum(engine.generator(view.stream).counters.used for view in engine.events())
+    return statistics.median(taken[WARM:]), registering, results
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="few requests")
+    parser.add_argument("--only", choices=list(TEMPLATES), help="one template")
+    given = parser.parse_args()
+    counts = (1, 10, 100) if given.quick else (1, 10, 100, 1_000)
+    print(
+        f"{'template':<14}{'requests':>9}{'a batch, ms':>13}{'times all':>11}{'to register, ms':>17}"
+        f"{'results':>9}"
+    )
+    alone, _, _ = measured("", [])
+    for name in [given.only] if given.only else TEMPLATES:
+        whole, registering, results = measured(TEMPLATES[name], ["?x"])
+        whole -= alone
+        print(
+            f"{name:<14}{'?x':>9}{whole:>13.2f}{'':>11}{registering:>17.1f}{results:>9,}",
+            flush=True,
+        )
+        for count in counts:
+            objects = [f"dyknow:uav{i}" for i in range(count)]
+            spent, registering, results = measured(TEMPLATES[name], objects)
+            spent -= alone
+            print(
+                f"{name:<14}{count:>9,}{spent:>13.2f}{spent / whole:>11.1f}{registering:>17.1f}"
+                f"{results:>9,}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
