@@ -2,9 +2,9 @@
 
     python bench/reasoning_requests.py
 
-1,000 objects have a sample each in a batch of 1,000; requests name the first of them. Printed is the
-processor time of a batch: of one request for all objects, then of 1, 10, … requests for one object
-each, without the time of publishing alone. One process; the median of some batches.
+1,000 objects have a sample each in a batch of 1,000; requests name the first of them. Printed is
+the processor time of a batch: of one request for all objects, then of 1, 10, … requests for one
+object each, without the time of publishing alone. One process; the median of some batches.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TEMPLATES = {
     "with noevent": f"REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS chronicle Odd(?x) {{ {EVENTS} "
     "noevent(speed[?x]:(?, < 10 [m.s-1]), (t1, t2)); }",
     "formula": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS always[0s, 3s] (speed(?x) > 97 [m.s-1] "
-    "-> eventually[0s, 2s] altitude(?x) > 70 [m]) with violations",
+    "-> eventually[0s, 2s] altitude(?x) > 70 [m]) with report violations",
 }
 
 
@@ -83,8 +83,8 @@ def main() -> None:
     given = parser.parse_args()
     counts = (1, 10, 100) if given.quick else (1, 10, 100, 1_000)
     print(
-        f"{'template':<14}{'requests':>9}{'a batch, ms':>13}{'times all':>11}{'to register, ms':>17}"
-        f"{'results':>9}"
+        f"{'template':<14}{'requests':>9}{'a batch, ms':>13}{'times all':>11}"
+        f"{'to register, ms':>17}{'results':>9}"
     )
     alone, _, _ = measured("", [])
     for name in [given.only] if given.only else TEMPLATES:

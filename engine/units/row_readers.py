@@ -49,31 +49,58 @@ class SourceInput:
     has_interval: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectNumbers:
+    """Numbers of their own for the objects in a ``column``: ``number`` returns that of an IRI, if
+    ``is_wanted``; samples of other objects are no rows."""
+
+    column: str
+    number: Callable[[str], int]
+    is_wanted: Callable[[str], bool]
+
+
 def kind_of(type: FieldType) -> Kind:
     """The kind of the values of a field."""
     return _KINDS[type]
 
 
 def row_readers(
-    inputs: Sequence[SourceInput], dictionary: TermDictionary, keys: Keys
+    inputs: Sequence[SourceInput],
+    dictionary: TermDictionary,
+    keys: Keys,
+    numbers: ObjectNumbers | None = None,
 ) -> dict[StreamGenerator, list[RowReader]]:
-    """Return new readers of the sources' rows, by stream."""
+    """Return new readers of the sources' rows, by stream. ``numbers``: those of the objects in one
+    column."""
     found: dict[StreamGenerator, list[RowReader]] = {}
     for each in inputs:
-        found.setdefault(each.input.source, []).append(RowReader(each, dictionary, keys))
+        found.setdefault(each.input.source, []).append(RowReader(each, dictionary, keys, numbers))
     return found
 
 
 class RowReader:
     """Reads the rows of one source from one stream."""
 
-    def __init__(self, input: SourceInput, dictionary: TermDictionary, keys: Keys) -> None:
+    def __init__(
+        self,
+        input: SourceInput,
+        dictionary: TermDictionary,
+        keys: Keys,
+        numbers: ObjectNumbers | None = None,
+    ) -> None:
         self._source = input.source
         self._input = input.input
         self._has_interval = input.has_interval
         self._keys = keys
+        numbered = [
+            each.argument
+            for each in input.source.columns
+            if numbers is not None and each.part is Part.OBJECT and each.column == numbers.column
+        ]
         self._objects = [
-            ObjectCodes(
+            ObjectCodes(object, dictionary, numbers.number, numbers.is_wanted)
+            if numbers is not None and i in numbered
+            else ObjectCodes(
                 object,
                 dictionary,
                 lambda iri: keys.number(object_key(iri)),
@@ -81,6 +108,11 @@ class RowReader:
             )
             for i, object in enumerate(input.input.objects)
         ]
+
+    def refresh_objects(self) -> None:
+        """Decide anew which objects are wanted."""
+        for encoder in self._objects:
+            encoder.refresh()
 
     def read(self, batch: SampleBatch, place: int, recognition: Recognition) -> None:
         """Add the samples with a value and wanted objects."""

@@ -62,9 +62,16 @@ class PartRows(AllRows):
         """Promise the same of all parts."""
         return self.advance_parts(np.full(self._store.times.shape[1], watermark, np.int64))
 
-    def end_part(self, part: int) -> None:
-        """Promise that no row of a part comes any more."""
-        self._store.times[WATERMARKS, part] = TIME_MAX
+    def drop_part(self, part: int) -> None:
+        """Forget the rows and matches of a part. Contract: no row of it comes any more."""
+        store, waiting = self._store, self._waiting
+        store.times[WATERMARKS, part] = TIME_MAX
+        waiting.take_where(store.table[waiting.rows[:, 0], store.part_word] == part)
+
+    def pending_of(self, part: int) -> int:
+        """The number of matches of a part that wait."""
+        parts = self._store.table[self._waiting.rows[:, 0], self._store.part_word]
+        return int(np.count_nonzero(parts == part))
 
     def _pass_time(self) -> bool:
         times = self._store.times
