@@ -49,16 +49,6 @@ class SourceInput:
     has_interval: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectNumbers:
-    """Numbers of their own for the objects in a ``column``: ``number`` returns that of an IRI, if
-    ``is_wanted``; samples of other objects are no rows."""
-
-    column: str
-    number: Callable[[str], int]
-    is_wanted: Callable[[str], bool]
-
-
 def kind_of(type: FieldType) -> Kind:
     """The kind of the values of a field."""
     return _KINDS[type]
@@ -68,39 +58,37 @@ def row_readers(
     inputs: Sequence[SourceInput],
     dictionary: TermDictionary,
     keys: Keys,
-    numbers: ObjectNumbers | None = None,
+    numbered: str | None = None,
 ) -> dict[StreamGenerator, list[RowReader]]:
-    """Return new readers of the sources' rows, by stream. ``numbers``: those of the objects in one
-    column."""
+    """Return new readers of the sources' rows, by stream. ``numbered``: as for `RowReader`."""
     found: dict[StreamGenerator, list[RowReader]] = {}
     for each in inputs:
-        found.setdefault(each.input.source, []).append(RowReader(each, dictionary, keys, numbers))
+        found.setdefault(each.input.source, []).append(RowReader(each, dictionary, keys, numbered))
     return found
 
 
 class RowReader:
-    """Reads the rows of one source from one stream."""
+    """Reads the rows of one source from one stream. ``numbered``: the column of objects whose
+    numbers `read` is given."""
 
     def __init__(
         self,
         input: SourceInput,
         dictionary: TermDictionary,
         keys: Keys,
-        numbers: ObjectNumbers | None = None,
+        numbered: str | None = None,
     ) -> None:
         self._source = input.source
         self._input = input.input
         self._has_interval = input.has_interval
         self._keys = keys
-        numbered = [
+        self._numbered = [
             each.argument
             for each in input.source.columns
-            if numbers is not None and each.part is Part.OBJECT and each.column == numbers.column
+            if each.part is Part.OBJECT and each.column == numbered
         ]
         self._objects = [
-            ObjectCodes(object, dictionary, numbers.number, numbers.is_wanted)
-            if numbers is not None and i in numbered
-            else ObjectCodes(
+            ObjectCodes(
                 object,
                 dictionary,
                 lambda iri: keys.number(object_key(iri)),
@@ -109,20 +97,25 @@ class RowReader:
             for i, object in enumerate(input.input.objects)
         ]
 
-    def refresh_objects(self) -> None:
-        """Decide anew which objects are wanted."""
-        for encoder in self._objects:
-            encoder.refresh()
-
-    def read(self, batch: SampleBatch, place: int, recognition: Recognition) -> None:
-        """Add the samples with a value and wanted objects."""
+    def read(
+        self,
+        batch: SampleBatch,
+        place: int,
+        recognition: Recognition,
+        numbers: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Add the samples with a value and wanted objects. ``numbers``: those of the objects that
+        are numbered, all of which are wanted."""
         present = batch.columns[self._input.field].present
         if not present.any():
             return
-        objects = []
-        for encoder in self._objects:
-            numbers, is_wanted = encoder.encode(batch)
-            objects.append(numbers)
+        objects: list[NDArray[Any]] = []
+        for i, encoder in enumerate(self._objects):
+            if numbers is not None and i in self._numbered:
+                objects.append(numbers)
+                continue
+            codes, is_wanted = encoder.encode(batch)
+            objects.append(codes)
             present = present & is_wanted
         rows = np.flatnonzero(present)
         if not len(rows):

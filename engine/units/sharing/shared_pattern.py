@@ -15,9 +15,10 @@ from ....reasoning.patterns.recognition.part_recognition import PartRecognition
 from ....reasoning.patterns.recognition.recognition import Recognized
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch
+from ....streams.time import TIME_MAX
 from ..match_samples import MatchWriter
 from ..merge import ObjectCodes, ObjectName
-from ..row_readers import ObjectNumbers, SourceInput, row_readers
+from ..row_readers import SourceInput, row_readers
 from ..sample_reasoner import SampleReasoner
 from .instances import InstanceUnit, SharingUnit
 
@@ -81,8 +82,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         self.matches = 0
         """Matches found by now."""
         self._parts = ObjectParts()
-        numbers = ObjectNumbers(pattern.column, self._parts.part, self._parts.__contains__)
-        self._readers = row_readers(inputs_of_sources, dictionary, self.keys, numbers)
+        self._readers = row_readers(inputs_of_sources, dictionary, self.keys, pattern.column)
         self._coders = {
             source: ObjectCodes(name, dictionary, self._parts.part, self._parts.__contains__)
             for source, name in objects.items()
@@ -139,9 +139,6 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
     def _refresh_objects(self) -> None:
         for coder in self._coders.values():
             coder.refresh()
-        for readers in self._readers.values():
-            for reader in readers:
-                reader.refresh_objects()
 
     # -- samples -----------------------------------------------------------------------------
 
@@ -150,12 +147,10 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         if not len(batch):
             return
         self.samples += len(batch)
-        for part, count in zip(*np.unique(parts, return_counts=True), strict=True):
-            self._of_parts[int(part)].samples += int(count)
         place = self.sources.index(source)
         self.recognition.came_in_parts(place, batch.available, batch.valid, parts)
         for reader in self._readers[source]:
-            reader.read(batch, place, self.recognition)
+            reader.read(batch, place, self.recognition, parts)
 
     def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
         if batch.available[0] > decided:
@@ -173,6 +168,13 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         super().progress(source, watermark)
         self.promise_to_followed()
+
+    def ended(self, source: StreamGenerator) -> None:
+        # As the unit that selects an object's samples ends its stream: after its last sample.
+        last = source.stream.last_available
+        if last is not None:
+            self.advance(source, min(last, TIME_MAX - 1) + 1)
+        super().ended(source)
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
@@ -239,8 +241,6 @@ class PatternInstance(InstanceUnit):
         self.query = query
         self.key = template.keys.number(object_key(object))
         """The number of its object."""
-        self.samples = 0
-        """Samples of the object that were read by now."""
         self.matches = 0
         """Matches found by now."""
         self._writer = MatchWriter(query, template.keys)
@@ -250,6 +250,11 @@ class PatternInstance(InstanceUnit):
         """The unit that evaluates this pattern together with others."""
         assert isinstance(self._template, SharedPatternUnit)
         return self._template
+
+    @property
+    def samples(self) -> int:
+        """Samples of the object that were read by now."""
+        return 0 if self.number is None else int(self.template.recognition.samples_of[self.number])
 
     @property
     def rows_of(self) -> Mapping[str, int]:

@@ -47,6 +47,8 @@ class PartRecognition(Recognition):
         self._part_departures = PartDepartures(streams, lateness)
         self.late_of: NDArray[np.int64] = np.empty(0, np.int64)
         """The rows of each part that came too late."""
+        self.samples_of: NDArray[np.int64] = np.empty(0, np.int64)
+        """The samples of each part that came."""
         self._rows_of_parts = np.zeros((len(self._kinds), 0), np.int64)
 
     def add_part(self) -> int:
@@ -56,6 +58,7 @@ class PartRecognition(Recognition):
         if part == len(self.late_of):
             more = max(16, part)
             self.late_of = np.concatenate([self.late_of, np.zeros(more, np.int64)])
+            self.samples_of = np.concatenate([self.samples_of, np.zeros(more, np.int64)])
             kinds = np.zeros((len(self._kinds), more), np.int64)
             self._rows_of_parts = np.concatenate([self._rows_of_parts, kinds], axis=1)
         return part
@@ -88,6 +91,7 @@ class PartRecognition(Recognition):
         """Take the times of samples in a batch of a stream, with their parts; see `came`."""
         self._begun[stream] = self._samples[stream]
         self._samples[stream] += len(available)
+        np.add.at(self.samples_of, part, 1)
         self._part_departures.add(stream, available, valid, part)
 
     def resumed(self, stream: int) -> None:

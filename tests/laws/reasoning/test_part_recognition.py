@@ -3,7 +3,6 @@ available, are those of a recognition of its own samples."""
 
 from __future__ import annotations
 
-import math
 import pickle
 from dataclasses import replace
 from random import Random
@@ -12,14 +11,14 @@ from typing import Any
 import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from pattern_drawing import KINDS, PatternDrawing, rows_of
 from pattern_definition import Row
+from pattern_drawing import KINDS, PatternDrawing, rows_of
 
 from dyknow.reasoning.patterns.plans.by_object import PART, PatternByObject
 from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
 from dyknow.reasoning.patterns.plans.plan import (
-    OWN,
     NO_VALUE,
+    OWN,
     Column,
     ColumnType,
     Output,
