@@ -327,8 +327,7 @@ class EventRequests:
                 shareable.key, partial(starter.patterns.start_shared, shareable)
             )
             assert isinstance(shared, SharedPatternUnit)
-            # An instance whose streams have changed may still run.
-            if not shared.asks_for(shareable.object):
+            if shared.can_enter(shareable.object):
                 instance = starter.patterns.start_instance(shared, shareable, text)
                 annotation = result_annotation(request.event, instance)
                 return _Running(instance, tuple(matches), annotation, annotation, None)

@@ -15,7 +15,7 @@ from ....reasoning.patterns.recognition.part_recognition import PartRecognition
 from ....reasoning.patterns.recognition.recognition import Recognized
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch
-from ....streams.time import TIME_MAX
+from ....streams.time import TIME_MAX, TIME_MIN
 from ..match_samples import MatchWriter
 from ..merge import ObjectCodes, ObjectName
 from ..row_readers import SourceInput, row_readers
@@ -132,9 +132,14 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         self._refresh_objects()
         self.recognition.end_part(number)
 
-    def asks_for(self, object: str) -> bool:
-        """Whether an instance asks for an object."""
-        return object in self._parts
+    def can_enter(self, object: str) -> bool:
+        """Whether an instance for an object would be as a unit of its own. It would not if another
+        one asks for the object, or if this unit did not wait for an input that has gone on since:
+        samples may be late for it that come in time for a new unit."""
+        return object not in self._parts and all(
+            source.is_idle or self._watermarks.get(source, TIME_MIN) <= _watermark_of(source)
+            for source in self.sources
+        )
 
     def _refresh_objects(self) -> None:
         for coder in self._coders.values():
@@ -275,3 +280,7 @@ class PatternInstance(InstanceUnit):
     def _emit(self, found: Recognized) -> None:
         columns = self._writer.columns(found, self.output.stream.pools)
         self.output.emit(SampleBatch(self.output.stamps_at(found.available), found.valid, columns))
+
+
+def _watermark_of(source: StreamGenerator) -> int:
+    return TIME_MIN if source.watermark is None else source.watermark
