@@ -3,8 +3,9 @@
     python bench/reasoning_requests.py
 
 1,000 objects have a sample each in a batch of 1,000; requests name the first of them. Printed is
-the processor time of a batch: of one request for all objects, then of 1, 10, … requests for one
-object each, without the time of publishing alone. One process; the median of some batches.
+the processor time of a batch, without that of publishing alone: of one request for all objects,
+then of 1, 10, … requests for one object each, as they share an evaluation and with one each. One
+process; the median of some batches. Requests of a formula do not share.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
+from dyknow.engine.planning import pattern_sharing
 from dyknow.streams.sample import Column, FieldType, SampleBatch
 from dyknow.streams.string_pool import StringPool
 
@@ -56,16 +58,20 @@ class Samples:
         return SampleBatch(times, times, columns)
 
 
-def measured(template: str, arguments: list[str]) -> tuple[float, float, int]:
-    """Return the milliseconds of a batch, those to register a request, and the results."""
-    engine = Engine()
-    engine.annotate(SSL)
-    begun = time.process_time()
-    if arguments:
-        engine.register_template(template)
-    for each in arguments:
-        engine.request_event(engine.parse_request(f"dyknow:Odd({each})"))
-    registering = (time.process_time() - begun) * 1e3 / max(len(arguments), 1)
+def measured(template: str, arguments: list[str], *, shares: bool = True) -> tuple[float, int]:
+    """Return the milliseconds of a batch, and the number of results."""
+    least = pattern_sharing.SAME_PATTERN
+    if not shares:
+        pattern_sharing.SAME_PATTERN = 1 << 62
+    try:
+        engine = Engine()
+        engine.annotate(SSL)
+        if arguments:
+            engine.register_template(template)
+        for each in arguments:
+            engine.request_event(engine.parse_request(f"dyknow:Odd({each})"))
+    finally:
+        pattern_sharing.SAME_PATTERN = least
     samples, taken = Samples(), []
     for second in range(WARM + BATCHES):
         batch = samples.of(second)
@@ -73,7 +79,7 @@ def measured(template: str, arguments: list[str]) -> tuple[float, float, int]:
         engine.publish("a", Incoming(batch, False), 0)
         taken.append((time.process_time() - begun) * 1e3)
     results = sum(engine.generator(view.stream).counters.used for view in engine.events())
-    return statistics.median(taken[WARM:]), registering, results
+    return statistics.median(taken[WARM:]), results
 
 
 def main() -> None:
@@ -83,23 +89,21 @@ def main() -> None:
     given = parser.parse_args()
     counts = (1, 10, 100) if given.quick else (1, 10, 100, 1_000)
     print(
-        f"{'template':<14}{'requests':>9}{'a batch, ms':>13}{'times all':>11}"
-        f"{'to register, ms':>17}{'results':>9}"
+        f"{'template':<14}{'requests':>9}{'ms':>9}{'times all':>11}{'each, ms':>10}{'results':>9}"
     )
-    alone, _, _ = measured("", [])
+    publishing, _ = measured("", [])
     for name in [given.only] if given.only else TEMPLATES:
-        whole, registering, results = measured(TEMPLATES[name], ["?x"])
-        whole -= alone
-        print(
-            f"{name:<14}{'?x':>9}{whole:>13.2f}{'':>11}{registering:>17.1f}{results:>9,}",
-            flush=True,
-        )
+        whole, results = measured(TEMPLATES[name], ["?x"])
+        whole -= publishing
+        print(f"{name:<14}{'?x':>9}{whole:>9.2f}{'':>21}{results:>9,}", flush=True)
         for count in counts:
             objects = [f"dyknow:uav{i}" for i in range(count)]
-            spent, registering, results = measured(TEMPLATES[name], objects)
-            spent -= alone
+            alone, results = measured(TEMPLATES[name], objects, shares=False)
+            spent, same = measured(TEMPLATES[name], objects)
+            assert same == results, (same, results)
+            spent, alone = spent - publishing, alone - publishing
             print(
-                f"{name:<14}{count:>9,}{spent:>13.2f}{spent / whole:>11.1f}{registering:>17.1f}"
+                f"{name:<14}{count:>9,}{spent:>9.2f}{spent / whole:>11.1f}{alone:>10.2f}"
                 f"{results:>9,}",
                 flush=True,
             )

@@ -9,7 +9,6 @@ the same matches, object by object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from pyoxigraph import NamedNode, Variable
 
@@ -29,7 +28,7 @@ from ..model.views import Since
 from .pattern_start import ShareablePattern, argument_of
 from .plan_execution import Plans
 
-SAME_PATTERN: Final = 2
+SAME_PATTERN = 2
 """The number of requests of one pattern from which on one evaluation serves them."""
 
 
