@@ -34,6 +34,7 @@ from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
 from ..planning import explanations
+from ..planning.pattern_start import ShareablePattern
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
 from ..planning.reasoning_start import ReasoningUnit, result_annotation
@@ -320,20 +321,24 @@ class EventRequests:
             shareable = self._sharing.find_shareable_pattern(
                 template, request, bound, matches, strategy
             )
-        if shareable is not None and (
-            self._configuration.is_shared(shareable.key) or self._sharing.is_worth_it(shareable)
-        ):
+        if shareable is not None and self._shares(shareable):
             shared = self._configuration.share(
                 shareable.key, partial(starter.patterns.start_shared, shareable)
             )
             assert isinstance(shared, SharedPatternUnit)
-            if shared.can_enter(shareable.object):
-                instance = starter.patterns.start_instance(shared, shareable, text)
-                annotation = result_annotation(request.event, instance)
-                return _Running(instance, tuple(matches), annotation, annotation, None)
+            instance = starter.patterns.start_instance(shared, shareable, text)
+            annotation = result_annotation(request.event, instance)
+            return _Running(instance, tuple(matches), annotation, annotation, None)
         unit = starter.start(bound, supplies_of(matches), since, request=text)
         annotation = result_annotation(request.event, unit)
         return _Running(unit, tuple(matches), annotation, annotation, shareable)
+
+    def _shares(self, shareable: ShareablePattern) -> bool:
+        """Whether a request joins the shared evaluation that runs, or begins one."""
+        shared = self._configuration.find_shared(shareable.key)
+        if shared is None:
+            return self._sharing.is_worth_it(shareable)
+        return isinstance(shared, SharedPatternUnit) and shared.can_enter(shareable.object)
 
     def _is_valid(self, running: _Running) -> bool:
         """Whether the unit works, and its streams have the annotations that they had."""

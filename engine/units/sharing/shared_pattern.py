@@ -150,6 +150,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
     # -- samples -----------------------------------------------------------------------------
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        self._first.setdefault(source, int(batch.available[0]))
         parts, batch = self._asked_for(source, batch)
         if not len(batch):
             return
@@ -177,9 +178,9 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         self.promise_to_followed()
 
     def ended(self, source: StreamGenerator) -> None:
-        # As the unit that selects an object's samples ends its stream: after its last sample.
+        # As a unit that selects an object's samples ends its stream: after the last one it read.
         last = source.stream.last_available
-        if last is not None:
+        if source in self._first and last is not None:
             self.advance(source, min(last, TIME_MAX - 1) + 1)
         super().ended(source)
 

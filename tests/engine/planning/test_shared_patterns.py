@@ -8,8 +8,9 @@ from feeding import feed, samples
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.durable_engine import RecordedEngine
-from dyknow.engine.model.views import Since
+from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.journal.durability import Durability
+from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
 STREAM = "stream a contains speed(UAV) = v, altitude(UAV) = w for every UAV = id"
@@ -196,6 +197,42 @@ def test_what_fails_in_one_fails_in_no_other(flying):
     assert objects(flying, again) == ["uav2"]
     for view in (second, third, again):
         flying.cancel_event(view.id)
+
+
+def test_what_fails_in_the_evaluation_fails_in_all(flying):
+    views = [ask(flying, f"dyknow:uav{i}", "30") for i in (1, 2, 3)]
+    shared = flying._parts.configuration.units[views[1].plan.units[0].output]
+
+    def fail(watermark, by_clock=False):
+        raise RuntimeError("no more")
+
+    shared.recognition.advance = fail
+    climb(flying)
+    assert flying.event(views[0].id).failure is None
+    assert all(flying.event(view.id).failure for view in views[1:])
+    again = ask(flying, "dyknow:uav2", "30")
+    climb(flying, begin=10)
+    assert objects(flying, again) == ["uav2"]
+    for view in (*views, again):
+        flying.cancel_event(view.id)
+    assert not flying._parts.configuration.units
+
+
+def test_a_request_that_comes_after_a_silent_stream_went_on_has_its_own(engine):
+    """The shared evaluation has not waited for the stream, so its next samples are late there."""
+    fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+    for name, feature, idle in (("a", "speed", None), ("b", "altitude", 2 * SECOND)):
+        engine.declare(StreamDeclaration(name, fields, idle=idle))
+        engine.annotate(f"stream {name} contains {feature}(UAV) = v for every UAV = id")
+    engine.register_template(CLIMB)
+    views = [ask(engine, f"dyknow:uav{i}", "30") for i in (1, 2)]
+    feed(engine, "b", [(1, {"id": "uav3", "v": 1.0})])
+    engine.tick(9 * SECOND)
+    feed(engine, "a", [(5, {"id": "uav2", "v": 1.0}), (6, {"id": "uav3", "v": 50.0})])
+    assert made_by(ask(engine, "dyknow:uav4", "30"))[-1] == "selectInstance"
+    feed(engine, "b", [(3, {"id": "uav2", "v": 1.0}), (3, {"id": "uav3", "v": 20.0})])
+    assert engine.event(views[1].id).late == 1
+    assert made_by(ask(engine, "dyknow:uav3", "30"))[-1] == "pattern"
 
 
 def test_a_reader_of_an_answer_hears_of_time(flying):

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 from commanding import IRI, SORTS
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from monitor_worlds import OBJECTS, WORLDS, begun, publish
 
@@ -151,6 +151,12 @@ def seen(engine, id, stream):
 
 @settings(deadline=None, max_examples=150)
 @given(st.integers(0, 2**32))
+# A stream that ends while another goes on; one that was silent and goes on before a request comes;
+# a request that comes when a stream has ended.
+@example(1051)
+@example(19)
+@example(20378)
+@example(20840)
 def test_sharing_changes_nothing(seed):
     case = Scenario(seed)
     parts = case.world, case.template, case.steps, case.samples
