@@ -35,6 +35,9 @@ TEMPLATES = {
     "noevent(speed[?x]:(?, < 10 [m.s-1]), (t1, t2)); }",
     "formula": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS always[0s, 3s] (speed(?x) > 97 [m.s-1] "
     "-> eventually[0s, 2s] altitude(?x) > 70 [m]) with report violations",
+    "on a grid": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS always[0s, 3s] "
+    "(speed(?x) > 97 [m.s-1] -> eventually[0s, 2s] altitude(?x) > 70 [m]) "
+    "with report violations, sample every 1s, use most recent, max delay 0s",
 }
 
 
