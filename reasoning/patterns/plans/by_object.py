@@ -48,7 +48,11 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     There is none with more than one plan, with repetition, aggregates or next matches, or where
     another object is compared with this one.
     """
-    if len(free.plans) != 1 or any(branch != Branch() for branch in free.branches):
+    if (
+        len(free.plans) != 1
+        or len(own.plans) != 1
+        or any(branch != Branch() for branch in free.branches)
+    ):
         return None
     (plan,) = free.plans
     is_joined = plan.selection is Selection.ANY_MATCH and not plan.trends
@@ -57,7 +61,12 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     column = _column_of(free, own, object)
     if column is None or not _is_everywhere(plan, column) or column in _columns_compared(plan):
         return None
-    if _without(free, free, column, object) != _without(own, free, column, object):
+    rest, own_rest = (
+        [each for each in query.plans[0].columns if each.name != column] for query in (free, own)
+    )
+    if rest != own_rest or _without(free, free, column, object) != _without(
+        own, free, column, object
+    ):
         return None
     objects = tuple(each.name for each in plan.outputs if _is_value_of(each, column))
     parted = replace(plan, outputs=(*plan.outputs, Output(PART, Value(0, column))))
@@ -117,8 +126,9 @@ def _is_of(same: Same, column: str) -> bool:
 def _without(
     query: PatternQuery, free: PatternQuery, column: str, object: str
 ) -> tuple[tuple[Source, ...], PatternPlan, PatternQuery]:
-    """What is left of a pattern without the column, with the object in its place."""
-    (plan,) = query.plans
+    """What is left of a pattern without what the column compares, with the object in its place.
+    Contract: the columns are those of ``free``, with or without this one."""
+    (plan,), (free_plan,) = query.plans, free.plans
     key = Key(object_key(object))
     sources = tuple(
         _source_without(source, open, column, object)
@@ -127,14 +137,13 @@ def _without(
     outputs = tuple(
         replace(each, value=key) if _is_value_of(each, column) else each for each in plan.outputs
     )
-    (free_plan,) = free.plans
     are_objects = {each.name for each in free_plan.outputs if _is_value_of(each, column)}
     results = tuple(
         replace(each, argument=None) if each.name in are_objects else each for each in query.results
     )
     left = replace(
         plan,
-        columns=tuple(each for each in plan.columns if each.name != column),
+        columns=free_plan.columns,
         elements=tuple(_element_without(each, column, key) for each in plan.elements),
         same=_same_without(plan.same, column),
         probes=tuple(_probe_without(each, column, key) for each in plan.probes),
