@@ -154,7 +154,7 @@ class PartDepartures:
                 steps,
             )
         )
-        self._reached[:count] = np.maximum(before, latest)
+        self._reached[:count] = latest
         of, moment, reached = (np.ascontiguousarray(each) for each in steps[:, :made])
         first = np.searchsorted(of, np.arange(count + 1))
         return PartSteps(first, moment, reached, before, latest)
@@ -188,7 +188,6 @@ def _advance_loop(
     """Make a step of each instant of a part; ``latest`` gets the last time that each reached.
     Return the number of steps."""
     made, i, count = 0, 0, part.shape[0]
-    before = -1
     while i < count:
         p, moment = part[i], available[i]
         while i < count and part[i] == p and available[i] == moment:
@@ -202,11 +201,9 @@ def _advance_loop(
             known = greatest[s, p]
             known = TIME_MIN if known < TIME_MIN + lateness[s] else known - lateness[s]
             reached = min(reached, known)
-        reached = min(reached, ceiling[p])
-        if before == p:
-            reached = max(reached, latest[p])
+        reached = max(min(reached, ceiling[p]), latest[p])
         steps[0, made], steps[1, made], steps[2, made] = p, moment, reached
-        latest[p], before = reached, p
+        latest[p] = reached
         made += 1
     return made
 

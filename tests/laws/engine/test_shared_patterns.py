@@ -152,11 +152,12 @@ def seen(engine, id, stream):
 @settings(deadline=None, max_examples=150)
 @given(st.integers(0, 2**32))
 # A stream that ends while another goes on; one that was silent and goes on before a request comes;
-# a request that comes when a stream has ended.
+# a request that comes when a stream has ended; a stream that goes on behind what was reached.
 @example(1051)
 @example(19)
 @example(20378)
 @example(20840)
+@example(30001)
 def test_sharing_changes_nothing(seed):
     case = Scenario(seed)
     parts = case.world, case.template, case.steps, case.samples

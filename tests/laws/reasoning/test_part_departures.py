@@ -14,6 +14,22 @@ from dyknow.reasoning.states.part_departures import PartDepartures
 from dyknow.streams.time import TIME_MAX
 
 
+def test_what_is_reached_stays_reached():
+    """However batches are cut, when a stream goes on that was not waited for meanwhile."""
+    found = []
+    for cuts in ([7], [5, 7]):
+        running = Departures(None, 2)
+        running.add(0, np.array([1, 4]), np.array([1, 4]))
+        running.idle = frozenset({1})
+        running.advance(5, by_clock=False)
+        running.idle = frozenset()
+        running.add(1, np.array([4, 6]), np.array([2, 3]))
+        for cut in cuts:
+            steps = running.advance(cut, by_clock=False)
+        found.append(steps.reached_before(np.array([6])).tolist())
+    assert found == [[4], [4]]
+
+
 @settings(deadline=None, max_examples=400)
 @given(st.integers(0, 2**32))
 def test_a_part_departs_by_its_own_samples(seed: int) -> None:
