@@ -40,7 +40,7 @@ from .model.views import StreamDeclaration
 from .planning.registrations import parse_registered
 from .units.monitor import MonitorUnit
 from .units.pattern import PatternUnit
-from .units.shared_query import InstanceUnit
+from .units.sharing.shared_query import QueryInstance
 
 Recorded: TypeAlias = Path | str | Iterable[Mapping[str, Any]]
 """The file of a recording, or samples as dicts: ``valid``, optionally ``available``, and values."""
@@ -174,7 +174,7 @@ class RecordedRun(Iterator[dict[str, Any]]):
         """What was read and found by now."""
         unit = self._unit
         run = unit.monitoring if isinstance(unit, MonitorUnit) else None
-        evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
+        evaluating = unit.template if isinstance(unit, QueryInstance) else unit
         return Summary(
             evaluating.samples,
             unit.output.stream.last_number,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
@@ -10,6 +11,7 @@ from ...languages.ssl.annotation_text import with_ssl_source
 from ...matching.plan import Node, Supply
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
+from ...reasoning.patterns.plans.by_object import PatternByObject
 from ...reasoning.patterns.plans.plan import PlanError
 from ...reasoning.patterns.plans.query import END, START, Keys, Kinds, Part, PatternQuery, Source
 from ...reasoning.patterns.recognition.recognition import Recognition
@@ -17,15 +19,34 @@ from ...streams.generator import StreamGenerator
 from ...streams.sample import FieldType
 from ...templates.event_patterns import BoundPattern
 from ...templates.needs import NeedsError
-from ..configuration.configuration import PATTERN, Configuration
+from ..configuration.configuration import PATTERN, SELECT_INSTANCE, Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments
+from ..model.views import Since
 from ..units.match_samples import match_schema
 from ..units.merge import MergeInput
 from ..units.pattern import PatternUnit
 from ..units.row_readers import SourceInput, kind_of
+from ..units.sharing.instances import TALLY
+from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from .static_side import closed_ontology
 from .supply_inputs import merge_inputs
+
+
+@dataclass(frozen=True, slots=True)
+class ShareablePattern:
+    """The ``pattern`` that requests with an equal ``key`` can share, for an ``object`` (an IRI).
+    ``own`` is the pattern of this object, ``free`` that of all, over the streams of ``supplies``.
+    Worth it from ``least`` requests on.
+    """
+
+    key: Hashable
+    pattern: PatternByObject
+    object: str
+    own: PatternQuery
+    free: BoundPattern
+    supplies: tuple[Supply, ...]
+    least: int
 
 
 class PatternStarter:
@@ -86,9 +107,61 @@ class PatternStarter:
 
         return self._configuration.start_query(match_schema(query), make, since, name)
 
+    def start_shared(self, shareable: ShareablePattern) -> SharedPatternUnit:
+        """Start the evaluation of a pattern for each object that an instance asks for, over the
+        streams of all objects."""
+        pattern, column = shareable.pattern, shareable.pattern.column
+        read = [
+            (shareable.free.sources[supply.want], each)
+            for supply in shareable.supplies
+            for each in self._inputs(supply, Since.NOW)
+        ]
+        has_intervals = any(plan.has_intervals for plan in pattern.query.plans)
+        inputs = [
+            SourceInput(source, input, has_intervals and _lasts(input)) for source, input in read
+        ]
+        objects = {
+            input.source: input.objects[argument_of(source, column)] for source, input in read
+        }
+
+        def make(output: StreamGenerator) -> SharedPatternUnit:
+            parameters = {"query": shareable.free.source}
+            return SharedPatternUnit(
+                *self._configuration.identity(PATTERN, list(objects), output, parameters),
+                pattern=pattern,
+                inputs_of_sources=inputs,
+                objects=objects,
+                dictionary=self._dictionary,
+                lateness=self._configuration.lateness,
+                newest=self._configuration.newest_sample,
+            )
+
+        return self._configuration.start_query(TALLY, make)
+
+    def start_instance(
+        self, shared: SharedPatternUnit, shareable: ShareablePattern, request: str
+    ) -> PatternInstance:
+        """Start an instance of a shared pattern, with the arguments of ``request`` (its text)."""
+
+        def make(output: StreamGenerator) -> PatternInstance:
+            parameters = {"request": request, "query": shareable.free.source}
+            return PatternInstance(
+                *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, parameters),
+                template=shared,
+                object=shareable.object,
+                query=shareable.own,
+            )
+
+        return self._configuration.start_query(match_schema(shareable.own), make)
+
     def _inputs(self, supply: Supply, since: Beginning) -> list[MergeInput]:
         streams = [self._obtain(source.node, since) for source in supply.sources]
         return merge_inputs(supply, streams, self._configuration, lambda: self._ontology.vocabulary)
+
+
+def argument_of(source: Source, column: str) -> int:
+    """Return which object of a source is in a column."""
+    return next(each.argument for each in source.columns if each.column == column)
 
 
 def compiled(pattern: BoundPattern, kinds: Kinds) -> PatternQuery:

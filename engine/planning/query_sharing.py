@@ -15,7 +15,7 @@ from ...continuous.algebra.constant_lifting import Pattern, generalize, match_co
 from ...continuous.sharing.similar_queries import Form, Unshared
 from ...rdf.dictionary import Term
 from ..units.base import ComputationalUnit
-from ..units.shared_query import TemplateUnit
+from ..units.sharing.shared_query import TemplateUnit
 
 MIN_SHARED = 4
 """The number of queries that differ in constants from which on they are evaluated as one."""

@@ -35,7 +35,7 @@ from ..model.result_windows import KeptWindows
 from ..model.stream_statistics import flow_of
 from ..model.views import Since
 from ..units.query import QueryUnit
-from ..units.shared_query import InstanceUnit, TemplateUnit
+from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from .plan_execution import Plans
 from .query_sharing import FormInstance, QuerySharing, shared_key
 from .query_units import QuerySettings
@@ -44,7 +44,7 @@ from .registrations import AnyQuery, Submission
 from .stream_binding import check_graphs, find_streams, mean_the_same, supplies_of
 from .stream_reading import ReadStream, find_stream, read_streams
 
-RegisteredUnit: TypeAlias = QueryUnit | InstanceUnit | ReasoningUnit
+RegisteredUnit: TypeAlias = QueryUnit | QueryInstance | ReasoningUnit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +117,7 @@ class QueryStarter:
         instance, pattern, unshared = self._find_sharing(query, reads, matches, submission)
         try:
             with bad_arguments_for_unsupported():
-                unit: QueryUnit | InstanceUnit
+                unit: QueryUnit | QueryInstance
                 if instance is not None and pattern is not None:
                     unit = self._join(query, instance, pattern, reads, matches, settings)
                 elif reads:
@@ -197,7 +197,7 @@ class QueryStarter:
         reads: Sequence[ReadStream],
         matches: Sequence[Match],
         settings: QuerySettings,
-    ) -> InstanceUnit:
+    ) -> QueryInstance:
         """Start a query as a member of a shared computation, and that computation if it does not
         run yet."""
         queries = self._plans.queries

@@ -47,7 +47,8 @@ from ..model.beginning import Beginning, check_retained
 from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
-from ..units.shared_query import TALLY, InstanceUnit, TemplateUnit
+from ..units.sharing.instances import TALLY
+from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from .query_sharing import FormInstance
 from .static_side import closed_ontology
 
@@ -128,7 +129,7 @@ class Queries:
         query: ContinuousQuery,
         supplies: Sequence[Supply],
         request: str,
-    ) -> StartedUnit[InstanceUnit]:
+    ) -> StartedUnit[QueryInstance]:
         """Start ``query`` as an instance of the template, with the arguments of ``request`` (its
         text). ``supplies`` are those that it would have alone; its annotation needs their roles."""
         evaluator = template.evaluator
@@ -136,10 +137,10 @@ class Queries:
         form = self.form(query)
         query = with_streams(query, [source.name for source in template.inputs])
 
-        def make(output: StreamGenerator) -> InstanceUnit:
+        def make(output: StreamGenerator) -> QueryInstance:
             text = format_query(replace(query, name=output.name))
             parameters = {"request": request, "query": text}
-            return InstanceUnit(
+            return QueryInstance(
                 *self._configuration.identity(
                     SELECT_INSTANCE, [template.output], output, parameters
                 ),
@@ -184,7 +185,7 @@ class Queries:
         query: ContinuousQuery,
         instance: FormInstance,
         settings: QuerySettings,
-    ) -> InstanceUnit:
+    ) -> QueryInstance:
         """Start ``query`` as a member of a shared computation."""
         evaluator = shared.evaluator
         assert isinstance(evaluator, SimilarQueriesEvaluator)
@@ -193,9 +194,9 @@ class Queries:
         if text is None:
             query = with_streams(query, [source.name for source in shared.inputs])
 
-        def make(output: StreamGenerator) -> InstanceUnit:
+        def make(output: StreamGenerator) -> QueryInstance:
             parameters = {"query": text or format_query(replace(query, name=output.name))}
-            return InstanceUnit(
+            return QueryInstance(
                 *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, parameters),
                 template=shared,
                 enter=partial(evaluator.add, query, instance.constants),

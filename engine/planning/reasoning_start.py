@@ -18,10 +18,11 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments
 from ..units.monitor import MonitorUnit
 from ..units.pattern import PatternUnit
+from ..units.sharing.shared_pattern import PatternInstance
 from .monitor_start import MonitorStarter, explain_monitor, verdict_annotation
 from .pattern_start import PatternStarter, explain_pattern, match_annotation
 
-ReasoningUnit: TypeAlias = MonitorUnit | PatternUnit
+ReasoningUnit: TypeAlias = MonitorUnit | PatternUnit | PatternInstance
 
 
 class ReasoningStarter:
@@ -35,7 +36,8 @@ class ReasoningStarter:
         obtain: Callable[[Node, Beginning], StreamGenerator],
     ) -> None:
         self._monitors = MonitorStarter(ontology, dictionary, configuration, obtain)
-        self._patterns = PatternStarter(ontology, dictionary, configuration, obtain)
+        self.patterns = PatternStarter(ontology, dictionary, configuration, obtain)
+        """Starts patterns, shared ones, too."""
 
     def start(
         self,
@@ -51,7 +53,7 @@ class ReasoningStarter:
         has the arguments of a template. Raises `BadArguments` and `LanguageError`."""
         if isinstance(bound, BoundFormula):
             return self._monitors.start(bound, supplies, since, name=name, request=request)
-        return self._patterns.start(bound, supplies, since, name=name, request=request)
+        return self.patterns.start(bound, supplies, since, name=name, request=request)
 
 
 def bound_of(reasoned: Reasoned, source: str, ontology: Ontology) -> Bound:

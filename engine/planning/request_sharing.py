@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from pyoxigraph import NamedNode, Variable
 
@@ -29,10 +30,14 @@ from ...matching.plan import (
 from ...ontology.entailment import Rules
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import Term
+from ...templates.formulas import BoundFormula
 from ...templates.instantiate import ArgumentError, instantiate
 from ...templates.library import TemplateLibrary
 from ...templates.needs import NeedsError
+from ...templates.reasoning import Bound
 from ..model.views import Since
+from .pattern_sharing import PatternSharing
+from .pattern_start import ShareablePattern
 from .plan_execution import Plans
 
 SAME_STREAMS = 4
@@ -55,6 +60,9 @@ class ShareableQuery:
     least: int
 
 
+Shareable: TypeAlias = ShareableQuery | ShareablePattern
+
+
 @dataclass(frozen=True, slots=True)
 class _Agreements:
     """The parameters on which requests have to agree, by kind of request; None where they cannot
@@ -75,6 +83,7 @@ class RequestSharing:
         self._agreements: dict[str, _Agreements] = {}
         """By the template's name."""
         self._alone: Counter[Hashable] = Counter()
+        self._patterns = PatternSharing(templates, plans)
 
     def find_shareable(
         self,
@@ -110,15 +119,29 @@ class RequestSharing:
         least = OWN_OBJECTS if selected else SAME_STREAMS
         return ShareableQuery(kind, template.query, supplies, least)
 
-    def is_worth_it(self, shareable: ShareableQuery) -> bool:
+    def find_shareable_pattern(
+        self,
+        template: AnyTemplate,
+        request: EventRequest,
+        bound: Bound,
+        matches: Sequence[Match],
+        strategy: str,
+    ) -> ShareablePattern | None:
+        """Return the pattern that ``request`` can share; see `PatternSharing.find_shareable`. None
+        for a formula."""
+        if isinstance(bound, BoundFormula):
+            return None
+        return self._patterns.find_shareable(template, request, bound, matches, strategy)
+
+    def is_worth_it(self, shareable: Shareable) -> bool:
         """Whether one request more makes sharing worth it."""
         return self._alone[shareable.key] + 1 >= shareable.least
 
-    def add_alone(self, shareable: ShareableQuery) -> None:
+    def add_alone(self, shareable: Shareable) -> None:
         """Count a request that is evaluated alone."""
         self._alone[shareable.key] += 1
 
-    def remove_alone(self, shareable: ShareableQuery) -> None:
+    def remove_alone(self, shareable: Shareable) -> None:
         """Stop counting a request that was evaluated alone."""
         self._alone[shareable.key] -= 1
         if not self._alone[shareable.key]:

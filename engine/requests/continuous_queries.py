@@ -61,7 +61,7 @@ from ..planning.registrations import (
 )
 from ..units.monitor import MonitorUnit
 from ..units.pattern import PatternUnit
-from ..units.shared_query import InstanceUnit, TemplateUnit
+from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers
 from .empty_reasons import NO_WINDOW, why_empty
 
@@ -250,7 +250,7 @@ class RegisteredQueries:
         view = running.registration.view(name, state, failure, running.users)
         latest = running.started.kept.latest
         counters = [unit.counters]
-        if isinstance(unit, InstanceUnit):
+        if isinstance(unit, QueryInstance):
             # Its windows are evaluated there, its samples made here.
             counters.append(unit.template.counters)
         told = [each for each in counters if each.last_error is not None]

@@ -23,7 +23,8 @@ from ..units.base import ComputationalUnit
 from ..units.monitor import MonitorUnit
 from ..units.pattern import PatternUnit
 from ..units.policy import AdaptationUnit
-from ..units.shared_query import InstanceUnit
+from ..units.sharing.shared_pattern import PatternInstance
+from ..units.sharing.shared_query import QueryInstance
 from ..units.windowed import WindowUnit
 
 NO_WINDOW: Final = "no window has closed yet"
@@ -34,14 +35,14 @@ def why_empty(
 ) -> str | None:
     """Return a text like ``12,000 samples read, 0 triples: no stream that it reads is annotated
     with …``; None once the unit has a result. Cost: O(units behind it), and parsing its query."""
-    evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
+    evaluating = unit.template if isinstance(unit, QueryInstance) else unit
     # Numbers go on from an earlier stream of the name.
     has_given = unit.output.stream.last_available is not None
     if has_given:
         return None
     if isinstance(evaluating, MonitorUnit):
         return _without_verdicts(evaluating)
-    if isinstance(evaluating, PatternUnit):
+    if isinstance(evaluating, PatternUnit | PatternInstance):
         return _without_matches(evaluating)
     if not isinstance(evaluating, WindowUnit):
         return None
@@ -84,16 +85,15 @@ def _without_verdicts(unit: MonitorUnit) -> str:
     return f"{counts}: the verdicts are {told}{more}, and it reports {run.monitor.report}"
 
 
-def _without_matches(unit: PatternUnit) -> str:
+def _without_matches(unit: PatternUnit | PatternInstance) -> str:
     """Return why a pattern has no match."""
-    run = unit.recognition
     if not unit.samples:
         return f"no sample read yet from {', '.join(source.name for source in unit.reads)}"
     counts = f"{unit.samples:,} samples read"
-    missing = [kind for kind, count in run.rows_of.items() if not count]
+    missing = [kind for kind, count in unit.rows_of.items() if not count]
     if missing:
         return f"{counts}, none of them of {', '.join(missing)} with its objects and a value"
-    pending = run.evaluator.pending
+    pending = unit.pending
     waits = f", and {pending:,} wait for what may still come" if pending else ""
     return f"{counts}: no events match{waits}"
 

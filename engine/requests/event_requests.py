@@ -35,10 +35,11 @@ from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
 from ..planning import explanations
+from ..planning.pattern_start import ShareablePattern
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
 from ..planning.reasoning_start import ReasoningUnit, result_annotation
-from ..planning.request_sharing import RequestSharing, ShareableQuery
+from ..planning.request_sharing import RequestSharing, Shareable
 from ..planning.stream_binding import (
     check_graphs,
     find_streams,
@@ -46,7 +47,8 @@ from ..planning.stream_binding import (
     supplies_of,
 )
 from ..units.query import QueryUnit
-from ..units.shared_query import InstanceUnit, TemplateUnit
+from ..units.sharing.shared_pattern import SharedPatternUnit
+from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from .empty_reasons import why_empty
 
 _SHORT = {
@@ -68,11 +70,11 @@ class _Running:
     samples convert to triples; ``shareable`` is the query that it could share, while it runs alone.
     """
 
-    unit: QueryUnit | InstanceUnit | ReasoningUnit
+    unit: QueryUnit | QueryInstance | ReasoningUnit
     matches: tuple[Match, ...]
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
-    shareable: ShareableQuery | None
+    shareable: Shareable | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,7 +296,7 @@ class EventRequests:
         """Start the units of the matches, then the query unit, or an instance of a shared query."""
         supplies = supplies_of(matches)
         if not isinstance(query, ContinuousQuery):
-            return self._build_reasoning(request, query, matches, since)
+            return self._build_reasoning(template, request, query, matches, strategy, since)
         assert isinstance(template, Template)
         shareable = None
         if since is Since.NOW:
@@ -313,15 +315,40 @@ class EventRequests:
 
     def _build_reasoning(
         self,
+        template: AnyTemplate,
         request: EventRequest,
         bound: Bound,
         matches: Sequence[Match],
+        strategy: str,
         since: Beginning,
     ) -> _Running:
+        """Start the units of the matches, then the formula or pattern, or an instance of a shared
+        pattern."""
         text = request.source.strip()
-        unit = self._plans.reasoning.start(bound, supplies_of(matches), since, request=text)
+        starter = self._plans.reasoning
+        shareable = None
+        if since is Since.NOW:
+            shareable = self._sharing.find_shareable_pattern(
+                template, request, bound, matches, strategy
+            )
+        if shareable is not None and self._shares(shareable):
+            shared = self._configuration.share(
+                shareable.key, partial(starter.patterns.start_shared, shareable)
+            )
+            assert isinstance(shared, SharedPatternUnit)
+            instance = starter.patterns.start_instance(shared, shareable, text)
+            annotation = result_annotation(request.event, instance)
+            return _Running(instance, tuple(matches), annotation, annotation, None)
+        unit = starter.start(bound, supplies_of(matches), since, request=text)
         annotation = result_annotation(request.event, unit)
-        return _Running(unit, tuple(matches), annotation, annotation, None)
+        return _Running(unit, tuple(matches), annotation, annotation, shareable)
+
+    def _shares(self, shareable: ShareablePattern) -> bool:
+        """Whether a request joins the shared evaluation that runs, or begins one."""
+        shared = self._configuration.find_shared(shareable.key)
+        if shared is None:
+            return self._sharing.is_worth_it(shareable)
+        return isinstance(shared, SharedPatternUnit) and shared.can_enter(shareable.object)
 
     def _is_valid(self, running: _Running) -> bool:
         """Whether the unit works, and its streams have the annotations that they had."""

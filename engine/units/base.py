@@ -364,10 +364,15 @@ class ComputationalUnit(ABC):
         late = batch.take(~is_in_time)
         self.late += len(late)
         for side in self.late_streams_of(source):
+            self.emit_late(side, late, decided)
+        return batch.take(is_in_time)
+
+    def emit_late(self, side: StreamGenerator, late: SampleBatch, decided: int) -> None:
+        """Emit samples that are late, since ``decided`` was before, to a stream of late samples."""
+        if len(late):
             arrival = max(self._processed_before, min(decided, TIME_MAX - 1) + 1)
             times = np.full(len(late), arrival, np.int64)
             side.emit(late.with_available(side.stamps_at(times)))
-        return batch.take(is_in_time)
 
     def cut_off(self, reason: str) -> None:
         """Leave the inputs for good, since the rule of user-written code says so; this is not an

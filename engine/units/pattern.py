@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,6 +87,16 @@ class PatternUnit(SampleReasoner):
                 *([f"rounded      {rounded:,} numbers of matches or samples"] if rounded else []),
             ]
         )
+
+    @property
+    def rows_of(self) -> Mapping[str, int]:
+        """The rows of each kind that came."""
+        return self.recognition.rows_of
+
+    @property
+    def pending(self) -> int:
+        """The number of matches that wait."""
+        return self.recognition.evaluator.pending
 
     def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
         """Return the partial matches of all these objects (as the matches name them, or IRIs).

@@ -55,23 +55,38 @@ def kind_of(type: FieldType) -> Kind:
 
 
 def row_readers(
-    inputs: Sequence[SourceInput], dictionary: TermDictionary, keys: Keys
+    inputs: Sequence[SourceInput],
+    dictionary: TermDictionary,
+    keys: Keys,
+    numbered: str | None = None,
 ) -> dict[StreamGenerator, list[RowReader]]:
-    """Return new readers of the sources' rows, by stream."""
+    """Return new readers of the sources' rows, by stream. ``numbered``: as for `RowReader`."""
     found: dict[StreamGenerator, list[RowReader]] = {}
     for each in inputs:
-        found.setdefault(each.input.source, []).append(RowReader(each, dictionary, keys))
+        found.setdefault(each.input.source, []).append(RowReader(each, dictionary, keys, numbered))
     return found
 
 
 class RowReader:
-    """Reads the rows of one source from one stream."""
+    """Reads the rows of one source from one stream. ``numbered``: the column of objects whose
+    numbers `read` is given."""
 
-    def __init__(self, input: SourceInput, dictionary: TermDictionary, keys: Keys) -> None:
+    def __init__(
+        self,
+        input: SourceInput,
+        dictionary: TermDictionary,
+        keys: Keys,
+        numbered: str | None = None,
+    ) -> None:
         self._source = input.source
         self._input = input.input
         self._has_interval = input.has_interval
         self._keys = keys
+        self._numbered = [
+            each.argument
+            for each in input.source.columns
+            if each.part is Part.OBJECT and each.column == numbered
+        ]
         self._objects = [
             ObjectCodes(
                 object,
@@ -82,15 +97,25 @@ class RowReader:
             for i, object in enumerate(input.input.objects)
         ]
 
-    def read(self, batch: SampleBatch, place: int, recognition: Recognition) -> None:
-        """Add the samples with a value and wanted objects."""
+    def read(
+        self,
+        batch: SampleBatch,
+        place: int,
+        recognition: Recognition,
+        numbers: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Add the samples with a value and wanted objects. ``numbers``: those of the objects that
+        are numbered, all of which are wanted."""
         present = batch.columns[self._input.field].present
         if not present.any():
             return
-        objects = []
-        for encoder in self._objects:
-            numbers, is_wanted = encoder.encode(batch)
-            objects.append(numbers)
+        objects: list[NDArray[Any]] = []
+        for i, encoder in enumerate(self._objects):
+            if numbers is not None and i in self._numbered:
+                objects.append(numbers)
+                continue
+            codes, is_wanted = encoder.encode(batch)
+            objects.append(codes)
             present = present & is_wanted
         rows = np.flatnonzero(present)
         if not len(rows):

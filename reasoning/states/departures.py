@@ -121,8 +121,10 @@ class Departures:
         if len(silent) == len(self._waiting):
             # The last states leave at the end of all streams (`StateMaker.end`).
             reached = np.minimum(reached, max(self._greatest, default=TIME_MIN))
-        steps = Steps(watermark, moments, np.maximum.accumulate(reached), self._reached)
-        self._reached = max(self._reached, steps.latest)
+        # What was reached stays reached, also when a silent stream goes on behind it.
+        reached = np.maximum.accumulate(np.maximum(reached, self._reached))
+        steps = Steps(watermark, moments, reached, self._reached)
+        self._reached = steps.latest
         return steps
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from ...engine.model.stream_statistics import rate_of
 from ...engine.units.pattern import PatternUnit
+from ...engine.units.sharing.shared_pattern import SharedPatternUnit
 from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND, format_duration
 from ..models import FindingModel
@@ -80,7 +81,9 @@ def _units(service: Service) -> Iterator[FindingModel]:
             stream=failure.stream,
         )
     for unit in service.engine.units():
-        losses = unit.recognition.losses() if isinstance(unit, PatternUnit) else {}
+        losses = {}
+        if isinstance(unit, PatternUnit | SharedPatternUnit):
+            losses = unit.recognition.losses()
         if losses:
             lost = "; ".join(f"{count:,} {what}" for what, count in losses.items())
             yield FindingModel(

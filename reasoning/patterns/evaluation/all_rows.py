@@ -16,7 +16,7 @@ from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.network import minimal_network
 from ..plans.plan import PatternPlan
 from ..plans.row_values import Row
-from .conditions import END
+from .conditions import COLUMNS, END
 from .evaluator import Evaluator
 from .join_loop import ask, join, scratch
 from .outputs import output_columns
@@ -31,7 +31,8 @@ class AllRows(Evaluator):
 
     ``is_ordered``: rows come in order of their ends, and a row behind the last one is late.
     Otherwise only a row behind the watermark that `advance` was given is late; such plans have no
-    probes.
+    probes. ``part``: a column of keys that numbers the part of a row; see `Store`. `PartRows` sets
+    their times.
 
     Law (tests/laws/reasoning/test_pattern_joins.py): the matches are those of the definition, each
     once, in the order of `Evaluator`, however the rows are cut into batches.
@@ -48,16 +49,18 @@ class AllRows(Evaluator):
         is_ordered: bool = True,
         limits: Limits = DEFAULT_LIMITS,
         capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
         network = minimal_network(plan)
         self._packed = packed = pack(plan, network, is_ordered=is_ordered)
         count = len(plan.elements)
-        super().__init__(plan, network, packed, count, limits, capacity)
+        word = 0 if part is None else COLUMNS + packed.columns.index(part)
+        super().__init__(plan, network, packed, count, limits, capacity, part_word=word)
         self._is_ordered = is_ordered
         self._has_one_last = is_ordered and len(packed.triggers) == 1
         distinct, intervals = int(plan.is_distinct), int(plan.has_intervals)
         most = self._most_matches
-        settings = [count, intervals, distinct, int(is_ordered), most, limits.candidates]
+        settings = [count, intervals, distinct, int(is_ordered), most, limits.candidates, word]
         self._settings = np.array(settings, np.int64)
         self._scratch = scratch(packed.buffers)
 
@@ -99,6 +102,7 @@ class AllRows(Evaluator):
             store.vectors,
             store.heads,
             store.marks,
+            store.times,
             self._out,
             self._due,
             *self._scratch,

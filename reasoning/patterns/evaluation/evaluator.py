@@ -66,6 +66,7 @@ class Evaluator(ABC):
         limits: Limits,
         capacity: int,
         rows_given: int | None = None,
+        part_word: int = 0,
     ) -> None:
         self.plan = plan
         self._network = network
@@ -77,7 +78,7 @@ class Evaluator(ABC):
         self._known = {kind: i for i, kind in enumerate(plan.kinds())}
         self._codes: dict[tuple[str, ...], Integers] = {}
         self._is_number = [plan.type_of(name) is ColumnType.NUMBER for name in packed.columns]
-        self._store = Store(packed, capacity, limits.rows)
+        self._store = Store(packed, capacity, limits.rows, part_word)
         self._waiting = Waiting(width)
         self._out = np.zeros((capacity, width), np.int64)
         self._due = np.zeros(capacity, np.int64)
@@ -284,10 +285,8 @@ class Evaluator(ABC):
         store = self._store
         marks = store.marks
         records, due = self._out[: int(marks[OUT])], self._due[: int(marks[OUT])]
-        watermark = int(marks[WATERMARK])
-        marks[OUT], marks[DECIDED] = 0, watermark
-        due_next = self._waiting.next_due
-        if not len(records) and (due_next is None or due_next > watermark):
+        marks[OUT] = 0
+        if not self._pass_time() and not len(records):
             if self._nothing is None:
                 self._nothing = self._matches(records, due)
             return self._nothing
@@ -298,7 +297,7 @@ class Evaluator(ABC):
             records, decided = records[~is_open], decided[~is_open]
         if len(records) > 1 and (order := self._order(records)) is not None:
             records, decided = records[order], decided[order]
-        late_records, late_due = self._answered(watermark)
+        late_records, late_due = self._answered()
         if len(late_due):
             decided = np.concatenate([late_due, decided])
             order = np.argsort(decided, kind="stable")
@@ -320,9 +319,20 @@ class Evaluator(ABC):
         if room and len(due):
             self._waiting.add(records[:room], due[:room])
 
-    def _answered(self, watermark: int) -> tuple[Integers, Integers]:
+    def _pass_time(self) -> bool:
+        """Decide matches up to the watermark from now on. Return whether one that waits may be
+        due."""
+        marks, due = self._store.marks, self._waiting.next_due
+        marks[DECIDED] = marks[WATERMARK]
+        return due is not None and due <= int(marks[WATERMARK])
+
+    def _take_due(self) -> tuple[Integers, Integers]:
+        """Remove the matches that waited until the watermark."""
+        return self._waiting.take(int(self._store.marks[WATERMARK]))
+
+    def _answered(self) -> tuple[Integers, Integers]:
         """The matches that waited until the watermark and whose probes hold."""
-        records, due = self._waiting.take(watermark)
+        records, due = self._take_due()
         if not len(due):
             return records, due
         records = np.ascontiguousarray(records)

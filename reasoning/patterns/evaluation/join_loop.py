@@ -44,6 +44,7 @@ from .packing import (
     MOST,
     MOST_CANDIDATES,
     MOST_MATCHES,
+    PART_WORD,
     PROBE_BELOW,
     PROBE_CONDITION,
     PROBE_KEYS,
@@ -54,6 +55,7 @@ from .store import (
     BASE,
     CUT_SHORT,
     DECIDED,
+    DECISIONS,
     FIRST,
     IN_LOOPS,
     IS_FULL,
@@ -66,6 +68,7 @@ from .store import (
     STOP,
     UNSTORED,
     WATERMARK,
+    WATERMARKS,
     first_at_least,
     hashed,
     put,
@@ -237,6 +240,7 @@ def _join_loop(
     vectors: Any,
     heads: Any,
     marks: Any,
+    times: Any,
     # The matches: the places of their rows, and from when on no later row changes them.
     out: Any,
     due: Any,
@@ -256,6 +260,14 @@ def _join_loop(
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
         now = batch[i, END]
+        if settings[PART_WORD] != 0:
+            # The row's part has its own time.
+            part = batch[i, settings[PART_WORD]]
+            marks[WATERMARK], marks[DECIDED] = times[WATERMARKS, part], times[DECISIONS, part]
+            for b in range(buffers.shape[0]):
+                dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
+            if settings[IS_ORDERED] and now > times[WATERMARKS, part]:
+                times[WATERMARKS, part] = now
         if now < marks[WATERMARK]:
             marks[LATE] += suits != 0
             continue
@@ -543,7 +555,7 @@ def _join_signature() -> Any:
     types, row, table, floats, numbers = _types()
     plan = (row, row, row, row, table, table, table, table, table)
     conditions = (table, floats, table, numbers)
-    store = (table, floats, row, row, table, row, row)
+    store = (table, floats, row, row, table, row, row, table)
     return types.int64(
         table, row, types.int64, *plan, *conditions, *store, table, row, table, numbers
     )

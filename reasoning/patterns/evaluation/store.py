@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ....streams.jit import JIT, Kernel
 from ....streams.time import TIME_MIN
+from ....streams.time_arithmetic import earlier
 from ..plans.plan import NO_VALUE
 from .conditions import END
 from .packing import KEEPS_LAST, KEY_COUNT, KEYS, OF, RETAINED, PackedRows
@@ -40,6 +41,8 @@ MARKS: Final = 16
 CANDIDATES_FULL: Final = -2
 SMALLEST: Final = 64
 """Rows, places and vectors of a new store."""
+# The times of the parts of a store (`Store.times`).
+WATERMARKS, DECISIONS = range(2)
 
 
 @dataclass(slots=True, eq=False)
@@ -50,11 +53,15 @@ class Store:
     O(1) hashing and O(log n) comparisons a look-up; compaction is O(live), once in half as many
     rows. Memory: 8 bytes a word of a live row and 16 bytes a candidate, both 1.5 to 2.3 times;
     while it compacts, twice that.
+
+    ``part_word``: the word of a row that numbers its part, from 0. Each part has its own watermark
+    and time of decision, and that word is among the keys of each buffer. 0: there are no parts.
     """
 
     plan: PackedRows
     capacity: int = SMALLEST
     most_rows: int = 1 << 62
+    part_word: int = 0
     table: Integers = field(init=False)
     ends: Integers = field(init=False)
     """The pool: the ends of rows."""
@@ -64,6 +71,8 @@ class Store:
     heads: Integers = field(init=False)
     """By hash: the number of a vector plus 1, or 0."""
     marks: Integers = field(init=False)
+    times: Integers = field(init=False)
+    """The watermark and the time of decision of each part, shape ``(2, parts)``."""
 
     def __post_init__(self) -> None:
         self.table = np.zeros((self.capacity, self.plan.width), np.int64)
@@ -73,6 +82,7 @@ class Store:
         self.heads = np.zeros(_heads(self.capacity), np.int64)
         self.marks = np.zeros(MARKS, np.int64)
         self.marks[[WATERMARK, DECIDED]] = TIME_MIN
+        self.times = np.full((2, 1), TIME_MIN, np.int64)
 
     @property
     def _vector_width(self) -> int:
@@ -87,23 +97,27 @@ class Store:
     def state(self) -> tuple[Integers, ...]:
         """Copies of all arrays."""
         arrays = self.table, self.ends, self.rows, self.vectors, self.heads, self.marks
-        return tuple(each.copy() for each in arrays)
+        return tuple(each.copy() for each in (*arrays, self.times))
 
     def restore(self, state: tuple[Integers, ...]) -> None:
         """Take the arrays of a state."""
-        self.table, self.ends, self.rows, self.vectors, self.heads, self.marks = (
-            each.copy() for each in state
-        )
+        arrays = (each.copy() for each in state)
+        self.table, self.ends, self.rows, self.vectors, self.heads, self.marks, self.times = arrays
 
     def dead(self) -> Integers:
-        """For each buffer the end before which its rows are not joined any more."""
-        decided = int(self.marks[DECIDED])
+        """The end before which rows are not joined any more: for each part and buffer, shape
+        ``(parts, buffers)``."""
+        decided = self.times[DECISIONS] if self.part_word else self.marks[DECIDED : DECIDED + 1]
         kept = self.plan.buffers[:, RETAINED].tolist()
-        return np.array([max(TIME_MIN, decided - each) for each in kept], np.int64)
+        dead = np.empty((len(decided), len(kept)), np.int64)
+        for buffer, each in enumerate(kept):
+            dead[:, buffer] = earlier(decided, each)
+        return dead
 
     def places(self, buffer: int) -> list[int]:
-        """The places in the table of the rows in a buffer that may still be joined."""
-        dead, found = int(self.dead()[buffer]), []
+        """The places in the table of the rows in a buffer that may still be joined. Contract: there
+        are no parts."""
+        dead, found = int(self.dead()[0, buffer]), []
         for vector in self.vectors[: int(self.marks[VECTORS])]:
             if vector[BUFFER] == buffer:
                 own = slice(vector[BASE] + vector[FIRST], vector[BASE] + vector[STOP])
@@ -117,7 +131,7 @@ class Store:
         moved = np.zeros(int(marks[ROWS]), np.int64)
         sizes = np.zeros(2, np.int64)
         store = buffers, self.ends, self.rows, self.vectors, marks
-        _run(_mark, self.dead(), *store, moved, sizes)
+        _run(_mark, self.dead(), self.part_word, *store, moved, sizes)
         for root in roots:
             moved[root] = 1
         live = int(np.count_nonzero(moved))
@@ -304,6 +318,7 @@ IN_LOOPS: Final = (mix, hashed, vector_of, first_at_least, has_room, insert, rem
 
 def _mark_loop(
     dead: Any,
+    part_word: int,
     buffers: Any,
     ends: Any,
     rows: Any,
@@ -316,9 +331,13 @@ def _mark_loop(
     vectors that are left, and the places that they need."""
     for v in range(marks[VECTORS]):
         first, stop, base = vectors[v, FIRST], vectors[v, STOP], vectors[v, BASE]
-        until = dead[vectors[v, BUFFER]]
+        buffer, part = vectors[v, BUFFER], 0
+        for i in range(buffers[buffer, KEY_COUNT]):
+            if part_word != 0 and buffers[buffer, KEYS + i] == part_word:
+                part = vectors[v, VECTOR_KEYS + i]
+        until = dead[part, buffer]
         # The state at the time of death is the last row before it.
-        keeps = buffers[vectors[v, BUFFER], KEEPS_LAST]
+        keeps = buffers[buffer, KEEPS_LAST]
         while first + keeps < stop and ends[base + first + keeps] < until:
             first += 1
         vectors[v, FIRST] = first
@@ -386,7 +405,7 @@ def _mark_signature() -> Any:
     from numba import types
 
     row, table = _types()
-    return types.void(row, table, row, row, table, row, row, row)
+    return types.void(table, types.int64, table, row, row, table, row, row, row)
 
 
 def _copy_signature() -> Any:

@@ -70,6 +70,17 @@ class Waiting:
         found = found[np.lexsort(found.T[::-1])]
         return found[:, 1:], found[:, 0]
 
+    def take_where(self, is_due: NDArray[np.bool_]) -> tuple[Integers, Times]:
+        """Remove the matches that are chosen among `rows`, in the order of `take`. Cost: O(w)."""
+        found, rest = self._heap[: self._used][is_due], self._heap[: self._used][~is_due]
+        if len(found):
+            # In order of due is a heap.
+            self._used = len(rest)
+            self._resize(self._used)
+            self._heap[: self._used] = rest[np.argsort(rest[:, 0], kind="stable")]
+            found = found[np.lexsort(found.T[::-1])]
+        return found[:, 1:], found[:, 0]
+
     def _resize(self, needed: int) -> None:
         heap = np.zeros((max(16, 2 * needed), self.count + 1), np.int64)
         heap[: self._used] = self._heap[: self._used]

@@ -26,7 +26,7 @@ Integers = NDArray[np.int64]
 SOURCE, VALUE, KEYS = range(3)
 # A source: the words of a record that have its value and its keys; the word of the values before.
 VALUE_WORD, BEFORE_WORD, KEY_COUNT, KEY_WORDS = range(4)
-KEPT, UNSTORED, LATE, WATERMARK = range(4)
+KEPT, UNSTORED, LATE, WATERMARK, HAS_PARTS = range(5)
 _CHUNK: Final = 4096
 """Rows taken at a time: there is room for as many new keys."""
 _SMALLEST: Final = 64
@@ -62,7 +62,7 @@ class Changes:
         self._missing = np.array(missing, np.int64)
         self._most_keys = most_keys
         self._table = np.zeros((capacity, KEYS + self._layout.shape[1] - KEY_WORDS), np.int64)
-        self._marks = np.array([0, 0, 0, TIME_MIN], np.int64)
+        self._marks = np.array([0, 0, 0, TIME_MIN, 0], np.int64)
 
     @property
     def late(self) -> int:
@@ -73,6 +73,16 @@ class Changes:
     def unstored(self) -> int:
         """The number of rows whose objects exceed the limit."""
         return int(self._marks[UNSTORED])
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether rows fall into parts, by one of their objects, and come in order within these: no
+        row is late then."""
+        return bool(self._marks[HAS_PARTS])
+
+    @has_parts.setter
+    def has_parts(self, value: bool) -> None:
+        self._marks[HAS_PARTS] = value
 
     @property
     def size(self) -> int:
@@ -148,7 +158,7 @@ class Changes:
         layout[:, KEY_WORDS:] = np.arange(KEYS, old.shape[1])
         count = len(entries)
         ends, made = np.zeros(count, np.int64), np.zeros((count, 1), np.int64)
-        source, marks = entries[:, SOURCE] - 1, np.array([0, 0, 0, TIME_MIN], np.int64)
+        source, marks = entries[:, SOURCE] - 1, np.array([0, 0, 0, TIME_MIN, 0], np.int64)
         _run(_changes, source, ends, entries, layout, self._table, made, marks, count)
 
 
@@ -205,7 +215,7 @@ def _changes_loop(
 ) -> None:
     """Exchange the value of each record for the one that the table has for its source and keys."""
     for i in range(source.shape[0]):
-        if ends[i] < marks[WATERMARK]:
+        if marks[HAS_PARTS] == 0 and ends[i] < marks[WATERMARK]:
             marks[LATE] += 1
             source[i] = _IS_LATE
             continue

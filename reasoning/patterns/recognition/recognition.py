@@ -84,11 +84,11 @@ class Recognition:
         self._begun = [0] * streams
         """The number of the first sample in the last batch of each stream."""
         self._samples = [0] * streams
-        self._new = _Batch.empty(self._columns)
+        self._new = Batch.empty(self._columns)
         """Rows that are not before the watermark."""
-        self._waiting = _Batch.empty(self._columns)
+        self._waiting = Batch.empty(self._columns)
         """Rows, in order, for which an earlier one may still come."""
-        self._parts: list[_Batch] = []
+        self._parts: list[Batch] = []
         self._number = 0
         """The number of rows given to the evaluator."""
         self._places: list[NDArray[np.int64]] | None = [] if keeps_places else None
@@ -143,7 +143,7 @@ class Recognition:
             name: np.asarray(columns[name], type) if name in columns else _missing(type, count)
             for name, type in self._columns.items()
         }
-        self._parts.append(_Batch(available, place, start, end, filled))
+        self._parts.append(Batch(available, place, start, end, filled))
 
     def came(self, stream: int, available: Times, valid: Times) -> None:
         """Take the times of all samples in a batch of a stream, in order of available time."""
@@ -163,7 +163,7 @@ class Recognition:
         """Return what the samples available before ``watermark`` decide. Contract: all of them were
         added. ``by_clock``: the clock, and no sample, has brought the watermark."""
         steps = self._departures.advance(watermark, by_clock=by_clock)
-        new = _joined([self._new, *self._parts])
+        new = joined([self._new, *self._parts])
         self._parts = []
         self._new, new = new.split(new.available >= watermark)
         late, new = new.split(new.end < steps.reached_before(new.available))
@@ -172,8 +172,8 @@ class Recognition:
 
     def finish(self, moment: int) -> Recognized:
         """Return what is decided at the end of all streams, which is at ``moment``."""
-        rest = _joined([self._waiting, self._new, *self._parts]).in_order()
-        self._waiting = self._new = _Batch.empty(self._columns)
+        rest = joined([self._waiting, self._new, *self._parts]).in_order()
+        self._waiting = self._new = Batch.empty(self._columns)
         self._parts = []
         found = concatenated([self._pushed(rest), self.evaluator.end()])
         return self._results(found, np.full(len(found), moment, np.int64))
@@ -190,7 +190,7 @@ class Recognition:
         (plan,) = self.plans
         return evaluator_of(plan, is_ordered=self.is_ordered, limits=limits)
 
-    def _as_they_come(self, new: _Batch, steps: Steps) -> Recognized:
+    def _as_they_come(self, new: Batch, steps: Steps) -> Recognized:
         if len(new) > 1:
             new = new.take(new.order(new.available))
         first = self._number
@@ -198,8 +198,8 @@ class Recognition:
         self.evaluator.advance(steps.latest)
         return self._results(found, new.available[found.last - first])
 
-    def _in_order(self, new: _Batch, steps: Steps) -> Recognized:
-        rows = _joined([self._waiting, new]).in_order()
+    def _in_order(self, new: Batch, steps: Steps) -> Recognized:
+        rows = joined([self._waiting, new]).in_order()
         leave = int(np.searchsorted(rows.end, steps.latest, "right"))
         self._waiting = rows.take(slice(leave, None))
         rows, first = rows.take(slice(0, leave)), self._number
@@ -212,7 +212,7 @@ class Recognition:
         available[by_row] = np.maximum(available[by_row], came)
         return self._results(found, available)
 
-    def _pushed(self, batch: _Batch) -> Matches:
+    def _pushed(self, batch: Batch) -> Matches:
         if not len(batch):
             return self.evaluator.advance(TIME_MIN)
         self._number += len(batch)
@@ -244,7 +244,7 @@ def needs_order(query: PatternQuery) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Batch:
+class Batch:
     """Rows; ``place`` has the stream of each, the number of its sample there, and its kind, shape
     ``(n, 3)``."""
 
@@ -258,18 +258,18 @@ class _Batch:
         return len(self.end)
 
     @classmethod
-    def empty(cls, columns: Mapping[str, Any]) -> _Batch:
+    def empty(cls, columns: Mapping[str, Any]) -> Batch:
         none = np.empty(0, np.int64)
         filled = {name: _missing(type, 0) for name, type in columns.items()}
         return cls(none, np.empty((0, 3), np.int64), none, none, filled)
 
-    def take(self, rows: Any) -> _Batch:
+    def take(self, rows: Any) -> Batch:
         columns = {name: values[rows] for name, values in self.columns.items()}
-        return _Batch(
+        return Batch(
             self.available[rows], self.place[rows], self.start[rows], self.end[rows], columns
         )
 
-    def split(self, chosen: NDArray[np.bool_]) -> tuple[_Batch, _Batch]:
+    def split(self, chosen: NDArray[np.bool_]) -> tuple[Batch, Batch]:
         """The rows that are chosen, and the others."""
         if not chosen.any():
             return self.take(slice(0, 0)), self
@@ -280,21 +280,22 @@ class _Batch:
         by sample."""
         return np.lexsort((self.place[:, SAMPLE], self.place[:, STREAM], *times))
 
-    def in_order(self) -> _Batch:
+    def in_order(self) -> Batch:
         """The rows in order of end, then of arrival."""
         if len(self) < 2:
             return self
         return self.take(self.order(self.available, self.end))
 
 
-def _joined(parts: Sequence[_Batch]) -> _Batch:
+def joined(parts: Sequence[Batch]) -> Batch:
+    """Return the rows of all parts, of which there is at least one."""
     filled = [part for part in parts if len(part)]
     if len(filled) < 2:
         return filled[0] if filled else parts[0]
     columns = {
         name: np.concatenate([part.columns[name] for part in filled]) for name in filled[0].columns
     }
-    return _Batch(
+    return Batch(
         np.concatenate([part.available for part in filled]),
         np.concatenate([part.place for part in filled]),
         np.concatenate([part.start for part in filled]),

@@ -1,0 +1,149 @@
+"""A pattern over samples of several objects, each evaluated by itself (SPEC §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....streams.sample import Times
+from ...states.part_departures import PartDepartures, PartSteps
+from ..evaluation.part_rows import PartRows
+from ..plans.by_object import PART, PatternByObject
+from ..plans.limits import DEFAULT_LIMITS, Limits
+from ..plans.query import END, Keys
+from ..plans.rows import Values, concatenated
+from .combined import CombinedRows, StaticSolutions
+from .recognition import Batch, Recognition, Recognized, joined
+
+Parts: TypeAlias = NDArray[np.int64]
+
+
+class PartRecognition(Recognition):
+    """The matches of a pattern of each object by itself; an object is a part, by its number.
+
+    Law (tests/laws/reasoning/test_part_recognition.py): the results of a part, and when they are
+    available, are those of `Recognition` over its own samples. The limits are those of all parts
+    together. Cost: that of one `Recognition` over all samples.
+    """
+
+    evaluator: PartRows
+
+    def __init__(
+        self,
+        pattern: PatternByObject,
+        streams: int,
+        keys: Keys,
+        *,
+        lateness: Sequence[int] = (),
+        limits: Limits = DEFAULT_LIMITS,
+    ) -> None:
+        self._column = pattern.column
+        super().__init__(pattern.query, streams, keys, lateness=lateness, limits=limits)
+        if self._changes is not None:
+            self._changes.has_parts = True
+        self._part_departures = PartDepartures(streams, lateness)
+        self.late_of: NDArray[np.int64] = np.empty(0, np.int64)
+        """The rows of each part that came too late."""
+        self.samples_of: NDArray[np.int64] = np.empty(0, np.int64)
+        """The samples of each part that came."""
+        self._rows_of_parts = np.zeros((len(self._kinds), 0), np.int64)
+
+    def add_part(self) -> int:
+        """Return the number of a new part, whose samples may follow."""
+        part = self._part_departures.add_part()
+        self.evaluator.make_room_for(part + 1)
+        if part == len(self.late_of):
+            more = max(16, part)
+            self.late_of = np.concatenate([self.late_of, np.zeros(more, np.int64)])
+            self.samples_of = np.concatenate([self.samples_of, np.zeros(more, np.int64)])
+            kinds = np.zeros((len(self._kinds), more), np.int64)
+            self._rows_of_parts = np.concatenate([self._rows_of_parts, kinds], axis=1)
+        return part
+
+    def end_part(self, part: int) -> None:
+        """Drop all that is known of a part. Cost: O(rows and matches that wait)."""
+        self.evaluator.drop_part(part)
+        self._new, self._waiting = self._others(self._new, part), self._others(self._waiting, part)
+        self._parts = [self._others(each, part) for each in self._parts]
+
+    def rows_of_part(self, part: int) -> dict[str, int]:
+        """Return the rows of each kind that came of a part."""
+        return dict(zip(self._kinds, self._rows_of_parts[:, part].tolist(), strict=True))
+
+    def add(
+        self,
+        stream: int,
+        kind: str,
+        samples: NDArray[np.int64],
+        available: Times,
+        start: Times,
+        end: Times,
+        columns: Mapping[str, Values],
+    ) -> None:
+        super().add(stream, kind, samples, available, start, end, columns)
+        parts = np.asarray(columns[self._column], np.int64)
+        np.add.at(self._rows_of_parts[self._kinds.index(kind)], parts, 1)
+
+    def came_in_parts(self, stream: int, available: Times, valid: Times, part: Parts) -> None:
+        """Take the times of samples in a batch of a stream, with their parts; see `came`."""
+        self._begun[stream] = self._samples[stream]
+        self._samples[stream] += len(available)
+        np.add.at(self.samples_of, part, 1)
+        self._part_departures.add(stream, available, valid, part)
+
+    def resumed(self, stream: int) -> None:
+        """A stream goes on after its end."""
+        self._part_departures.resume(stream)
+
+    def ended(self, stream: int, moment: int) -> None:
+        self._part_departures.end(stream, moment)
+
+    def set_idle(self, streams: Iterable[int]) -> None:
+        self._part_departures.idle = frozenset(streams)
+
+    def advance(self, watermark: int, *, by_clock: bool = False) -> Recognized:
+        steps = self._part_departures.advance(watermark, by_clock=by_clock)
+        new = joined([self._new, *self._parts])
+        self._parts = []
+        self._new, new = new.split(new.available >= watermark)
+        late, new = new.split(new.end < steps.reached_before(self._part_of(new), new.available))
+        self.late += len(late)
+        np.add.at(self.late_of, self._part_of(late), 1)
+        return (
+            self._parts_in_order(new, steps)
+            if self.is_ordered
+            else self._parts_as_they_come(new, steps)
+        )
+
+    def _parts_as_they_come(self, new: Batch, steps: PartSteps) -> Recognized:
+        if len(new) > 1:
+            new = new.take(new.order(new.available))
+        first = self._number
+        found = self._pushed(new)
+        self.evaluator.advance_parts(steps.latest)
+        return self._results(found, new.available[found.last - first])
+
+    def _parts_in_order(self, new: Batch, steps: PartSteps) -> Recognized:
+        rows = joined([self._waiting, new]).in_order()
+        self._waiting, rows = rows.split(rows.end > steps.latest[self._part_of(rows)])
+        first = self._number
+        found = concatenated([self._pushed(rows), self.evaluator.advance_parts(steps.latest)])
+        # As in `Recognition`, by the time of the match's own part.
+        available = steps.reaching(found.outputs[PART], found.decided)
+        by_row = found.decided <= found.outputs[END]
+        came = rows.available[found.last[by_row] - first]
+        available[by_row] = np.maximum(available[by_row], came)
+        return self._results(found, available)
+
+    def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> PartRows | CombinedRows:
+        (plan,) = self.plans
+        return PartRows(plan, self._column, is_ordered=self.is_ordered, limits=limits)
+
+    def _part_of(self, rows: Batch) -> Parts:
+        return np.asarray(rows.columns[self._column], np.int64)
+
+    def _others(self, rows: Batch, part: int) -> Batch:
+        return rows.take(self._part_of(rows) != part)

@@ -1,0 +1,175 @@
+"""Law: requests of a pattern's template that share an evaluation have the samples, and the times,
+that each would have from an evaluation of its own: however batches are cut, while requests come and
+go, and after a restart."""
+
+import re
+from random import Random
+
+import pytest
+from commanding import IRI, SORTS
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from monitor_worlds import OBJECTS, WORLDS, begun, publish
+
+from dyknow.engine.durability import commands as c
+from dyknow.engine.durability.checkpoint import Outside, engine_of, state_of
+from dyknow.engine.engine import Engine
+from dyknow.engine.model.errors import NoPlan
+from dyknow.engine.model.views import Since, StreamDeclaration
+from dyknow.engine.planning import pattern_sharing
+from dyknow.engine.processes.registry import Processes
+from dyknow.engine.processes.supervision import DIRECT
+from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.time import SECOND
+
+EP = "PREFIX dyknow: <http://www.ida.liu.se/dyknow/> "
+TEMPLATES = (
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS chronicle odd(?x) { "
+    "event(speed[?x]:(?, > ?limit), t1); event(altitude[?x]:(?, > 10 [ft]), t2); "
+    "t2 - t1 in [0s, 3s]; }",
+    "REGISTER TEMPLATE Odd(?x, ?limit) AS chronicle odd(?x, ?v) { "
+    "event(speed[?x]:(< ?limit, >= ?limit), t1); event(speed[?x]:(?, ?v), t2); "
+    "t2 - t1 in [0.5s, 2s]; noevent(altitude[?x]:(?, < 8), (t1, t2 + 1s)); "
+    "when recognized { emit event(odd[?x, ?v], t1); } }",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS chronicle odd(?x) { "
+    "event(speed[?x]:(?, > ?limit), t1); event(altitude[?x], t2); "
+    "hold(speed[?x]:< 100, (t1, t2)); t2 - t1 in [-2s, 2s]; }",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, ~altitude b, speed c) WHERE "
+    "{ [id = ?x] and a.value > ?limit and b.value < 10 } WITHIN 3 seconds",
+    f"{EP}REGISTER TEMPLATE dyknow:Odd(?x, ?limit) AS SELECT ?x ?v WHERE {{ ?x dyknow:speed ?v }} "
+    "SEQ { ?x dyknow:altitude ?w FILTER (?w > ?limit) } WITHIN 3 s",
+)
+NEVER = 10**9
+
+
+def world_of(world):
+    if world != "declared":
+        return begun(world, "", registers=False)
+    engine = Engine(epoch="law")
+    c.execute(engine, c.LoadOntology(SORTS, f"{IRI}objects"))
+    fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+    high = (Field("id", FieldType.STRING), Field("w", FieldType.FLOAT))
+    engine.declare(StreamDeclaration("a", fields, lateness=SECOND, idle=2 * SECOND))
+    engine.declare(StreamDeclaration("b", high, idle=3 * SECOND))
+    engine.annotate(WORLDS["a stream each"])
+    return engine
+
+
+class Scenario:
+    """Samples of both streams, and what happens: requests, parts of the samples, and others."""
+
+    def __init__(self, seed):
+        self.random = random = Random(seed)
+        self.world = random.choice([*sorted(WORLDS), "declared", "declared"])
+        self.template = random.choice(TEMPLATES)
+        self.samples = {name: self.flights() for name in "ab"}
+        self.steps = [self.asked() for _ in range(random.randint(1, 4))]
+        self.steps += [self.step() for _ in range(random.randint(6, 16))]
+        self.steps += [("send", name, 100) for name in "ab" if random.random() < 0.5]
+        self.steps += [("end", name) for name in "ab" if random.random() < 0.5]
+
+    def step(self):
+        random, drawn = self.random, self.random.random()
+        if drawn < 0.6:
+            return "send", random.choice("ab"), random.randint(1, 12)
+        if drawn < 0.75:
+            return self.asked()
+        others = [("cancel", random.randrange(6)), ("tick", random.randint(1, 3)), ("restart",)]
+        return random.choice([*others, ("end", random.choice("ab"))])
+
+    def asked(self):
+        random = self.random
+        object = random.choice([*(f"dyknow:{name}" for name in OBJECTS), "?x"])
+        since = Since.START if random.random() < 0.1 else Since.NOW
+        return "ask", object, random.choice(["18", "18", "9"]), since
+
+    def flights(self):
+        """The samples of a stream: (available, valid, values), in order of available time."""
+        random = self.random
+        delays = random.choice([[0], [0, 0, 1], [0, 1, 2, 5]])
+        time, rows = 1, []
+        for _ in range(random.randint(12, 40)):
+            time += random.choice([0, 0, 1, 1, 2])
+            values = {
+                "id": random.choice(OBJECTS[:2] if random.random() < 0.8 else OBJECTS),
+                "v": random.choice([1.0, 20.0, 10.5, 4.0, 50.0, None]),
+                "w": random.choice([1.0, 20.0, 3.5, 4.0, None]),
+            }
+            rows.append((time * SECOND // 2, (time - random.choice(delays)) * SECOND // 2, values))
+        return rows
+
+
+def run(world, template, given, sent, least):
+    """What each request has in the end, by its place among the steps; and how many shared."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pattern_sharing, "SAME_PATTERN", least)
+        engine = world_of(world)
+        engine.register_template(template)
+        left = {name: list(rows) for name, rows in sent.items()}
+        running, ended, clock, shared = {}, {}, 0, 0
+        for place, step in enumerate(given):
+            match step:
+                case ("ask", object, limit, since):
+                    text = f"Odd({object}, {limit})"
+                    try:
+                        view = engine.request_event(engine.parse_request(text), since=since)
+                    except NoPlan:
+                        continue
+                    running[place] = (view.id, view.stream)
+                    shared += view.plan.units[-1].transformation == "selectInstance"
+                case ("send", stream, count):
+                    publish(engine, stream, left[stream][:count])
+                    del left[stream][:count]
+                case ("cancel", number) if len(running) > number:
+                    place = sorted(running)[number]
+                    ended[place] = seen(engine, *running[place])
+                    engine.cancel_event(running.pop(place)[0])
+                case ("tick", seconds):
+                    clock += seconds
+                    engine.tick(clock * SECOND)
+                case ("restart",):
+                    outside = Outside(Processes(), DIRECT)
+                    engine, _ = engine_of(state_of(engine, None, outside).data, outside)
+                case ("end", stream) if not left[stream]:
+                    engine.end(stream)
+        for place, request in running.items():
+            ended[place] = seen(engine, *request)
+        for id, _ in running.values():
+            engine.cancel_event(id)
+        assert not engine._parts.configuration.units
+        return ended, shared
+
+
+def seen(engine, id, stream):
+    view = engine.event(id)
+    generator = engine.generator(stream)
+    empty = re.sub("from .*", "", view.empty or "")
+    rows = list(generator.stream.all().rows())
+    failed = view.failure is not None
+    return rows, view.late, empty, failed, generator.is_ended, generator.is_idle
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.integers(0, 2**32))
+# A stream that ends while another goes on; one that was silent and goes on before a request comes;
+# a request that comes when a stream has ended; a stream that goes on behind what was reached.
+@example(1051)
+@example(19)
+@example(20378)
+@example(20840)
+@example(30001)
+def test_sharing_changes_nothing(seed):
+    case = Scenario(seed)
+    parts = case.world, case.template, case.steps, case.samples
+    alone, _ = run(*parts, NEVER)
+    shared, _ = run(*parts, 1)
+    assert shared == alone
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_requests_are_shared_in_the_law(template):
+    given = [
+        ("ask", f"dyknow:{name}", limit, Since.NOW) for name in OBJECTS for limit in ("9", "18")
+    ]
+    _, shared = run("a stream each", template, given, {}, 1)
+    assert shared == len(given)

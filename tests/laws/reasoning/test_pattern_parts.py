@@ -1,0 +1,107 @@
+"""Rows that fall into parts, each with its own time: the matches of a part are those of an
+evaluation of its own, in the same order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+
+import numpy as np
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from pattern_cuts import found_in
+from pattern_definition import Row, Watermark
+from pattern_drawing import PatternDrawing, rows_of
+
+from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.evaluation.part_rows import PartRows
+from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
+from dyknow.reasoning.patterns.plans.plan import (
+    OWN,
+    Column,
+    ColumnType,
+    Output,
+    PatternPlan,
+    Same,
+    Value,
+)
+from dyknow.reasoning.patterns.plans.rows import Matches, Rows
+
+PARTS = 3
+PART = "part"
+
+
+def parted(plan: PatternPlan) -> PatternPlan:
+    """The plan with the part among the equal keys of all elements and probes, and as an output."""
+    linked = tuple(Same(0, PART, each, PART) for each in range(1, len(plan.elements)))
+    return replace(
+        plan,
+        columns=(*plan.columns, Column(PART, ColumnType.KEY)),
+        same=(*plan.same, *linked),
+        probes=tuple(replace(p, same=(*p.same, Same(OWN, PART, 0, PART))) for p in plan.probes),
+        outputs=(*plan.outputs, Output(PART, Value(0, PART))),
+    )
+
+
+def rows_with_parts(rows: list[tuple[int, Row]]) -> Rows:
+    found = rows_of([row for _, row in rows])
+    return replace(found, columns={**found.columns, PART: np.array([p for p, _ in rows])})
+
+
+@settings(deadline=None, max_examples=600)
+@given(st.integers(0, 2**32), st.booleans())
+def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None:
+    case = PatternDrawing(seed, is_ordered=is_ordered, most_elements=3)
+    plan, draw = case.plan, Random(seed)
+    if draw.random() < 0.5:
+        plan = replace(plan, within=4)
+    try:
+        alone = [AllRows(plan, is_ordered=is_ordered, capacity=8) for _ in range(PARTS)]
+        running = PartRows(parted(plan), PART, is_ordered=is_ordered, capacity=8)
+    except (UnboundedRetention, ContradictoryTimes):
+        assume(False)
+    wanted: list[list] = [[] for _ in range(PARTS)]
+    found: list[list] = [[] for _ in range(PARTS)]
+
+    def take(result: Matches) -> None:
+        # The numbers of rows are those of all parts.
+        for _, decided, outputs in found_in(result):
+            found[outputs[-1]].append((decided, outputs[:-1]))
+
+    def note(part: int, result: Matches) -> None:
+        wanted[part] += [(decided, outputs) for _, decided, outputs in found_in(result)]
+
+    # The parts are at different times.
+    steps = [case.steps(draw.randint(1, 20), draw.choice([8, 40])) for _ in range(PARTS)]
+    known = 0
+    batch: list[tuple[int, Row]] = []
+    watermarks = np.full(PARTS, -(2**63), np.int64)
+    while any(steps):
+        part = draw.choice([i for i in range(PARTS) if steps[i]])
+        step = steps[part].pop(0)
+        if part >= known:
+            known = part + 1
+            running.make_room_for(known)
+        if isinstance(step, Watermark):
+            take(running.push(rows_with_parts(batch)))
+            batch = []
+            note(part, alone[part].advance(step.time))
+            watermarks[part] = max(watermarks[part], step.time)
+            take(running.advance_parts(watermarks[:known]))
+        else:
+            note(part, alone[part].push(rows_of([step])))
+            batch.append((part, step))
+            if draw.random() < 0.3:
+                take(running.push(rows_with_parts(batch)))
+                batch = []
+        if draw.random() < 0.1:
+            state = running.state()
+            running = PartRows(parted(plan), PART, is_ordered=is_ordered, capacity=8)
+            running.restore(state)
+    take(running.push(rows_with_parts(batch)))
+    assert running.pending == sum(each.pending for each in alone)
+    take(running.end())
+    for part in range(PARTS):
+        note(part, alone[part].end())
+    assert found == wanted
+    assert running.counters.late == sum(each.counters.late for each in alone)
