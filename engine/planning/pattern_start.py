@@ -137,7 +137,8 @@ def _kinds(read: Sequence[tuple[Source, MergeInput]]) -> Kinds:
                 raise BadArguments(
                     f"stream {input.source.name}, which gives {source.kind}, has no field "
                     f"{column.field!r}",
-                    f"it has {', '.join(each.name for each in schema.fields)}",
+                    f"it has {', '.join(each.name for each in schema.fields)}; `FROM NAME` reads "
+                    "one stream only",
                 )
             kind = kind_of(field.type)
             if found.setdefault((source.kind, column.field), kind) is not kind:

@@ -83,8 +83,10 @@ class RowReader:
         ]
 
     def read(self, batch: SampleBatch, place: int, recognition: Recognition) -> None:
-        """Add the samples with a value and wanted objects."""
+        """Add the samples with a value and wanted objects; of a sort, all with its objects."""
         present = batch.columns[self._input.field].present
+        if self._source.is_sort:
+            present = np.ones(len(batch), np.bool_)
         if not present.any():
             return
         objects = []

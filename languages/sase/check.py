@@ -47,7 +47,7 @@ def _checked(
 
     text = replace(pattern, items=pattern.items or objects_of(pattern))
     objects = tuple(parameters.objects.values())
-    checked = CheckedPattern(text, names.source, parts.types, objects)
+    checked = CheckedPattern(text, names.source, parts.types, objects, parts.stream)
     _check_strategy(checked, parts)
     Results(parts, conditions).check(checked)
 

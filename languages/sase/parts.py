@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from ...rdf.namespaces import local_name
 from ..errors import LanguageError, Span
 from ..hints import suggest_name
 from ..mtl.ast import Symbol
@@ -40,6 +41,16 @@ class Parts:
             hint = suggest_name(name, self.of_name)
             raise self.error(f"the pattern has no part `{name}`", span, hint)
         return self.of_name[name]
+
+    @property
+    def stream(self) -> str:
+        """The name of the stream of FROM; empty: matching finds the streams. An IRI names a stream
+        by its last part, as in C-SPARQL's FROM STREAM."""
+        written = self.pattern.stream
+        if written is None or written.text.isidentifier():
+            return "" if written is None else written.text
+        iri = self.names.iris(written.text, written.span)[0]
+        return local_name(iri).removesuffix(".trdf")
 
     def is_object(self, part: str, attribute: str) -> bool:
         """Whether an attribute of a part is an object."""
@@ -80,12 +91,6 @@ class Parts:
     def _check(self) -> None:
         pattern = self.pattern
         self._check_size()
-        if pattern.stream is not None:
-            raise self.error(
-                "streams are found by the types of a pattern, so it has no FROM",
-                pattern.stream.span,
-                "omit it; a stream is meant by a feature or event of its own",
-            )
         seen: set[str] = set()
         for part in pattern.parts:
             if part.name in seen:

@@ -81,7 +81,14 @@ class Attributes:
         """The sources, in order of the first part that reads each."""
         types = {source_kind(each): each for types in self._types.values() for each in types}
         return tuple(
-            Source(kind, each.concept, self._arguments[each], tuple(self._read[kind].values()))
+            Source(
+                kind,
+                each.concept,
+                self._arguments[each],
+                tuple(self._read[kind].values()),
+                each.is_sort,
+                self._checked.stream,
+            )
             for kind, each in types.items()
         )
 

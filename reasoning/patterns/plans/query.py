@@ -60,16 +60,20 @@ class Source:
     """The samples that are rows of one ``kind``.
 
     ``concept``: the IRI of a feature, of an event or of a sort; of a sort they are the samples of
-    all streams that tell something of its objects. ``arguments``: the objects of the feature, at
-    least the first one. A sample without a value is no row. A sample is one row of each source
-    that it suits, so a query has one source for each concept: which objects an element means,
-    where that differs, is a condition on their column.
+    all streams that tell something of its objects, except those that units make (``is_sort``).
+    ``arguments``: the objects of the feature, at least the first one. A sample without a value is
+    no row; of a sort, one without the object. A sample is one row of each source that it suits, so
+    a query has one source for each concept: which objects an element means, where that differs, is
+    a condition on their column. ``stream``: the name of the only stream that is read; empty: those
+    that matching finds.
     """
 
     kind: str
     concept: str
     arguments: tuple[Argument, ...]
     columns: tuple[SourceColumn, ...]
+    is_sort: bool = False
+    stream: str = ""
 
     @property
     def has_changes(self) -> bool:
