@@ -62,8 +62,11 @@ class PatternStarter:
         ]
         query = compiled(pattern, _kinds(read))
         has_intervals = any(plan.has_intervals for plan in query.plans)
+        # The kinds of fields decide which columns the rows have.
+        known = {source.kind: source for source in query.sources}
         inputs = [
-            SourceInput(source, input, has_intervals and _lasts(input)) for source, input in read
+            SourceInput(known[source.kind], input, has_intervals and _lasts(input))
+            for source, input in read
         ]
         streams = dict.fromkeys(input.source for _, input in read)
 

@@ -139,7 +139,7 @@ class PatternUnit(SampleReasoner):
                 {
                     column: self._writer.value(kinds[column], value)
                     for column, value in row.values.items()
-                    if value is not None
+                    if value is not None and column in kinds
                 },
             )
             for element, row in sorted(partial.bound.items())
@@ -151,8 +151,9 @@ class PatternUnit(SampleReasoner):
         return PartialMatch(events, pending)
 
     def _kinds(self) -> dict[str, Kind]:
-        """The kind of each column of the plans."""
-        columns = [column for source in self.query.sources for column in source.columns]
+        """The kind of each column of the plans that has values."""
+        sources = self.query.sources
+        columns = [c for source in sources for c in source.columns if not c.as_key]
         found = {
             each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
         }

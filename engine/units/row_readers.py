@@ -23,6 +23,7 @@ from ...reasoning.patterns.plans.query import (
     SourceColumn,
     object_key,
     text_key,
+    value_keys,
 )
 from ...reasoning.patterns.plans.rows import Values
 from ...reasoning.patterns.recognition.recognition import Recognition
@@ -101,7 +102,7 @@ class RowReader:
         columns = {
             column.column: objects[column.argument][rows].astype(np.int64)
             if column.part is Part.OBJECT
-            else self._values(taken, column)
+            else self._column(taken, column)
             for column in self._source.columns
             if column.part is not Part.BEFORE
         }
@@ -110,6 +111,10 @@ class RowReader:
             start = _of_each(taken.columns[START], parse_time)
             end = _of_each(taken.columns[END], parse_time)
         recognition.add(place, self._source.kind, rows, taken.available, start, end, columns)
+
+    def _column(self, batch: SampleBatch, column: SourceColumn) -> Values:
+        values = self._values(batch, column)
+        return value_keys(values) if column.as_key else values
 
     def _values(self, batch: SampleBatch, column: SourceColumn) -> Values:
         """The values as the plans compare them. Raises `ValueError` for another kind."""

@@ -7,7 +7,7 @@ from typing import Final
 
 from ..mtl.ast import Measured, Symbol, Variable
 from . import ast
-from .checked import condition_leaves, is_over_matches
+from .checked import TIME, condition_leaves, is_over_matches
 from .parameters import Parameters
 from .parts import Parts
 
@@ -36,6 +36,12 @@ class Conditions:
                 )
         read = [leaf for leaf in leaves if isinstance(leaf, _READING)]
         if isinstance(condition, ast.Equivalence):
+            if condition.name == TIME:
+                raise self._parts.error(
+                    "events of one time never follow each other",
+                    condition.span,
+                    f"bound the time between two parts: `b.{TIME} - a.{TIME} <= 5s`",
+                )
             if is_having:
                 raise self._parts.error(
                     f"`[{condition.name}]` selects events, and HAVING filters matches",

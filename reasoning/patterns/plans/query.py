@@ -12,9 +12,12 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ....languages.mtl.checked import Kind
 from ....sparql.ast import Triple
-from .plan import ColumnType, Constant, Key, Listed, PatternPlan
+from .plan import NO_VALUE, ColumnType, Constant, Key, Listed, PatternPlan
 
 START, END = "start", "end"
 """Outputs that every plan has: the times (ns) at which a match starts and ends."""
@@ -37,13 +40,15 @@ class Part(StrEnum):
 class SourceColumn:
     """A ``column`` of the plan, and what fills it. ``kind``: of its values (None: that of the
     stream's field); ``argument``: which object (from 0), for `Part.OBJECT`; ``field``: its name,
-    for `Part.FIELD`."""
+    for `Part.FIELD`. ``as_key``: the column has keys, equal for equal values (`value_keys`), though
+    values of the kind are none."""
 
     column: str
     part: Part
     kind: Kind | None = None
     argument: int = 0
     field: str = ""
+    as_key: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +241,16 @@ def object_key(iri: str) -> str:
 def text_key(text: str) -> str:
     """Return the key of a text."""
     return f'"{text}'
+
+
+def value_keys(values: NDArray[np.float64] | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a key for each number, truth or time, equal for equal values; `NO_VALUE` for a missing
+    one. Values of two kinds may share a key. No memory is needed, other than for `Keys`."""
+    if values.dtype != np.float64:
+        return values.astype(np.int64)
+    # The bits of the number; adding 0 makes 0 of -0, which has those of `NO_VALUE`.
+    numbers = values + 0.0
+    return np.where(np.isnan(numbers), NO_VALUE, numbers.view(np.int64))
 
 
 def with_numbers(plan: PatternPlan, keys: Keys) -> PatternPlan:

@@ -4,7 +4,9 @@ import pytest
 from feeding import feed, samples
 
 from dyknow.engine.model.errors import BadArguments, NoPlan, NoResult
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.languages.errors import LanguageError
+from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
 DESCENT = """REGISTER TEMPLATE Descent(?x, ?low) AS chronicle descent(?x) {
@@ -210,6 +212,41 @@ def test_streams_that_cannot_be_read(flying):
     assert "FROM NAME" in other.value.hint
     with pytest.raises(LanguageError, match="`UAV` is a sort, not a feature"):
         flying.queries.register("chronicle c(?x) { event(UAV[?x], t); }")
+
+
+def test_numbers_that_all_events_share(flying):
+    """Also of two types, in one unit: 100 km/h are an integer here and a float there. A missing
+    value equals none, and -0 equals 0."""
+    flying.annotate("stream cars contains speed(Car) = kmh [km.h-1] for every Car = id")
+    flying.queries.register(
+        "REGISTER STREAM s AS PATTERN SEQ(speed a, speed b) WHERE partition_contiguity [value] "
+        "WITHIN 9s RETURN a.id AS x, b.value AS v"
+    )
+    feed(flying, "speeds", [(t, {"id": "uav1", "spd": v}) for t, v in
+                            ((1, 100.0), (2, -0.0), (4, None), (5, None), (6, 0.0))])  # fmt: skip
+    feed(flying, "cars", [(t, {"id": "car1", "kmh": v}) for t, v in ((3, 100), (7, 3))])
+    for name in ("speeds", "cars"):
+        flying.end(name)
+    assert [(int(t), r["x"], r["v"]) for t, r in samples(flying, "s")] == [
+        (3, "uav1", 100.0),
+        (6, "uav1", 0.0),
+    ]
+
+
+def test_one_name_for_fields_of_two_types(engine):
+    for stream, feature, type in (("s1", "speed", "STRING"), ("s2", "altitude", "FLOAT")):
+        fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+        engine.declare(StreamDeclaration(stream, (*fields, Field("tag", FieldType[type]))))
+        engine.annotate(f"stream {stream} contains {feature}(UAV) = v for every UAV = id")
+    engine.queries.register(
+        "REGISTER STREAM s AS PATTERN SEQ(speed a, altitude b) WHERE [id] and a.tag = 'x' and "
+        "b.tag > 3 WITHIN 5s RETURN a.id AS x"
+    )
+    feed(engine, "s1", [(1, {"id": "uav1", "v": 1.0, "tag": "x"})])
+    feed(engine, "s2", [(2, {"id": "uav1", "v": 1.0, "tag": 4.0})])
+    for name in ("s1", "s2"):
+        engine.end(name)
+    assert told(engine, "s") == [(2, "uav1")]
 
 
 def test_rounded_numbers_are_told(flying):
