@@ -52,11 +52,24 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
+class Given:
+    """``sign * ?d + offset`` of a parameter ``?d`` of a template, in ns."""
+
+    variable: Variable
+    sign: int = 1
+    offset: int = 0
+
+
+Duration: TypeAlias = int | Given
+"""In ns."""
+
+
+@dataclass(frozen=True, slots=True)
 class Moment:
-    """``t1 + 3s``: a time relative to a point, in ns."""
+    """``t1 + 3s``: a time relative to a point."""
 
     point: Point
-    offset: int
+    offset: Duration
     span: Span = attribute(compare=False)
 
 
@@ -94,12 +107,12 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """``second - first in [least, most]`` in ns; None: no bound."""
+    """``second - first in [least, most]``; None: no bound."""
 
     first: Point
     second: Point
-    least: int | None
-    most: int | None
+    least: Duration | None
+    most: Duration | None
     span: Span = attribute(compare=False)
 
 

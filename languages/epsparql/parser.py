@@ -216,9 +216,11 @@ class _Reader(ClauseReader):
             return chain
         return Group(tuple(parts), Span(chain.span.start, self.last_token.end))
 
-    def _within(self) -> int | None:
+    def _within(self) -> int | Variable | None:
         if not self.accept_word("WITHIN"):
             return None
+        if self.here is not None and self.here.kind is Kind.VARIABLE:
+            return self.named_variable()
         return read_duration(self, "the time of WITHIN", spelled_out=True)
 
     def _check_end(self) -> None:

@@ -10,8 +10,8 @@ from ...ontology.vocabulary import Vocabulary
 from ..mtl.ast import Slot, Symbol
 from ..object_cache import ObjectCache
 from ..ontology_names import OntologyNames
+from ..rewriting import rewritten
 from . import ast
-from .binding import rewritten
 from .checked import CheckedPattern, CheckedTemplate
 from .conditions import Conditions
 from .parameters import Parameters

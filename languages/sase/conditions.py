@@ -8,7 +8,7 @@ from typing import Final
 from ..mtl.ast import Measured, Symbol, Variable
 from . import ast
 from .checked import TIME, condition_leaves, is_over_matches
-from .parameters import Parameters
+from .parameters import Parameters, no_value
 from .parts import Parts
 
 _OPEN: Final = frozenset({ast.Index.EACH, ast.Index.PREVIOUS, ast.Index.BEFORE})
@@ -76,11 +76,7 @@ class Conditions:
         match leaf:
             case Variable(name) | Measured(Variable(name)):
                 if name not in self._parameters.slots:
-                    raise self._parts.error(
-                        f"`?{name}` has no value",
-                        leaf.span,
-                        "only a template has parameters: `REGISTER TEMPLATE e(?x) AS PATTERN …`",
-                    )
+                    raise self._parts.error(*no_value(name, leaf.span))
             case Symbol(text) if text in self._parts.of_name:
                 raise self._parts.error(
                     f"`{text}` is an event, not a value", leaf.span, f"write `{text}.id`"

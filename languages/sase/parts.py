@@ -96,29 +96,21 @@ class Parts:
             if part.name in seen:
                 raise self.error(f"`{part.name}` is a part twice", part.span, "rename the second")
             seen.add(part.name)
-        there = self.there
-        if not there:
+        if not self.there:
             raise self.error(
                 "a pattern needs an event that happens",
                 pattern.parts[0].span,
                 "write one without `~`: the others are absent before, between or after such events",
             )
-        if pattern.within is None:
+        within = pattern.within
+        if within is None:
             raise self.error(
                 "a pattern without WITHIN would keep its events for ever",
                 Span(pattern.span.start, pattern.span.start + len("PATTERN")),
                 "write how long a match may last: `WITHIN 12 hours`",
             )
-        if pattern.within < len(there) - 1:
-            raise self.error(
-                f"{len(there)} events that follow each other do not fit into WITHIN",
-                pattern.span,
-                "write a longer time",
-            )
-        if pattern.within >= _LONGEST:
-            raise self.error(
-                "WITHIN exceeds 36 years", pattern.span, "write a shorter time, such as 365d"
-            )
+        if isinstance(within, int):
+            check_within(within, pattern, self.names.source)
 
     def _check_size(self) -> None:
         pattern = self.pattern
@@ -135,3 +127,20 @@ class Parts:
                     some[most].span,
                     "divide it into patterns that read each other",
                 )
+
+
+def check_within(within: int, pattern: ast.Pattern, source: str) -> None:
+    """Raise `LanguageError` for a window (ns) into which a match does not fit, or that is too
+    long."""
+    count = sum(not part.is_negated for part in pattern.parts)
+    if within < count - 1:
+        raise LanguageError(
+            f"{count} events that follow each other do not fit into WITHIN",
+            source,
+            pattern.span,
+            "write a longer time",
+        )
+    if within >= _LONGEST:
+        raise LanguageError(
+            "WITHIN exceeds 36 years", source, pattern.span, "write a shorter time, such as 365d"
+        )

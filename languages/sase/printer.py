@@ -39,7 +39,9 @@ def _clauses(pattern: ast.Pattern) -> Iterator[str]:
         conditions = [f"{{ {_conditions(pattern.where)} }}"] if pattern.where else []
         yield " ".join(["WHERE", *strategy, *conditions])
     if pattern.within is not None:
-        yield f"WITHIN {format_duration(pattern.within)}"
+        within = pattern.within
+        text = format_duration(within) if isinstance(within, int) else format_term(within)
+        yield f"WITHIN {text}"
     if pattern.having:
         yield f"HAVING {_conditions(pattern.having)}"
     if pattern.items:

@@ -112,7 +112,7 @@ def test_templates_are_right(text: str) -> None:
     slots = check_sase_template(
         parse_sase_template(text), Engine(epoch="e1").ontology.vocabulary
     ).slots
-    assert [slot.name for slot in slots] == ["uav", "limit"]
+    assert [slot.name for slot in slots] == ["uav", "limit", "time"]
 
 
 @pytest.mark.parametrize(("text", "error"), REFUSED)

@@ -22,8 +22,9 @@ from typing import Final, assert_never
 
 from ....languages.epsparql.ast import DURATION as GET_DURATION
 from ....languages.epsparql.ast import START_TIME
+from ....languages.epsparql.binding import bound_epsparql, horizon
+from ....languages.epsparql.checked import And as AndCondition
 from ....languages.epsparql.checked import (
-    DURATION,
     Calculation,
     CheckedPattern,
     Comparison,
@@ -37,7 +38,6 @@ from ....languages.epsparql.checked import (
     Variable,
     kind_of,
 )
-from ....languages.epsparql.checked import And as AndCondition
 from ....languages.epsparql.expressions import bound_of_duration
 from ....languages.errors import LanguageError, Span
 from ....languages.mtl.checked import Constant, Kind, ObjectConstant, Parameter
@@ -67,6 +67,7 @@ def epsparql_query(pattern: CheckedPattern, arguments: Argued | None = None) -> 
     for too many alternatives or elements, and where no alternative has a solution.
     """
     given = arguments or {}
+    pattern = bound_epsparql(pattern, given)
     samples, branches = branches_of(pattern, frozenset(given))
     return _Compiler(pattern, given, samples).compile(branches)
 
@@ -119,7 +120,9 @@ class _Compiler:
             )
         is_given = branch in given
         building = _Plan(self, branch)
-        made, tests = building.build(self._pattern.items if is_given else (), self._pattern.within)
+        made, tests = building.build(
+            self._pattern.items if is_given else (), horizon(self._pattern)
+        )
         self._check_times(made, branch)
         absences = tuple(
             building.absence(alone, other)
@@ -243,7 +246,7 @@ class _Plan:
             place = self.compiler.sources.constant(known.get(name) or Variable(name, Kind.OBJECT))
             if not isinstance(place, Variable) or name in known:
                 output = self._output("static", self.expression(place, self.branch.samples))
-                variables.append((name, output, Kind(kind_of(place))))
+                variables.append((name, output, kind_of(place)))
         return query.StaticJoin(triples, tuple(variables))
 
     # -- elements, keys, times ---------------------------------------------------------------
@@ -347,10 +350,10 @@ class _Plan:
             found = self.expression(value, everything)
             return (
                 plan.Arithmetic("/", found, plan.Constant(float(SECOND)))
-                if (item.kind == DURATION)
+                if (item.kind == Kind.DURATION)
                 else found
             )
-        is_number = item.kind in (Kind.NUMBER, DURATION)
+        is_number = item.kind in (Kind.NUMBER, Kind.DURATION)
         return plan.Constant(math.nan if is_number else NO_VALUE)
 
     def _has_value(self, value: Value) -> bool:

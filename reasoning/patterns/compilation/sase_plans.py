@@ -14,8 +14,8 @@ from typing import Any, Final
 from ....languages.errors import LanguageError, Span
 from ....languages.mtl.ast import Symbol, Variable
 from ....languages.mtl.checked import Kind
+from ....languages.rewriting import rewritten
 from ....languages.sase import ast
-from ....languages.sase.binding import rewritten
 from ....languages.sase.checked import TIME, CheckedPattern, is_over_matches, leaves_of, terms_of
 from ....languages.sase.results import result_name
 from ..plans.plan import (
@@ -70,6 +70,9 @@ class _Compiler:
         )
         self._parts = {part.name: part for part in self._text.parts}
         self._given = self._object_terms()
+        within = checked.text.within
+        assert isinstance(within, int), "the check wants one, and binding gives a parameter's"
+        self._within = within
         self._own: dict[str, list[Condition]] = {part: [] for part in self._parts}
         self._beside: dict[str, list[Condition]] = {part: [] for part in self._parts}
         """The conditions on an absent part and others."""
@@ -105,7 +108,7 @@ class _Compiler:
                 tuple(self._conditions),
                 tuple(probes),
                 selection,
-                text.within,
+                self._within,
                 outputs=(Output(START, Time((0,), True)), Output(END, Time((last,))), *outputs),
                 trends=trends,
                 partition=partition,
@@ -136,8 +139,7 @@ class _Compiler:
     def _absence(self, place: int) -> CountProbe:
         """An absent part: between its neighbours; before the first part as far as a match that ends
         with the last one may reach back; after the last one as far as a match may last."""
-        parts, within = self._text.parts, self._text.within
-        assert within is not None
+        parts, within = self._text.parts, self._within
         part = parts[place]
         before = [self._numbers[p.name] for p in parts[:place] if not p.is_negated]
         after = [self._numbers[p.name] for p in parts[place:] if not p.is_negated]

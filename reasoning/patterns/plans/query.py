@@ -203,7 +203,7 @@ def column_type(kind: Kind) -> ColumnType:
     match kind:
         case Kind.NUMBER:
             return ColumnType.NUMBER
-        case Kind.TRUTH | Kind.TIME:
+        case Kind.TRUTH | Kind.TIME | Kind.DURATION:
             return ColumnType.INTEGER
         case Kind.TEXT | Kind.OBJECT:
             return ColumnType.KEY

@@ -249,6 +249,20 @@ def test_one_name_for_fields_of_two_types(engine):
     assert told(engine, "s") == [(2, "uav1")]
 
 
+def test_a_duration_of_a_request(flying):
+    """uav1 is fast at 3 s and low at 5 s."""
+    flying.register_template(
+        DESCENT.replace("?low) AS", "?low, ?time) AS").replace("3s]", "?time]")
+    )
+    streams = {
+        time: ask(flying, f'Descent(?x, 400, "{time}"^^xsd:duration)').stream
+        for time in ("PT1.9S", "PT2S", "PT7S")
+    }
+    fly(flying)
+    found = {time: told(flying, stream) for time, stream in streams.items()}
+    assert found == {"PT1.9S": [], "PT2S": [(5, "uav1")], "PT7S": [(5, "uav1"), (9, "uav2")]}
+
+
 def test_rounded_numbers_are_told(flying):
     """Of 70 speeds each subset but the empty one ends with the height: 2^70 - 1 matches."""
     flying.queries.register(
