@@ -80,6 +80,8 @@ class _Checker:
         for read in reads:
             if isinstance(read, StaticTriple):
                 self._static |= variables_of(read.triple).keys() - self._kinds.keys()
+        for graph in (part for part in parts_in(query.where) if isinstance(part, ast.Graph)):
+            self._static |= variables_of(graph.triples).keys() - self._kinds.keys()
         where = self._group(query.where, {})
         if not readings:
             raise self._error(
@@ -94,6 +96,7 @@ class _Checker:
             query,
             self._expressions,
             names | self._parameters,
+            {name for name in self._static if not name.startswith(BLANK)},
             {read.feature for read in readings},
             lambda span: self._known(names, span),
         )
@@ -243,7 +246,7 @@ class _Checker:
             message = f"`?{name}` is not bound in this group"
             if name in self._static:
                 message = f"`?{name}` has its value from static graphs"
-                hint = "a condition on it is a triple: `GRAPH <g> {…}`, or a static triple"
+                hint = "the head may tell it as it is; a condition on it is a static triple"
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:

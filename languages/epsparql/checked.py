@@ -48,8 +48,16 @@ class Calculation:
     kind: Kind
 
 
+@dataclass(frozen=True, slots=True)
+class StaticVariable:
+    """A variable that only static triples have, in the head. Its value is a text: the name of an
+    object, or that of a literal."""
+
+    name: str
+
+
 Place: TypeAlias = Variable | ObjectConstant | Constant
-Value: TypeAlias = Place | Duration | TimeOf | Calculation
+Value: TypeAlias = Place | Duration | TimeOf | Calculation | StaticVariable
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,5 +183,7 @@ def kind_of(value: Value) -> Kind:
             return Kind.OBJECT
         case Duration():
             return Kind.DURATION
+        case StaticVariable():
+            return Kind.TEXT
         case TimeOf(function):
             return Kind.DURATION if function == "getDURATION" else Kind.TIME

@@ -85,7 +85,7 @@ WHERE = "{ ?a dyknow:price ?v } SEQ { ?a dyknow:owns ?b } WITHIN 5s"
             "ASK { ?a dyknow:price ?v ; <urn:p> ?k FILTER (?k > 2) }",
             46,
             "static graphs",
-            "a triple",
+            "a static triple",
         ),
         ("ASK { ?a dyknow:price ?v BIND (1 AS ?v) }", 26, "bound already", "another name"),
         (f"SELECT ?q {WHERE}", 8, "`?q` is not bound", ""),

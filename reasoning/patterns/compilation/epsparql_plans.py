@@ -33,6 +33,7 @@ from ....languages.epsparql.checked import (
     Item,
     Or,
     Sample,
+    StaticVariable,
     TimeOf,
     Value,
     Variable,
@@ -128,7 +129,7 @@ class _Compiler:
             building.absence(alone, other)
             for alone, other in zip(branch.absences, others, strict=True)
         )
-        static = building.static() if branch.static else None
+        static = building.static(self._pattern.items) if branch.static else None
         self._plans.append(building.with_outputs(made))
         self._branches.append(query.Branch(tests, absences, static, is_given))
         self._known[branch] = len(self._plans) - 1
@@ -230,7 +231,7 @@ class _Plan:
             until = self._output("until", plan.Time(self._of(alone.kept)))
         return query.Absence(other, rows, until)
 
-    def static(self) -> query.StaticJoin:
+    def static(self, items: tuple[Item, ...]) -> query.StaticJoin:
         triples = tuple((each.triple, each.graph) for each in self.branch.static)
         known = {
             each.name: each
@@ -247,7 +248,13 @@ class _Plan:
             if not isinstance(place, Variable) or name in known:
                 output = self._output("static", self.expression(place, self.branch.samples))
                 variables.append((name, output, kind_of(place)))
-        return query.StaticJoin(triples, tuple(variables))
+        names = {name for each, _ in triples for name in variables_of(each)}
+        results = tuple(
+            (item.value.name, item.name)
+            for item in items
+            if isinstance(item.value, StaticVariable) and item.value.name in names
+        )
+        return query.StaticJoin(triples, tuple(variables), results)
 
     # -- elements, keys, times ---------------------------------------------------------------
 
@@ -358,6 +365,8 @@ class _Plan:
 
     def _has_value(self, value: Value) -> bool:
         match value:
+            case StaticVariable():
+                return False  # in the plan: the static join gives it
             case Variable(name):
                 return name in self._carriers or name in self.compiler.sources.arguments
             case Calculation(_, left, right):
@@ -391,5 +400,7 @@ class _Plan:
                 return plan.Arithmetic(
                     sign, self.expression(left, samples), self.expression(right, samples)
                 )
+            case StaticVariable():
+                raise AssertionError("only the head has one")
             case _:
                 assert_never(value)

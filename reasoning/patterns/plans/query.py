@@ -139,10 +139,13 @@ class Absence:
 class StaticJoin:
     """Triples of static graphs, each with its graph (None: those of FROM, or the ontology), that
     are joined to the matches of a plan: each match is a result once for each solution of them.
-    ``variables``: those that outputs of the plan fill, as (variable, output, kind)."""
+    ``variables``: those that outputs of the plan fill, as (variable, output, kind). ``results``:
+    those whose values the results have, as (variable, output); they are texts, and the plan has
+    `NO_VALUE` there."""
 
     triples: tuple[tuple[Triple, str | None], ...]
     variables: tuple[tuple[str, str, Kind], ...]
+    results: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,9 +39,11 @@ class CombinedMatches(Matches):
     plan: Integers
 
 
-StaticSolutions: TypeAlias = Callable[[StaticJoin, Mapping[str, NDArray[Any]], int], Integers]
-"""Returns the number of solutions of a static join for each of so many rows of values, by
-variable."""
+StaticSolutions: TypeAlias = Callable[
+    [StaticJoin, Mapping[str, NDArray[Any]], int], tuple[Integers, Mapping[str, Integers]]
+]
+"""Returns the solutions of a static join for so many rows of values, by variable: the number of the
+row of each, and their results, by output."""
 
 
 class CombinedRows:
@@ -201,8 +203,9 @@ class CombinedRows:
             join = part.branch.static
             if join is not None and self._static is not None:
                 values = {name: found.outputs[output] for name, output, _ in join.variables}
-                counts = self._static(join, values, len(found))
-                found = found[np.repeat(np.arange(len(found)), counts)]
+                rows, results = self._static(join, values, len(found))
+                found = found[rows]
+                found.outputs.update(results)
             final.append(found)
         for part in self._parts:
             for each in part.found:

@@ -386,3 +386,35 @@ def test_static_triples_are_joined(flying):
     )
     fly(flying)
     assert [(int(v), r["c"]) for v, r in samples(flying, "owned")] == [(3, "uav1")]
+
+
+def test_static_triples_are_told(flying):
+    """A result for each of their solutions, in order of texts; `*` has their variables, too."""
+    flying.load_ontology(
+        "@prefix d: <http://www.ida.liu.se/dyknow/> . @prefix e: <http://e.org/> . "
+        "d:uav1 e:owner d:ann , e:bob . e:bob e:age 40 . d:ann e:age 'old' .",
+        name="http://e.org/owners",
+        format="turtle",
+    )
+    head = "PREFIX dyknow: <http://www.ida.liu.se/dyknow/> PREFIX e: <http://e.org/> "
+    where = ("{ ?c dyknow:speed ?v . ?c e:owner ?who . ?who e:age ?age FILTER (?v > 100) } "
+             "WITHIN 1 s")  # fmt: skip
+    flying.queries.register(f"REGISTER STREAM s AS {head} SELECT ?c ?age (?who AS ?o) {where}")
+    flying.queries.register(f"REGISTER STREAM t AS {head} SELECT * {where}")
+    flying.queries.register(f"REGISTER STREAM u AS {head} CONSTRUCT {{ ?c e:by ?who }} {where}")
+    assert [field.name for field in flying.queries.view("t").fields] == [
+        "c", "v", "who", "age", "start", "end"]  # fmt: skip
+    fly(flying)
+    owners = ["ann", "http://e.org/bob"]
+    found = {
+        name: [(int(t), r.get("o"), r.get("who"), r.get("age"), r.get("by"))
+               for t, r in samples(flying, name)]
+        for name in "stu"
+    }  # fmt: skip
+    assert found == {
+        "s": [(3, "http://e.org/bob", None, "40", None), (3, "ann", None, "old", None)],
+        "t": [(3, None, "ann", "old", None), (3, None, owners[1], "40", None)],
+        "u": [(3, None, None, None, who) for who in owners],
+    }
+    (bob, ann) = flying.queries.why("s", ["uav1"], 3 * SECOND)()
+    assert (bob.values["o"], ann.values["o"]) == (owners[1], "ann")
