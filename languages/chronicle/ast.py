@@ -134,7 +134,7 @@ class Chronicle:
     """``chronicle name(?x, ?y) { clauses when recognized { emit event(name[?x, ?y], t); } }``.
 
     ``emitted``: the point that is the time of a match; None: that of its last event. ``stream``:
-    the name in ``REGISTER STREAM stream AS``.
+    the name in ``REGISTER STREAM stream AS``. ``max_delay`` in ns: of ``with max delay 5s``.
     """
 
     name: str
@@ -142,6 +142,7 @@ class Chronicle:
     clauses: tuple[Clause, ...]
     emitted: Point | None
     stream: str | None
+    max_delay: int | None
     span: Span = attribute(compare=False)
 
 

@@ -149,6 +149,7 @@ class _Checker:
             tuple(self.comparison(each) for each in clauses if isinstance(each, ast.Comparison)),
             None if chronicle.emitted is None else chronicle.emitted.name,
             chronicle.span,
+            max_delay=chronicle.max_delay,
         )
 
     # -- variables ---------------------------------------------------------------------------

@@ -139,8 +139,9 @@ class CheckedChronicle:
     """A match binds each event to a sample of its own, and each variable to one object or value.
 
     ``head``: the variables that a match tells of. ``emitted``: the point that is the time of a
-    match; None: that of the last event. ``fixed``: the objects (IRIs) of variables that a request
-    of a template gives; each is taken to belong to the sort of its variable.
+    match; None: that of the last event. ``max_delay`` in ns. ``fixed``: the objects (IRIs) of
+    variables that a request of a template gives; each is taken to belong to the sort of its
+    variable.
     """
 
     name: str
@@ -153,6 +154,7 @@ class CheckedChronicle:
     emitted: str | None
     span: Span = attribute(compare=False)
     fixed: tuple[tuple[str, str], ...] = ()
+    max_delay: int | None = None
 
     def messages(self) -> tuple[Message, ...]:
         """The messages of all events, then of the other clauses."""

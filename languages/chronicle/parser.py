@@ -148,6 +148,9 @@ class _Reader(TermReader):
         parameters: tuple[Slot, ...] = ()
         if nodes and nodes[0].data == "parameters":
             parameters = self.slots(trees(nodes.pop(0)))
+        delay = None
+        if nodes and nodes[-1].data == "delay":
+            delay = self.duration(tokens(nodes.pop(), "DURATION")[0])
         emitted = None
         if nodes and nodes[-1].data == "recognized":
             emitted = self.emitted(nodes.pop(), name, parameters)
@@ -158,7 +161,7 @@ class _Reader(TermReader):
                 "divide it into chronicles that read each other's events",
             )
         clauses = tuple(map(self.clause, nodes))
-        return ast.Chronicle(name, parameters, clauses, emitted, stream, span_of(tree))
+        return ast.Chronicle(name, parameters, clauses, emitted, stream, delay, span_of(tree))
 
     def emitted(self, tree: Tree[Token], name: str, parameters: tuple[Slot, ...]) -> ast.Point:
         message_tree, point = trees(tree)

@@ -33,7 +33,8 @@ def _lines(chronicle: ast.Chronicle) -> Iterator[str]:
         names = ", ".join(f"?{slot.variable.name}" for slot in chronicle.parameters)
         event = f"{chronicle.name}[{names}]" if names else chronicle.name
         yield f"  when recognized {{ emit event({event}, {chronicle.emitted.name}); }}"
-    yield "}"
+    delay = chronicle.max_delay
+    yield "}" if delay is None else f"}} with max delay {format_duration(delay)}"
 
 
 def _clause(clause: ast.Clause) -> str:

@@ -92,6 +92,7 @@ class EpSparqlQuery:
     | ``projection`` | the items of SELECT; None for ``*`` and for other forms |
     | ``template`` | the triples of CONSTRUCT; None for other forms |
     | ``graphs`` | the IRIs of FROM and of FROM NAMED: static graphs |
+    | ``max_delay`` | how long after its time a sample comes at the latest, in ns, or None |
     | ``within`` | the longest that a solution may last, in ns, or a parameter; None: no WITHIN |
     """
 
@@ -104,6 +105,7 @@ class EpSparqlQuery:
     graphs: tuple[tuple[str, ...], tuple[str, ...]]
     where: Group
     within: int | Variable | None
+    max_delay: int | None
     prefixes: Mapping[str, str]
     head: Span = attribute(compare=False)
     source: str = attribute(compare=False)

@@ -107,6 +107,7 @@ class _Checker:
             head.items(),
             where,
             within,
+            query.max_delay,
             query.graphs,
             query.source,
         )

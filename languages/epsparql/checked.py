@@ -162,7 +162,7 @@ class Item:
 class CheckedPattern:
     """An EP-SPARQL query. ``slots``: the parameters of a template in the order of requests; those
     of objects may stay free. ``within``: that of WITHIN; the conditions of the whole may bound a
-    solution, too (`binding.horizon`)."""
+    solution, too (`binding.horizon`). ``max_delay`` in ns."""
 
     name: str
     form: Form
@@ -170,6 +170,7 @@ class CheckedPattern:
     items: tuple[Item, ...]
     where: Group
     within: Duration | Variable | None
+    max_delay: int | None
     graphs: tuple[tuple[str, ...], tuple[str, ...]]
     source: str = attribute(compare=False)
 

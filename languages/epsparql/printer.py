@@ -29,6 +29,8 @@ def format_epsparql(query: EpSparqlQuery) -> str:
     if query.within is not None:
         within = query.within
         lines.append(f"WITHIN {format_duration(within) if isinstance(within, int) else within}")
+    if query.max_delay is not None:
+        lines.append(f"WITH MAX DELAY {format_duration(query.max_delay)}")
     return "\n".join(lines) + "\n"
 
 

@@ -148,7 +148,7 @@ class Item:
 class Pattern:
     """A query of SASE+. ``name`` is that of its stream, or empty. ``within`` in ns, or a parameter
     of a template; None stands for a clause that is not written. ``limit``: of the matches that one
-    event completes."""
+    event completes. ``max_delay`` in ns."""
 
     name: str
     stream: Symbol | None
@@ -159,6 +159,7 @@ class Pattern:
     having: tuple[Condition, ...]
     items: tuple[Item, ...]
     limit: int | None
+    max_delay: int | None
     span: Span = attribute(compare=False)
 
 

@@ -110,7 +110,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "sequences do not nest: list all parts in one SEQ"
     if found == "/" and "RSQB" in expected:
         return "a unit is a product of powers: write `m.s-1` for m/s"
-    if expected == {"DURATION", "VARIABLE"}:
+    if expected in ({"DURATION"}, {"DURATION", "VARIABLE"}):
         return 'write a duration with its unit, such as `12 hours`, `5s` or `"PT5S"^^xsd:duration`'
     return expected_hint(expected)
 
@@ -165,7 +165,9 @@ class _Reader(TermReader):
         found = {str(each.data): each for each in trees(tree)}
         parts = [each for each in trees(tree) if each.data in ("event", "negated")]
         strategy, where = self.where(found.get("where"))
-        from_, within, limit = (found.get(each) for each in ("from", "within", "limit"))
+        from_, within, limit, delay = (
+            found.get(each) for each in ("from", "within", "limit", "delay")
+        )
         return ast.Pattern(
             name,
             self.symbol(trees(from_)[0]) if from_ else None,
@@ -176,6 +178,7 @@ class _Reader(TermReader):
             self.conditions(found["having"]) if "having" in found else (),
             tuple(map(self.item, trees(found["return"]))) if "return" in found else (),
             self.limit(tokens(limit, "DECIMAL")[0]) if limit else None,
+            self.duration(tokens(delay, "DURATION")[0]) if delay else None,
             span_of(tree),
         )
 

@@ -48,6 +48,8 @@ def _clauses(pattern: ast.Pattern) -> Iterator[str]:
         yield f"RETURN {', '.join(map(_item, pattern.items))}"
     if pattern.limit is not None:
         yield f"LIMIT {pattern.limit}"
+    if pattern.max_delay is not None:
+        yield f"WITH MAX DELAY {format_duration(pattern.max_delay)}"
 
 
 def _part(part: ast.Part) -> str:

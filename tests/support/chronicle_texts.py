@@ -36,10 +36,12 @@ class ChronicleTexts:
         clauses = tuple(self.clause() for _ in range(draw.randint(0, 6)))
         emitted = draw.choice([None, self.point()])
         stream = draw.choice([None, "found"])
-        return ast.Chronicle("N", self.slots(names), clauses, emitted, stream, NOWHERE)
+        delay = draw.choice([None, None, 0, 5 * 10**9])
+        return ast.Chronicle("N", self.slots(names), clauses, emitted, stream, delay, NOWHERE)
 
     def template(self) -> ast.ChronicleTemplate:
-        chronicle = ast.Chronicle("N", self.slots(["a"]), (self.clause(),), None, None, NOWHERE)
+        slots = self.slots(["a"])
+        chronicle = ast.Chronicle("N", slots, (self.clause(),), None, None, None, NOWHERE)
         return ast.ChronicleTemplate("http://example.org/N", self.slots(["a", "b"]), chronicle, "")
 
     def slots(self, names: list[str]) -> tuple[Slot, ...]:

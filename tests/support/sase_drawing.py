@@ -52,6 +52,7 @@ class TextDrawing:
             self.some(self.condition, 2),
             self.some(self.item, 3),
             draw.choice([None, 1, 1000]),
+            draw.choice([None, None, 0, 5 * 10**9]),
             HERE,
         )
 

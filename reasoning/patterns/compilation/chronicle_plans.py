@@ -96,7 +96,8 @@ class _Compiler:
         plan = self._checked(self._plan(sources))
         valid = END if chronicle.emitted is None else _EMITTED
         results = tuple(map(self._result, chronicle.head))
-        return PatternQuery(chronicle.name, sources, (plan,), results, valid)
+        delay = chronicle.max_delay
+        return PatternQuery(chronicle.name, sources, (plan,), results, valid, max_delay=delay)
 
     def _plan(self, sources: tuple[Source, ...]) -> PatternPlan:
         chronicle = self._chronicle

@@ -104,6 +104,7 @@ class _Compiler:
             tuple(map(self.sources.result, self._pattern.items)),
             branches=tuple(self._branches),
             graphs=self._pattern.graphs,
+            max_delay=self._pattern.max_delay,
         )
 
     # -- plans -------------------------------------------------------------------------------

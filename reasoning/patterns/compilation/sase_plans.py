@@ -120,7 +120,9 @@ class _Compiler:
         except PlanError as error:
             places = [self._there[i].span for i in error.elements] or [text.span]
             raise self._error(error.message, places[0], error.hint) from None
-        return PatternQuery(text.name, self._attributes.sources(), (plan,), results)
+        return PatternQuery(
+            text.name, self._attributes.sources(), (plan,), results, max_delay=text.max_delay
+        )
 
     def _error(self, message: str, span: Span, hint: str) -> LanguageError:
         return self._attributes.error(message, span, hint)

@@ -169,7 +169,8 @@ class PatternQuery:
     of the plans has such a text.
 
     ``branches``: one for each plan; without any the matches of all plans are results. ``graphs``:
-    the static graphs of FROM and of FROM NAMED.
+    the static graphs of FROM and of FROM NAMED. ``max_delay`` (ns): how long after its valid time a
+    sample is available at the latest; None: streams are in order, but for their lateness.
     """
 
     name: str
@@ -179,6 +180,7 @@ class PatternQuery:
     valid: str = END
     branches: tuple[Branch, ...] = ()
     graphs: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    max_delay: int | None = None
 
 
 def lists_of(query: PatternQuery) -> frozenset[str]:

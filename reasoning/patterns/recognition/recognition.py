@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....streams.sample import Times
-from ....streams.time import TIME_MIN
+from ....streams.time import TIME_MIN, format_duration
+from ....streams.time_arithmetic import later
 from ...states.departures import Departures, Steps
 from ..evaluation.evaluator import Evaluator
 from ..plans.limits import DEFAULT_LIMITS, Limits
@@ -44,10 +45,11 @@ class Recognition:
 
     A row's end is its valid time. Where order matters (probes, runs, trends, changes), a row waits
     until no earlier one may come: until the greatest valid times of all streams have reached it,
-    less their ``lateness`` (ns, one a stream). A match is available when it is decided. Other plans
-    take rows as they arrive, and a match is available with the last of its rows. A row behind what
-    has been reached is late in both: it is counted, and left out. ``keeps_places``: `places` may be
-    asked for.
+    less their ``lateness`` (ns, one a stream). With a ``max_delay`` of the query it waits that long
+    after its time instead, by available times, so that the clock decides what did not happen. A
+    match is available when it is decided. Other plans take rows as they arrive, and a match is
+    available with the last of its rows. A row behind what has been reached is late in both: it is
+    counted, and left out. ``keeps_places``: `places` may be asked for.
 
     Law (tests/laws/reasoning/test_recognition.py): results and their available times do not depend
     on batch cuts, nor on the order in which the streams deliver. Cost: a sort of the new rows.
@@ -80,7 +82,7 @@ class Recognition:
         }
         has_changes = any(source.has_changes for source in query.sources)
         self._changes = Changes(query.sources) if has_changes else None
-        self._departures = Departures(None, streams, lateness)
+        self._departures = Departures(query.max_delay, streams, lateness)
         self._begun = [0] * streams
         """The number of the first sample in the last batch of each stream."""
         self._samples = [0] * streams
@@ -96,7 +98,9 @@ class Recognition:
     def explain(self) -> str:
         """Describe the plans and their evaluation."""
         order = "in order of valid time" if self.is_ordered else "as they arrive"
-        return f"{self.evaluator.explain()}\nrows are taken {order}"
+        delay = self.query.max_delay
+        wait = "" if delay is None else f", at most {format_duration(delay)} after it"
+        return f"{self.evaluator.explain()}\nrows are taken {order}{wait}"
 
     def losses(self) -> dict[str, int]:
         """Return what was left out for a limit, and how often."""
@@ -200,14 +204,18 @@ class Recognition:
 
     def _in_order(self, new: _Batch, steps: Steps) -> Recognized:
         rows = _joined([self._waiting, new]).in_order()
-        leave = int(np.searchsorted(rows.end, steps.latest, "right"))
+        side: Literal["left", "right"] = "right" if steps.delay is None else "left"
+        leave = int(np.searchsorted(rows.end, steps.latest, side))
         self._waiting = rows.take(slice(leave, None))
         rows, first = rows.take(slice(0, leave)), self._number
         found = concatenated([self._pushed(rows), self.evaluator.advance(steps.latest)])
         # A match that had to wait is decided when its time is reached, another one by its last row,
         # which leaves when its time is reached, or later, when it comes.
-        available = steps.reaching(found.decided)
         by_row = found.decided <= found.outputs[END]
+        if steps.delay is not None:
+            # One that had to wait is decided by what did not come up to the time before.
+            return self._results(found, later(found.decided - ~by_row, steps.delay))
+        available = steps.reaching(found.decided)
         came = rows.available[found.last[by_row] - first]
         available[by_row] = np.maximum(available[by_row], came)
         return self._results(found, available)

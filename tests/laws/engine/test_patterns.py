@@ -40,6 +40,10 @@ PATTERNS = (
     "{ ?x dyknow:altitude ?w FILTER (?w > 10) } WITHIN 3 s",
     f"REGISTER STREAM m AS {EP}SELECT ?x ?v ?w WHERE {{ {{ ?x dyknow:speed ?v }} OPTIONALSEQ "
     "{ ?x dyknow:altitude ?w } } WITHIN 2 s",
+    "chronicle m(?x in UAV) { event(speed[?x]:(?, > 36), t); "
+    "noevent(altitude[?x], (t, t + 1s)); } with max delay 1s",
+    "REGISTER STREAM m AS PATTERN SEQ(speed a, speed b) WHERE partition_contiguity [value] "
+    "WITHIN 4 seconds RETURN a.id AS x, b.value AS v WITH MAX DELAY 0.5s",
 )
 
 
