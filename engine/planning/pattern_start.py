@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
@@ -20,6 +21,7 @@ from ...templates.needs import NeedsError
 from ..configuration.configuration import PATTERN, Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments
+from ..model.status_changes import ChangeKind
 from ..units.match_samples import match_schema
 from ..units.merge import MergeInput
 from ..units.pattern import PatternUnit
@@ -83,6 +85,7 @@ class PatternStarter:
                     lateness=self._configuration.lateness,
                     newest=self._configuration.newest_sample,
                     background=closed_ontology(self._ontology, query.graphs[1]),
+                    report_limit=partial(self._configuration.report_unit, ChangeKind.LIMIT_REACHED),
                 )
             except PlanError as error:
                 raise BadArguments(error.message, error.hint) from error

@@ -28,6 +28,7 @@ from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
 from ...streams.sample import SampleBatch
+from .base import ComputationalUnit
 from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
 from .sample_reasoner import SampleReasoner
@@ -38,7 +39,8 @@ class PatternUnit(SampleReasoner):
 
     ``lateness`` returns how far (ns) samples of a stream may be behind later ones. ``newest``
     returns the greatest available time (ns) of the samples in streams and upstream of them; a later
-    watermark comes from the clock.
+    watermark comes from the clock. ``report_limit`` gets what a limit leaves out, when it first
+    does.
     """
 
     results = "matches"
@@ -52,6 +54,7 @@ class PatternUnit(SampleReasoner):
         lateness: Callable[[StreamGenerator], int],
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
         background: Background,
+        report_limit: Callable[[ComputationalUnit, str], None],
     ) -> None:
         super().__init__(*args, newest=newest)
         self._keys = Keys()
@@ -70,6 +73,9 @@ class PatternUnit(SampleReasoner):
         self._background = background
         self.matches = 0
         """Matches found by now."""
+        self._report_limit = report_limit
+        self._reported: set[str] = set()
+        """What limits have left out, as reported."""
 
     def explain(self) -> str:
         """Describe the evaluation: the plans, and what has been done by now."""
@@ -124,6 +130,10 @@ class PatternUnit(SampleReasoner):
         return self.recognition
 
     def _emit(self, found: Recognized) -> None:
+        for what in self.recognition.losses():
+            if what not in self._reported:
+                self._reported.add(what)
+                self._report_limit(self, f"left out: {what}")
         if not len(found):
             return
         self.matches += len(found)

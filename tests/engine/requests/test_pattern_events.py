@@ -263,6 +263,28 @@ def test_a_duration_of_a_request(flying):
     assert found == {"PT1.9S": [], "PT2S": [(5, "uav1")], "PT7S": [(5, "uav1"), (9, "uav2")]}
 
 
+LIMITED = (
+    "REGISTER STREAM s AS PATTERN SEQ(speed+ a[], altitude b) WHERE [id] WITHIN 1 minute "
+    "RETURN count(a[]) AS n LIMIT 2"
+)
+
+
+def test_the_first_loss_is_reported(flying):
+    """Of two speeds and a height there are three matches, and two are results."""
+    flying.queries.register(LIMITED)
+    feed(flying, "speeds", [(t, {"id": "uav1", "spd": 80.0}) for t in (1, 2)])
+    feed(flying, "heights", [(t, {"id": "uav1", "alt": 50.0}) for t in (3, 4, 5)])
+    for name in ("speeds", "heights"):
+        flying.end(name)
+    assert len(samples(flying, "s")) == 6
+    unit = flying.queries.unit("s")
+    reported = [v for _, v in samples(flying, "status") if v["change"] == "limit reached"]
+    assert [(each["stream"], each["unit"], each["specification"]) for each in reported] == [
+        ("s", unit.name, "left out: rows that complete more matches than the limit")
+    ]
+    assert unit.recognition.losses() == {"rows that complete more matches than the limit": 3}
+
+
 def test_rounded_numbers_are_told(flying):
     """Of 70 speeds each subset but the empty one ends with the height: 2^70 - 1 matches."""
     flying.queries.register(
