@@ -11,8 +11,6 @@ from ...converters.objects import object_iri
 from ...languages.mtl.checked import Kind
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plans.network import minimal_network
-from ...reasoning.patterns.plans.plan import PlanError
 from ...reasoning.patterns.plans.query import END, START, Keys, Part, PatternQuery, object_key
 from ...reasoning.patterns.recognition.explanation import (
     ExplainedMatch,
@@ -21,7 +19,7 @@ from ...reasoning.patterns.recognition.explanation import (
     PartialMatches,
     PendingEvent,
 )
-from ...reasoning.patterns.recognition.partial import Partial, partial_matches
+from ...reasoning.patterns.recognition.partial import Partial
 from ...reasoning.patterns.recognition.recognition import SAMPLE, STREAM, Recognition, Recognized
 from ...reasoning.patterns.recognition.static_tables import StaticTables
 from ...streams.generator import StreamGenerator
@@ -97,19 +95,15 @@ class PatternUnit(SampleReasoner):
     def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
         """Return the partial matches of all these objects (as the matches name them, or IRIs).
         Raises `PlanError` for a pattern whose partial matches are not known."""
-        evaluator = self.recognition.evaluator
-        rows = getattr(evaluator, "rows", None)
-        if rows is None or len(self.query.plans) > 1:
-            raise PlanError("partial matches are told of a single plan under skip_till_any_match")
-        (plan,) = self.recognition.plans
-        now = evaluator.watermark
+        now = self.recognition.evaluator.watermark
         wanted = [self._keys.find(object_key(_iri(each))) for each in objects]
+        found, more = self.recognition.partials(limit, wanted)
         if None in wanted:
             return PartialMatches(now, (), more=False)
-        found = partial_matches(minimal_network(plan), rows(), now, limit, wanted)
-        names = [each.name for each in plan.elements]
-        told = tuple(self._partial(each, names) for each in found.found)
-        return PartialMatches(now, told, found.has_more)
+        told = tuple(
+            self._partial(each, [element.name for element in plan.elements]) for plan, each in found
+        )
+        return PartialMatches(now, told, more)
 
     def recall(self) -> RecalledEvents:
         """Return the retained samples that it has read, for explanations."""
@@ -152,7 +146,7 @@ class PatternUnit(SampleReasoner):
                     if value is not None and column in kinds
                 },
             )
-            for element, row in sorted(partial.bound.items())
+            for element, row in partial.rows
         )
         pending = tuple(
             PendingEvent(names[each.element], each.earliest, each.latest)

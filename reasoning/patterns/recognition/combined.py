@@ -159,6 +159,10 @@ class CombinedRows:
             part.rows.kept + sum(len(found.until) for found in part.found) for part in self._parts
         )
 
+    def given(self) -> list[tuple[int, AllRows]]:
+        """The evaluations whose matches may be results, with the numbers of their plans."""
+        return [(part.number, part.rows) for part in self._parts if part.branch.is_given]
+
     def state(self) -> tuple[Any, ...]:
         """Everything that `restore` needs; it can be pickled and does not change later."""
         parts = [

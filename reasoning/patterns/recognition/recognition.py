@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,14 +13,19 @@ from ....streams.sample import Times
 from ....streams.time import TIME_MIN, format_duration
 from ....streams.time_arithmetic import later
 from ...states.departures import Departures, Steps
+from ..evaluation.all_rows import AllRows
 from ..evaluation.evaluator import Evaluator
 from ..plans.limits import DEFAULT_LIMITS, Limits
-from ..plans.plan import NO_VALUE, Selection
+from ..plans.network import minimal_network
+from ..plans.plan import NO_VALUE, PatternPlan, PlanError, Selection
 from ..plans.query import END, Branch, Keys, PatternQuery, with_numbers
 from ..plans.rows import Matches, Rows, Values, concatenated
+from ..sequences.next_rows import NextRows
+from ..sequences.run_packing import sequence_network
 from .changes import Changes
 from .choice import evaluator_of
 from .combined import CombinedRows, StaticSolutions
+from .partial import Partial, partial_matches, partial_runs
 
 STREAM, SAMPLE, KIND = range(3)
 """Where a row comes from."""
@@ -119,6 +124,36 @@ class Recognition:
         """The number of rows and matches in memory."""
         queued = sum(map(len, (self._new, self._waiting, *self._parts)))
         return queued + self.evaluator.kept + self.evaluator.pending
+
+    def partials(
+        self, limit: int, wanted: Collection[int | None] = ()
+    ) -> tuple[list[tuple[PatternPlan, Partial]], bool]:
+        """Return the partial matches (`partial`), at most ``limit``, the newest first, each with
+        its plan; and whether there may be more. Raises `PlanError` for a pattern that keeps neither
+        rows to join nor runs."""
+        evaluator = self.evaluator
+        now = evaluator.watermark
+        match evaluator:
+            case NextRows():
+                (plan,) = self.plans
+                runs = evaluator.begun()
+                parts = [(plan, partial_runs(sequence_network(plan), runs, now, limit, wanted))]
+            case AllRows() | CombinedRows():
+                joins = [(0, evaluator)] if isinstance(evaluator, AllRows) else evaluator.given()
+                parts = [
+                    (plan, partial_matches(minimal_network(plan), rows.rows(), now, limit, wanted))
+                    for plan, rows in ((self.plans[number], rows) for number, rows in joins)
+                ]
+            case _:
+                raise PlanError(
+                    "under skip_till_any_match a repeated part has exponentially many partial "
+                    "matches",
+                    "write `WHERE skip_till_next_match`, or ask a pattern without repetition",
+                )
+        found = [(plan, each) for plan, partials in parts for each in partials.found]
+        found.sort(key=lambda each: (-each[1].last, -len(each[1].rows)))
+        has_more = len(found) > limit or any(partials.has_more for _, partials in parts)
+        return found[:limit], has_more
 
     def places(self) -> NDArray[np.int64]:
         """Return where each row came from, by the numbers of `Recognized.rows`: `STREAM`, `SAMPLE`
