@@ -176,6 +176,12 @@ class Explainer:
         """An input that nothing gives."""
         feature = goal.asks[0].feature
         text = f"{shorten(feature)} of {whose(goal.subjects)}"
+        if self._index.sorts.is_sort(feature) and not goal.streams:
+            return Alternative(
+                text,
+                Outcome.FAILED,
+                "a template that others read has a sort of one stream: `FROM NAME` names it",
+            )
         parts = [
             *self._streams(goal, None),
             *(self._unit(unit, goal, path) for unit in self._giving(goal.asks[0])),

@@ -3,6 +3,7 @@
 import pytest
 from feeding import feed, samples
 
+import dyknow
 from dyknow.engine.model.errors import BadArguments, NoPlan
 from dyknow.languages.errors import LanguageError
 
@@ -78,6 +79,14 @@ def test_a_template_of_a_named_stream(flying):
     assert told(flying, "c") == told(flying, mine.stream) == [(2, "uav1")]
 
 
+def test_a_template_of_a_sort_names_its_stream(flying):
+    body = TWICE.format("UAV", "UAV").replace("[id]", "[id = ?x]").replace(" RETURN a.id AS x", "")
+    flying.register_template(f"REGISTER TEMPLATE Again(?x) AS {body}")
+    with pytest.raises(NoPlan, match="`FROM NAME` names it"):
+        flying.queries.register("chronicle c(?x in UAV) { event(Again[?x], t1); "
+                                "event(Again[?x], t2); t2 - t1 in [1s, 2s]; }")  # fmt: skip
+
+
 def test_streams_that_cannot_be_read(flying):
     with pytest.raises(NoPlan) as caught:
         flying.queries.register("FROM height " + TWICE.format("speed", "speed"))
@@ -91,3 +100,18 @@ def test_streams_that_cannot_be_read(flying):
     assert "FROM NAME" in other.value.hint
     with pytest.raises(LanguageError, match="`UAV` is a sort, not a feature"):
         flying.queries.register("chronicle c(?x) { event(UAV[?x], t); }")
+
+
+def test_a_sort_and_a_named_stream_of_recordings():
+    ssl = """stream speeds contains speed(UAV) = spd [km.h-1] for every UAV = id
+    stream heights contains altitude(UAV) = alt [ft] for every UAV = id"""
+    rows = {
+        "speeds": [{"valid": t, "id": "u", "spd": 1.0} for t in (1, 4)],
+        "heights": [{"valid": t, "id": "u", "alt": 1.0} for t in (2, 3)],
+    }
+    text = "PATTERN SEQ(UAV a, UAV b) WHERE skip_till_next_match [id] WITHIN 9s"
+    found = {
+        start: [(r["start"], r["end"]) for r in dyknow.run(start + text, streams=rows, ssl=ssl)]
+        for start in ("", "FROM heights ")
+    }
+    assert found == {"": [(1, 2), (2, 3), (3, 4)], "FROM heights ": [(2, 3)]}
