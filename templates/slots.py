@@ -99,8 +99,8 @@ def _constant(term: Term, kind: Kind, index: int, parameter: Variable) -> Consta
                 raise argument_error(str(error), index, parameter) from None
         case Kind.DURATION if datatype in (*_DURATIONS, "string"):
             try:
-                # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
-                if term.value.startswith("P"):
+                # 5s is no xsd:duration, but a text that patterns have.
+                if datatype == "string" or term.value.startswith("P"):
                     duration = parse_duration(term.value)
                     if duration >= _LONGEST:
                         raise ValueError(f"{term.value} exceeds 36 years")
