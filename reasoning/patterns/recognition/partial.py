@@ -12,7 +12,7 @@ from typing import Final
 
 from ....streams.time import TIME_MAX, TIME_MIN
 from ..plans.network import INFINITE, Network
-from ..plans.plan import OWN, ColumnType, CountProbe, PatternPlan, Point, elements_of
+from ..plans.plan import OWN, CountProbe, PatternPlan, Point, elements_of
 from ..plans.row_values import Bound, Number, Row, are_same, holds, time_of
 
 MOST_STEPS: Final = 100_000
@@ -47,6 +47,18 @@ class Partial:
 
 
 @dataclass(frozen=True, slots=True)
+class Wanted:
+    """All these ``keys`` are wanted, each in one of these ``columns`` of a row."""
+
+    keys: frozenset[int | None] = frozenset()
+    columns: tuple[str, ...] = ()
+
+
+NOTHING: Final = Wanted()
+"""Nothing in particular: all partial matches."""
+
+
+@dataclass(frozen=True, slots=True)
 class Partials:
     """Partial matches, the newest first. ``has_more``: there are or may be others."""
 
@@ -59,18 +71,18 @@ def partial_matches(
     rows: Sequence[Sequence[Row]],
     now: int,
     limit: int,
-    wanted: Collection[int | None] = (),
+    wanted: Wanted = NOTHING,
 ) -> Partials:
     """Return the partial matches of a plan without repetition at the watermark ``now`` (ns).
 
     A set of rows for some of its elements is one if they meet what the plan says of them, and if
     each of the others may still come: not before ``now``. ``rows`` are those of each element, then
-    of each probe. ``wanted``: only matches with these keys, by column, in one of their rows.
+    of each probe.
 
     Cost: exponential in the elements, at most `MOST_STEPS` rows.
     """
     search = _Search(network, rows, now)
-    found = newest(network.plan, search.partials(), limit, wanted)
+    found = newest(search.partials(), limit, wanted)
     return Partials(found.found, found.has_more or search.is_over)
 
 
@@ -79,7 +91,7 @@ def partial_runs(
     runs: Iterable[Sequence[tuple[Row, Row]]],
     now: int,
     limit: int,
-    wanted: Collection[int | None] = (),
+    wanted: Wanted = NOTHING,
 ) -> Partials:
     """Return the partial matches among ``runs`` at the watermark ``now`` (ns): those that have not
     lasted too long. ``runs`` have the first and the last row of each element that they have bound.
@@ -87,7 +99,7 @@ def partial_runs(
 
     Cost: O(runs)."""
     found = (_of_run(network, run, now) for run in runs)
-    return newest(network.plan, (each for each in found if each is not None), limit, wanted)
+    return newest((each for each in found if each is not None), limit, wanted)
 
 
 def _of_run(network: Network, run: Sequence[tuple[Row, Row]], now: int) -> Partial | None:
@@ -118,12 +130,9 @@ def _of_run(network: Network, run: Sequence[tuple[Row, Row]], now: int) -> Parti
     return Partial(tuple(rows), tuple(pending))
 
 
-def newest(
-    plan: PatternPlan, found: Iterable[Partial], limit: int, wanted: Collection[int | None]
-) -> Partials:
-    """Return those with all wanted keys, at most ``limit``, the newest first."""
-    columns = [each.name for each in plan.columns if each.type is ColumnType.KEY]
-    chosen = [each for each in found if each.keys(columns) >= set(wanted)]
+def newest(found: Iterable[Partial], limit: int, wanted: Wanted) -> Partials:
+    """Return the wanted ones, at most ``limit``, the newest first."""
+    chosen = [each for each in found if each.keys(wanted.columns) >= wanted.keys]
     chosen.sort(key=lambda each: (-each.last, -len(each.rows)))
     return Partials(tuple(chosen[:limit]), len(chosen) > limit)
 

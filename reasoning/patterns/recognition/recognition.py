@@ -17,7 +17,7 @@ from ..evaluation.all_rows import AllRows
 from ..evaluation.evaluator import Evaluator
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.network import minimal_network
-from ..plans.plan import NO_VALUE, PatternPlan, PlanError, Selection
+from ..plans.plan import NO_VALUE, ColumnType, PatternPlan, PlanError, Selection
 from ..plans.query import END, Branch, Keys, PatternQuery, with_numbers
 from ..plans.rows import Matches, Rows, Values, concatenated
 from ..sequences.next_rows import NextRows
@@ -25,7 +25,7 @@ from ..sequences.run_packing import sequence_network
 from .changes import Changes
 from .choice import evaluator_of
 from .combined import CombinedRows, StaticSolutions
-from .partial import Partial, partial_matches, partial_runs
+from .partial import Partial, Wanted, partial_matches, partial_runs
 
 STREAM, SAMPLE, KIND = range(3)
 """Where a row comes from."""
@@ -126,11 +126,12 @@ class Recognition:
         return queued + self.evaluator.kept + self.evaluator.pending
 
     def partials(
-        self, limit: int, wanted: Collection[int | None] = ()
+        self, limit: int, keys: Collection[int | None] = ()
     ) -> tuple[list[tuple[PatternPlan, Partial]], bool]:
-        """Return the partial matches (`partial`), at most ``limit``, the newest first, each with
-        its plan; and whether there may be more. Raises `PlanError` for a pattern that keeps neither
-        rows to join nor runs."""
+        """Return the partial matches with all these ``keys`` of objects and texts, at most
+        ``limit``, the newest first, each with its plan; and whether there may be more. Raises
+        `PlanError` for a pattern that keeps neither rows to join nor runs."""
+        wanted = Wanted(frozenset(keys), self._named_columns())
         evaluator = self.evaluator
         now = evaluator.watermark
         match evaluator:
@@ -154,6 +155,12 @@ class Recognition:
         found.sort(key=lambda each: (-each[1].last, -len(each[1].rows)))
         has_more = len(found) > limit or any(partials.has_more for _, partials in parts)
         return found[:limit], has_more
+
+    def _named_columns(self) -> tuple[str, ...]:
+        """The columns whose keys are those of objects and texts."""
+        read = {each.column: each for source in self.query.sources for each in source.columns}
+        keys = {c.name for plan in self.plans for c in plan.columns if c.type is ColumnType.KEY}
+        return tuple(name for name in keys if name not in read or not read[name].as_key)
 
     def places(self) -> NDArray[np.int64]:
         """Return where each row came from, by the numbers of `Recognized.rows`: `STREAM`, `SAMPLE`

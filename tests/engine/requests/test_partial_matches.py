@@ -52,6 +52,18 @@ def test_partial_matches_of_runs(flying):
     assert partials(flying, "s", "uav1")[0] == [([("a", 4)], [("b", 6, 12), ("c", 6, 13)])]
 
 
+def test_a_number_is_no_object(flying):
+    """The keys of numbers are their bits: that of 0 is also the number of an object."""
+    flying.queries.register(
+        "REGISTER STREAM s AS PATTERN SEQ(speed a, speed b) WHERE skip_till_next_match [value] "
+        "WITHIN 9s RETURN a.id AS x"
+    )
+    feed(flying, "speeds", [(1, {"id": "uav1", "spd": 5.0}), (2, {"id": "uav2", "spd": 0.0})])
+    feed(flying, "speeds", [(3, {"id": "uav3", "spd": 7.0})])
+    names = [f"uav{i}" for i in (1, 2)]
+    assert [[e[0][0][1] for e in partials(flying, "s", name)[0]] for name in names] == [[1], [2]]
+
+
 def test_partial_matches_of_alternatives(flying):
     flying.queries.register(
         """REGISTER STREAM s AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
