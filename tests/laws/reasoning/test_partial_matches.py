@@ -21,6 +21,7 @@ from dyknow.reasoning.patterns.plans.network import (
     UnboundedRetention,
     minimal_network,
 )
+from dyknow.reasoning.patterns.plans.plan import Between, Point
 from dyknow.reasoning.patterns.recognition.partial import partial_matches, partial_runs
 from dyknow.reasoning.patterns.sequences.next_rows import NextRows
 from dyknow.reasoning.patterns.sequences.run_packing import sequence_network
@@ -131,6 +132,11 @@ def test_partial_matches_of_runs(seed: int) -> None:
     one, and the first rows of its other elements come in their windows."""
     case = RunDrawing(seed)
     draw, plan = case.random, case.plan
+    kleene = [e for e in range(len(plan.elements) - 1) if plan.elements[e].is_kleene]
+    if kleene and draw.random() < 0.5:
+        # The next element soon after the last row of a repeated one, which may go on.
+        soon = Between(Point(kleene[0]), Point(kleene[0] + 1, True), 1, draw.randint(1, 4))
+        plan = replace(plan, between=(*plan.between, soon))
     steps = [step for step in case.steps(draw.randint(2, 14), 20) if isinstance(step, Row)]
     try:
         running = NextRows(plan, capacity=8)

@@ -193,12 +193,28 @@ def test_matches_do_not_depend_on_cuts(seed: int) -> None:
     query = query_of(case)
     sent = sent_in(draw, case, draw.randint(1, 14))
     lateness = [draw.choice([0, 0, 2]) for _ in range(STREAMS)]
-    delay = draw.choice([None, None, 0, 1, 3, 8])
-    if delay is None:
-        wanted = expected(query, sent, lateness)
-    else:
-        query = replace(query, max_delay=delay)
-        wanted = expected_by_delay(query, sent, delay)
+    agree(query, sent, lateness, expected(query, sent, lateness), draw)
+
+
+@settings(deadline=None, max_examples=600)
+@given(st.integers(0, 2**32))
+def test_a_max_delay(seed: int) -> None:
+    draw = Random(seed)
+    case = PatternDrawing(seed, is_ordered=draw.random() < 0.8)
+    delay = draw.choice([0, 1, 1, 3, 8])
+    query = replace(query_of(case), max_delay=delay)
+    sent = sent_in(draw, case, draw.randint(4, 14))
+    agree(query, sent, [0] * STREAMS, expected_by_delay(query, sent, delay), draw)
+
+
+def agree(
+    query: PatternQuery,
+    sent: list[Sent],
+    lateness: list[int],
+    wanted: tuple[Found, int],
+    draw: Random,
+) -> None:
+    """What is found in some cuts is what is wanted."""
     for _ in range(2):
         try:
             assert recognized(query, sent, lateness, draw) == wanted
