@@ -27,8 +27,9 @@ PATTERNS = (
     "when recognized { emit event(m[?x, ?v], t1); } }",
     "chronicle m(?y in UAV) { event(speed[?x]:(?, > 36), t1); event(altitude[?y], t2); ?x != ?y; "
     "hold(speed[?y]:(< 100), (t1, t2)); t2 - t1 in [-2s, 2s]; }".replace(":(< 100)", ":< 100"),
-    # A unit selects the samples of uav1; its watermarks are those of whole batches.
-    "chronicle m { event(speed[uav1]:(?, > 18), t1); event(altitude[uav2], t2); "
+    # A unit selects the samples of uav2; its watermarks are those of whole batches. Each world has
+    # the altitude of uav1.
+    "chronicle m { event(speed[uav2]:(?, > 18), t1); event(altitude[uav1], t2); "
     "t2 - t1 in [0s, 3s]; }",
     "REGISTER STREAM m AS PATTERN SEQ(speed a, altitude+ b[], speed c) WHERE skip_till_next_match "
     "[id] AND b[i].value > 5 WITHIN 4 seconds RETURN a.id AS x, count(b[]) AS n, b[].value AS all",
