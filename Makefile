@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 PORT ?= 8000
 
-.PHONY: demo serve test soak image-check lint kernels bench lock format clean
+.PHONY: demo serve test soak soak-patterns image-check lint kernels bench lock format clean
 
 demo: $(VENV)/installed ## replay five minutes of recorded flights and find events in them
 	@$(BIN)/dyknow demo
@@ -28,12 +28,19 @@ SWEPT := $(addprefix tests/laws/,$(addprefix continuous/test_,continuous.py alge
 
 ROUNDS ?= 3
 SECONDS ?= 600
-soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, 200,000 random windows, ROUNDS of all laws
+soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, 200,000 random windows, ROUNDS of all laws, 230,000 random patterns
 	$(BIN)/python bench/soak.py $(SECONDS)
 	$(BIN)/python tests/laws/reasoning/mutants.py
 	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/durability/test_kill.py
 	DYKNOW_QUERY_WINDOWS=200000 DYKNOW_QUERY_SEED=$$(date +%s) $(PYTEST) tests/laws/continuous/test_differential.py
 	for round in $$(seq $(ROUNDS)); do $(PYTEST) tests/laws --hypothesis-profile=default || exit 1; done
+	$(MAKE) --no-print-directory soak-patterns
+
+# All that a pattern is: each language against its meaning, each evaluator against its definition (rows in order and in any
+# order, optional parts, repetition, over many spans of a match), partial matches, and samples of several streams.
+PATTERN_LAWS := $(patsubst %,tests/laws/reasoning/test_%.py,chronicle epsparql sase pattern_joins pattern_repetition pattern_runs pattern_trends partial_matches recognition)
+soak-patterns: $(VENV)/installed-dev ## 230,000 random patterns against their definitions: 20 times the examples of their laws
+	$(PYTEST) $(PATTERN_LAWS) --share=20 --hypothesis-profile=default
 
 image-check: ## what the Dockerfile does, as a script in an empty folder
 	sh docker/check

@@ -21,7 +21,6 @@ from ..converters.recordings.recording import Recording
 from ..converters.recordings.table_options import GUESSED, TableOptions
 from ..converters.recordings.time_order import TimeOrder, by_valid_time, in_time_order
 from ..converters.wire import Incoming
-from ..languages.mtl import Monitor
 from ..languages.mtl.checked import Kind
 from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import StreamAnnotation
@@ -37,7 +36,7 @@ from ..streams.time import FOREVER, SECOND, parse_time
 from .engine import Engine
 from .model.errors import NoPlan, NotAnnotated
 from .model.views import StreamDeclaration
-from .planning.registrations import parse_registered
+from .planning.registrations import max_delay_of, parse_registered
 from .units.monitor import MonitorUnit
 from .units.pattern import PatternUnit
 from .units.sharing.shared_query import QueryInstance
@@ -94,10 +93,10 @@ def run(
     stream. Of monitors and patterns objects are IRIs, and the times of states and events int, in
     ns. A monitor gives the verdicts that it reports.
 
-    A monitor with ``max delay`` takes the samples in order of their available times. Anything else
-    takes them in order of valid time, each available when it is valid, so that none is late.
-    ``sort``: see `in_time_order`. ``tables``: how files of tables are read. A stream without
-    further samples has ended.
+    A monitor or pattern with ``max delay`` takes the samples in order of their available times.
+    Anything else takes them in order of valid time, each available when it is valid, so that none
+    is late. ``sort``: see `in_time_order`. ``tables``: how files of tables are read. A stream
+    without further samples has ended.
 
     Raises `LanguageError` for the text or the SSL, `NoPlan` if a feature is in no stream,
     `BadArguments`, `UnknownStream`, `NotAnnotated` for a stream that the SSL does not describe,
@@ -108,7 +107,7 @@ def run(
     tables in Arrow, are held whole.
     """
     query = parse_registered(text)
-    has_delay = isinstance(query, Monitor) and query.policy.max_delay is not None
+    has_delay = max_delay_of(query) is not None
     engine = Engine()
     for path in ontology:
         _load_ontology(engine, Path(path))

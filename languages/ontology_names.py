@@ -66,6 +66,12 @@ class OntologyNames:
         for iri in self.iris(name, span):
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 return iri
+        if self.find_sort(name, span) is not None:
+            raise self._error(
+                f"`{name}` is a sort, not a feature",
+                span,
+                "name a feature or an event of its objects, such as `speed`",
+            )
         near = self.vocabulary.suggest(name, "feature")
         hint = (
             f"did you mean {' or '.join(near)}?"

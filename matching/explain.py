@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -49,6 +50,11 @@ class Explainer:
 
     def missing(self, want: Want, tree: tuple[Alternative, ...]) -> tuple[str, ...]:
         """The reasons at the leaves of a tree without a plan, each once."""
+        unknown = [name for name in want.streams if name not in self._index.space.streams]
+        if unknown:
+            near = difflib.get_close_matches(unknown[0], self._index.space.streams, n=3)
+            hint = f": did you mean {' or '.join(near)}?" if near else ""
+            return (f"there is no stream {unknown[0]} with an annotation{hint}",)
         if not tree:
             return (_nothing_gives(want.feature),)
         return tuple(dict.fromkeys(_leaves(tree)))[:LISTED]
@@ -86,6 +92,8 @@ class Explainer:
             return Alternative(
                 text, Outcome.FAILED, "it is silent, has ended, or serves another request only"
             )
+        if goal.streams and stream.name not in goal.streams:
+            return Alternative(text, Outcome.FAILED, _names_others(goal))
         ask, subjects = goal.asks[0], goal.subjects
         reasons: dict[str, None] = {}
         for content, unit in zip(stream.contents, stream.units, strict=True):
@@ -168,6 +176,12 @@ class Explainer:
         """An input that nothing gives."""
         feature = goal.asks[0].feature
         text = f"{shorten(feature)} of {whose(goal.subjects)}"
+        if self._index.sorts.is_sort(feature) and not goal.streams:
+            return Alternative(
+                text,
+                Outcome.FAILED,
+                "a template that others read has a sort of one stream: `FROM NAME` names it",
+            )
         parts = [
             *self._streams(goal, None),
             *(self._unit(unit, goal, path) for unit in self._giving(goal.asks[0])),
@@ -182,6 +196,8 @@ class Explainer:
 
     def _no_answer(self, unit: TransformationDescription, goal: Goal) -> str:
         """Why its output cannot be the wanted feature, whatever its inputs; empty if it can."""
+        if goal.streams:
+            return _names_others(goal)
         if unit.lacks:
             return unit.lacks
         reason = why_not_convertible(unit.output_unit, goal.asks[0].unit)
@@ -209,6 +225,10 @@ class Explainer:
             return "its inputs speak of other objects than its output"
         names = " and ".join(sorts)
         return f"no single {names} is known for its inputs: name one, or say what self is"
+
+
+def _names_others(goal: Goal) -> str:
+    return f"only {' and '.join(goal.streams)} is read"
 
 
 def _is_by(way: Answer, unit: TransformationDescription) -> bool:

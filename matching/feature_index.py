@@ -34,8 +34,10 @@ class FeatureIndex:
         self._known: dict[frozenset[str], tuple[Subject, ...]] = {}
 
     def serving(self, feature: str) -> _Features:
-        """``feature``, then its sub-features by name."""
+        """``feature``, then its sub-features by name; of a sort, all features of streams."""
         found = self._serving.get(feature)
+        if found is None and self.sorts.is_sort(feature):
+            found = self._serving[feature] = self.space.features
         if found is None:
             below = sorted(self.vocabulary.subfeatures(feature) - {feature})
             found = self._serving[feature] = (feature, *below)
@@ -43,6 +45,8 @@ class FeatureIndex:
 
     def producers(self, ask: Ask) -> Iterator[TransformationDescription]:
         """The transformations whose output is the feature or a sub-feature of it, in order."""
+        if self.sorts.is_sort(ask.feature):
+            return
         space = self.space
         for feature in self.serving(ask.feature):
             for name in space.giving(feature):
@@ -89,7 +93,7 @@ class FeatureIndex:
                         continue
                     for content in space.streams[name].contents:
                         if content.feature == served:
-                            found |= dict.fromkeys(map(_held, content.roles))
+                            found |= dict.fromkeys(map(held_subject, content.roles))
             for unit in self.producers(Ask(feature, None)):
                 for argument in unit.arguments:
                     if argument.object is not None:
@@ -103,5 +107,6 @@ class FeatureIndex:
         return found
 
 
-def _held(role: Role) -> Subject:
+def held_subject(role: Role) -> Subject:
+    """Whose feature a stream with this role holds."""
     return Subject(role.sort or THING, None) if role.object is None else Subject(None, role.object)

@@ -20,12 +20,14 @@ class Goal(NamedTuple):
     """Features of the same objects, in samples that belong together.
 
     ``joined``: its consumer synchronizes it with others, so parts of it need no synchronization of
-    their own.
+    their own. ``streams`` names the streams that may answer it; empty: all streams and
+    transformations.
     """
 
     asks: tuple[Ask, ...]
     subjects: Subjects
     joined: bool = False
+    streams: tuple[str, ...] = ()
 
 
 class Offer(NamedTuple):
@@ -59,13 +61,15 @@ Answer: TypeAlias = Offer | Through | Apart
 
 
 def goal_of(want: Want, sorts: Sorts) -> Goal:
-    """The goal of a want: the feature in its own unit, of all that is wanted."""
+    """The goal of a want: the feature in its own unit, of all that is wanted. What a sort stands
+    for are the samples of its objects."""
     info = sorts.vocabulary.feature(want.feature)
     unit = None if info is None or info.unit is None else unit_text(info.unit)
-    own = Subject(want.sort, sorts.canonical(want.object)) if want.object else None
+    sort = want.feature if sorts.is_sort(want.feature) else want.sort
+    own = Subject(sort, sorts.canonical(want.object)) if want.object else None
     first = own or Subject(want.wanted_sort, None)
     others = (
         other._replace(object=sorts.canonical(other.object)) if other.object else other
         for other in want.others
     )
-    return Goal((Ask(want.feature, unit),), unified((first, *others)))
+    return Goal((Ask(want.feature, unit),), unified((first, *others)), streams=want.streams)

@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 from itertools import islice, product
 
 from ..ontology.vocabulary import Vocabulary
-from .feature_index import FeatureIndex
+from .feature_index import FeatureIndex, held_subject
 from .goal import Answer, Apart, Goal, Through
 from .space import StreamSpace
 from .stream_offers import StreamOffers
@@ -59,8 +59,11 @@ class Goals:
             yield from self._aparts(goal)
 
     def parts(self, goal: Goal) -> tuple[Goal, ...]:
-        """The same goal for some of its objects, where no stream gives all; in order of trying.
+        """The same goal for some of its objects, where no stream gives all; in order of trying. Of
+        a sort, one for each stream that tells of its objects and that no unit makes.
         Cost: one pass over all that leads to the feature, for each subject."""
+        if self.index.sorts.is_sort(goal.asks[0].feature) and not goal.streams:
+            return tuple(self._of_streams(goal))
         held = self.index.subjects(frozenset(ask.feature for ask in goal.asks))
         choices = []
         for wanted in goal.subjects:
@@ -71,7 +74,19 @@ class Goals:
         else:
             combined = dict.fromkeys(map(unified, islice(product(*choices), COMBINED)))
         combined.pop(goal.subjects, None)
-        return tuple(Goal(goal.asks, subjects) for subjects in combined)
+        return tuple(goal._replace(subjects=subjects) for subjects in combined)
+
+    def _of_streams(self, goal: Goal) -> Iterator[Goal]:
+        """A goal of a sort, stream by stream, for all wanted objects and for those of each of its
+        contents. What a unit makes tells of the same events again."""
+        (wanted,) = goal.subjects
+        for name, stream in self.index.space.streams.items():
+            if stream.maker:
+                continue
+            held = (content.roles[0] for content in stream.contents if content.roles)
+            parts = (self.index.sorts.part(held_subject(role), wanted) for role in held)
+            for part in dict.fromkeys((wanted, *(part for part in parts if part is not None))):
+                yield goal._replace(subjects=(part,), streams=(name,))
 
     def _aparts(self, goal: Goal) -> Iterator[Apart]:
         """Asks that one stream serves together, as many as possible, and the others one by one;

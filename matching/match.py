@@ -161,7 +161,8 @@ def _widest(sorts: Sorts, parts: Sequence[Goal]) -> Sequence[Goal]:
     def is_covered(place: int, subjects: Subjects) -> bool:
         for i in chain(wide, alike[tuple(subject.object for subject in subjects)]):
             other = parts[i].subjects
-            is_wider = i != place and covers(other, subjects)
+            is_same_stream = parts[i].streams == parts[place].streams
+            is_wider = i != place and is_same_stream and covers(other, subjects)
             if is_wider and (i < place or not covers(subjects, other)):
                 return True
         return False

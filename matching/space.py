@@ -217,6 +217,11 @@ class StreamSpace:
             self.version += 1
             _leave(self._giving, transformation.output.feature, name)
 
+    @property
+    def features(self) -> tuple[str, ...]:
+        """The features that streams contain, by name."""
+        return tuple(sorted(self._holding))
+
     def holding(self, feature: str) -> Iterable[str]:
         """The streams that contain ``feature`` (an IRI)."""
         return self._holding.get(feature, ())

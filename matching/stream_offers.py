@@ -31,10 +31,12 @@ class StreamOffers:
         self._offers: dict[Goal, tuple[Offer, ...]] = {}
 
     def of(self, goal: Goal) -> tuple[Offer, ...]:
-        """The streams that hold all asks of a goal, best first."""
+        """The streams that hold all asks of a goal, best first. No stream alone holds a sort, which
+        is divided by streams (`Goals.parts`)."""
         found = self._offers.get(goal)
         if found is None:
-            ranked = list(self._ranked_offers(goal))
+            is_divided = self._sorts.is_sort(goal.asks[0].feature) and not goal.streams
+            ranked = [] if is_divided else list(self._ranked_offers(goal))
             if len(ranked) > 1:
                 ranked.sort(key=lambda pair: pair[0])
             found = self._offers[goal] = tuple(offer for _, offer in ranked)
@@ -54,7 +56,7 @@ class StreamOffers:
                 seen |= dict.fromkeys(self._space.holding_object(feature, None))
                 seen |= dict.fromkeys(self._space.holding_object(feature, object))
         for name in seen:
-            if name not in self._index.without:
+            if name not in self._index.without and (not goal.streams or name in goal.streams):
                 yield self._space.streams[name]
 
     def contents(

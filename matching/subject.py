@@ -52,6 +52,12 @@ class Sorts:
         """``sub ⊑ sup``; everything is within the sorts of all things."""
         return sub == sup or sup in TOPS or self.vocabulary.is_subsort(sub, sup)
 
+    def is_sort(self, feature: str) -> bool:
+        """Whether a sort stands in place of a feature."""
+        vocabulary = self.vocabulary
+        is_feature = vocabulary.is_feature(feature) or vocabulary.is_event(feature)
+        return vocabulary.is_sort(feature) and not is_feature
+
     def canonical(self, object: str) -> str:
         """The object's name: ``self`` may have one of its own."""
         return self.vocabulary.self_object if object == SELF else object

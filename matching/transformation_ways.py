@@ -40,6 +40,8 @@ class TransformationWays:
         self._serving = index.serving
 
     def of(self, goal: Goal) -> Iterator[Through]:
+        if goal.streams:
+            return
         first, *others = goal.asks
         if others:
             # One output is all of them, so it is a sub-feature of each.

@@ -15,15 +15,20 @@ __all__ = ["THING", "Want"]
 class Want:
     """A feature of one object, or of every object of a sort. All are IRIs.
 
+    A sort in place of the feature stands for the samples of all streams that tell something of its
+    objects, except those that units make.
+
     ``object`` None: of every object of ``sort`` (None: of all). With an object, ``sort`` is
     its sort as the request gives it (None: only as the ontology knows it). ``others`` are the
-    further arguments of an n-ary feature; without them they may be anything.
+    further arguments of an n-ary feature; without them they may be anything. ``streams`` names
+    the streams that may give it; empty: any.
     """
 
     feature: str
     sort: str | None = None
     object: str | None = None
     others: Subjects = ()
+    streams: tuple[str, ...] = ()
 
     @property
     def wanted_sort(self) -> str:
@@ -31,7 +36,8 @@ class Want:
         return THING if self.sort is None else self.sort
 
     def __str__(self) -> str:
-        return f"{shorten(self.feature)} of {self.whose}"
+        of = f" in {' or '.join(self.streams)}" if self.streams else ""
+        return f"{shorten(self.feature)} of {self.whose}{of}"
 
     @property
     def whose(self) -> str:

@@ -112,5 +112,6 @@ def _wants(sources: Iterable[Source]) -> dict[Want, Source]:
                 f"write `{name}[?x]`, or `{name}[self]` for the one that speaks",
             )
         first, *others = (Subject(each.sort, each.object) for each in source.arguments)
-        found[Want(source.concept, first.sort, first.object, tuple(others))] = source
+        streams = (source.stream,) if source.stream else ()
+        found[Want(source.concept, first.sort, first.object, tuple(others), streams)] = source
     return found

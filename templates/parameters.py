@@ -6,7 +6,7 @@ comparison tells the feature and the unit of a number.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -38,6 +38,7 @@ class Role(StrEnum):
     FEATURE = "feature"
     NUMBER = "number"
     TEXT = "text"
+    DURATION = "duration"
 
 
 _ROLES = {
@@ -47,6 +48,11 @@ _ROLES = {
     Place.SUBJECT: Role.OBJECT,
 }
 """The role by the place of a parameter, the one that restricts most first."""
+_VALUES: Mapping[Kind | None, Role] = {
+    Kind.NUMBER: Role.NUMBER,
+    Kind.DURATION: Role.DURATION,
+}
+"""The role of a parameter for values, by its kind; any other is a text."""
 _MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "=": "=", "!=": "!="}
 
 
@@ -170,7 +176,7 @@ def _of_pattern(template: PatternTemplate, vocabulary: Vocabulary) -> tuple[Para
     return tuple(
         ParameterUse(slot.name, Role.OBJECT, sort=slot.sort)
         if isinstance(slot, ObjectSlot)
-        else ParameterUse(slot.name, Role.NUMBER if slot.kind is Kind.NUMBER else Role.TEXT)
+        else ParameterUse(slot.name, _VALUES.get(slot.kind, Role.TEXT))
         for slot in slots
     )
 

@@ -12,7 +12,7 @@ from ..languages.sase.checked import ValueSlot
 from ..languages.templates import AnyTemplate
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import XSD, shorten
-from ..streams.time import parse_time
+from ..streams.time import parse_duration, parse_time
 from .instantiate import argument_error, check_count, number_problem
 
 Values: TypeAlias = dict[str, Constant | ObjectConstant]
@@ -64,12 +64,16 @@ def given_arguments(
     return values, objects
 
 
+_DURATIONS = ("duration", "dayTimeDuration")
+_LONGEST = 1 << 60
+"""Durations are shorter (36 years), so that sums of times stay within 64 bits."""
 _EXAMPLES = {
     Kind.NUMBER: "a number, for example 100,",
     Kind.TRUTH: "true or false",
     Kind.TEXT: 'a text, for example "red",',
     Kind.TIME: 'a time, for example "2026-01-01T00:00:00Z"^^xsd:dateTime,',
     Kind.OBJECT: "an object, for example dyknow:uav1,",
+    Kind.DURATION: 'a duration, for example "PT5S"^^xsd:duration,',
 }
 
 
@@ -93,6 +97,17 @@ def _constant(term: Term, kind: Kind, index: int, parameter: Variable) -> Consta
                 return Constant(parse_time(term.value), Kind.TIME)
             except ValueError as error:
                 raise argument_error(str(error), index, parameter) from None
+        case Kind.DURATION if datatype in (*_DURATIONS, "string"):
+            try:
+                # 5s is no xsd:duration, but a text that patterns have.
+                if datatype == "string" or term.value.startswith("P"):
+                    duration = parse_duration(term.value)
+                    if duration >= _LONGEST:
+                        raise ValueError(f"{term.value} exceeds 36 years")
+                    return Constant(duration, Kind.DURATION)
+            except ValueError as error:
+                hint = "years and months vary in length"
+                raise argument_error(str(error), index, parameter, hint) from None
         case _:
             pass
     shown = shorten(term.value) if isinstance(term, NamedNode) else f'"{term.value}"'
@@ -114,4 +129,5 @@ def _kind_of(term: Term) -> Kind:
     if not isinstance(term, Literal):
         return Kind.OBJECT
     kinds = {"boolean": Kind.TRUTH, "string": Kind.TEXT, "dateTime": Kind.TIME}
+    kinds |= dict.fromkeys(_DURATIONS, Kind.DURATION)
     return kinds.get(term.datatype.value.removeprefix(XSD), Kind.NUMBER)

@@ -1,6 +1,7 @@
 """``--sweeps=WAY``: terms are forgotten at every chance, in all tests that run (`sweeping`).
 
-``make test`` runs some laws once more so, with a share of their examples (``--share``).
+``make test`` runs some laws once more so, with a share of their examples (``--share``); ``make
+soak-patterns`` draws a multiple of them.
 """
 
 from collections.abc import Iterator
@@ -21,9 +22,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         law = getattr(item, "obj", None)
         known = getattr(law, "_hypothesis_internal_use_settings", None)
-        if share < 1 and known is not None:
-            fewer = max(1, round(share * known.max_examples))
-            law._hypothesis_internal_use_settings = settings(known, max_examples=fewer)
+        if share != 1 and known is not None:
+            count = max(1, round(share * known.max_examples))
+            law._hypothesis_internal_use_settings = settings(known, max_examples=count)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -121,6 +121,7 @@ class SemanticsManager:
                 ChangeKind.STREAM_ENDED
                 | ChangeKind.UNIT_FAILED
                 | ChangeKind.UNIT_RESTARTED
+                | ChangeKind.LIMIT_REACHED
                 | ChangeKind.UNIT_STOPPED_BY_RULE
                 | ChangeKind.NOT_RESTORED
                 | ChangeKind.STATE_LOST

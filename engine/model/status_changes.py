@@ -25,6 +25,7 @@ class ChangeKind(StrEnum):
     UNIT_FAILED = "unit failed"
     UNIT_RESTARTED = "unit restarted"
     UNIT_STOPPED_BY_RULE = "unit stopped by rule"
+    LIMIT_REACHED = "limit reached"
     INPUTS_CHANGED = "inputs changed"
     NOT_RESTORED = "not restored"
     STATE_LOST = "state not kept"

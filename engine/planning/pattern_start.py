@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
@@ -22,6 +23,7 @@ from ...templates.needs import NeedsError
 from ..configuration.configuration import PATTERN, SELECT_INSTANCE, Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments
+from ..model.status_changes import ChangeKind
 from ..model.views import Since
 from ..units.match_samples import match_schema
 from ..units.merge import MergeInput
@@ -63,6 +65,7 @@ class PatternStarter:
         self._dictionary = dictionary
         self._configuration = configuration
         self._obtain = obtain
+        self._report_limit = partial(configuration.report_unit, ChangeKind.LIMIT_REACHED)
 
     def start(
         self,
@@ -83,8 +86,11 @@ class PatternStarter:
         ]
         query = compiled(pattern, _kinds(read))
         has_intervals = any(plan.has_intervals for plan in query.plans)
+        # The kinds of fields decide which columns the rows have.
+        known = {source.kind: source for source in query.sources}
         inputs = [
-            SourceInput(source, input, has_intervals and _lasts(input)) for source, input in read
+            SourceInput(known[source.kind], input, has_intervals and _lasts(input))
+            for source, input in read
         ]
         streams = dict.fromkeys(input.source for _, input in read)
 
@@ -101,6 +107,7 @@ class PatternStarter:
                     lateness=self._configuration.lateness,
                     newest=self._configuration.newest_sample,
                     background=closed_ontology(self._ontology, query.graphs[1]),
+                    report_limit=self._report_limit,
                 )
             except PlanError as error:
                 raise BadArguments(error.message, error.hint) from error
@@ -117,8 +124,10 @@ class PatternStarter:
             for each in self._inputs(supply, Since.NOW)
         ]
         has_intervals = any(plan.has_intervals for plan in pattern.query.plans)
+        known = {source.kind: source for source in pattern.query.sources}
         inputs = [
-            SourceInput(source, input, has_intervals and _lasts(input)) for source, input in read
+            SourceInput(known[source.kind], input, has_intervals and _lasts(input))
+            for source, input in read
         ]
         objects = {
             input.source: input.objects[argument_of(source, column)] for source, input in read
@@ -134,6 +143,7 @@ class PatternStarter:
                 dictionary=self._dictionary,
                 lateness=self._configuration.lateness,
                 newest=self._configuration.newest_sample,
+                report_limit=self._report_limit,
             )
 
         return self._configuration.start_query(TALLY, make)
@@ -210,7 +220,8 @@ def _kinds(read: Sequence[tuple[Source, MergeInput]]) -> Kinds:
                 raise BadArguments(
                     f"stream {input.source.name}, which gives {source.kind}, has no field "
                     f"{column.field!r}",
-                    f"it has {', '.join(each.name for each in schema.fields)}",
+                    f"it has {', '.join(each.name for each in schema.fields)}; `FROM NAME` reads "
+                    "one stream only",
                 )
             kind = kind_of(field.type)
             if found.setdefault((source.kind, column.field), kind) is not kind:

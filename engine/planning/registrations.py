@@ -41,6 +41,17 @@ def name_of(query: AnyQuery) -> str:
     return registered_name(query)
 
 
+def max_delay_of(query: AnyQuery) -> int | None:
+    """Return how long (ns) after its valid time a sample is waited for, if the text says it."""
+    match query:
+        case Monitor():
+            return query.policy.max_delay
+        case ContinuousQuery():
+            return None
+        case _:
+            return query.max_delay
+
+
 @dataclass(frozen=True, slots=True)
 class Submission:
     """A query text with its options. Registering a name again requires an equal one."""

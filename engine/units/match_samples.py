@@ -74,7 +74,7 @@ class MatchWriter:
                 return self._keys.key(int(value))[1:]
             case Kind.OBJECT:
                 return object_name(self._keys.key(int(value))[1:-1], DYKNOW)
-            case Kind.NUMBER:
+            case Kind.NUMBER | Kind.DURATION:
                 return float(value)
 
     def _told(self, name: str, value: Any) -> Told:

@@ -11,8 +11,6 @@ from ...converters.objects import object_iri
 from ...languages.mtl.checked import Kind
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plans.network import minimal_network
-from ...reasoning.patterns.plans.plan import PlanError
 from ...reasoning.patterns.plans.query import END, START, Keys, Part, PatternQuery, object_key
 from ...reasoning.patterns.recognition.explanation import (
     ExplainedMatch,
@@ -21,7 +19,7 @@ from ...reasoning.patterns.recognition.explanation import (
     PartialMatches,
     PendingEvent,
 )
-from ...reasoning.patterns.recognition.partial import Partial, partial_matches
+from ...reasoning.patterns.recognition.partial import Partial
 from ...reasoning.patterns.recognition.recognition import SAMPLE, STREAM, Recognition, Recognized
 from ...reasoning.patterns.recognition.static_tables import StaticTables
 from ...streams.generator import StreamGenerator
@@ -30,7 +28,7 @@ from ...streams.past_queries import Forgotten
 from ...streams.sample import SampleBatch
 from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
-from .sample_reasoner import SampleReasoner
+from .sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
 
 
 class PatternUnit(SampleReasoner):
@@ -38,7 +36,8 @@ class PatternUnit(SampleReasoner):
 
     ``lateness`` returns how far (ns) samples of a stream may be behind later ones. ``newest``
     returns the greatest available time (ns) of the samples in streams and upstream of them; a later
-    watermark comes from the clock.
+    watermark comes from the clock. ``report_limit`` gets what a limit leaves out, when it first
+    does.
     """
 
     results = "matches"
@@ -52,6 +51,7 @@ class PatternUnit(SampleReasoner):
         lateness: Callable[[StreamGenerator], int],
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
         background: Background,
+        report_limit: ReportLimit,
     ) -> None:
         super().__init__(*args, newest=newest)
         self._keys = Keys()
@@ -70,6 +70,7 @@ class PatternUnit(SampleReasoner):
         self._background = background
         self.matches = 0
         """Matches found by now."""
+        self._losses = ReportedLosses(report_limit)
 
     def explain(self) -> str:
         """Describe the evaluation: the plans, and what has been done by now."""
@@ -101,19 +102,15 @@ class PatternUnit(SampleReasoner):
     def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
         """Return the partial matches of all these objects (as the matches name them, or IRIs).
         Raises `PlanError` for a pattern whose partial matches are not known."""
-        evaluator = self.recognition.evaluator
-        rows = getattr(evaluator, "rows", None)
-        if rows is None or len(self.query.plans) > 1:
-            raise PlanError("partial matches are told of a single plan under skip_till_any_match")
-        (plan,) = self.recognition.plans
-        now = evaluator.watermark
+        now = self.recognition.evaluator.watermark
         wanted = [self._keys.find(object_key(_iri(each))) for each in objects]
+        found, more = self.recognition.partials(limit, wanted)
         if None in wanted:
             return PartialMatches(now, (), more=False)
-        found = partial_matches(minimal_network(plan), rows(), now, limit, wanted)
-        names = [each.name for each in plan.elements]
-        told = tuple(self._partial(each, names) for each in found.found)
-        return PartialMatches(now, told, found.has_more)
+        told = tuple(
+            self._partial(each, [element.name for element in plan.elements]) for plan, each in found
+        )
+        return PartialMatches(now, told, more)
 
     def recall(self) -> RecalledEvents:
         """Return the retained samples that it has read, for explanations."""
@@ -134,6 +131,7 @@ class PatternUnit(SampleReasoner):
         return self.recognition
 
     def _emit(self, found: Recognized) -> None:
+        self._losses.report(self, self.recognition.losses())
         if not len(found):
             return
         self.matches += len(found)
@@ -149,10 +147,10 @@ class PatternUnit(SampleReasoner):
                 {
                     column: self._writer.value(kinds[column], value)
                     for column, value in row.values.items()
-                    if value is not None
+                    if value is not None and column in kinds
                 },
             )
-            for element, row in sorted(partial.bound.items())
+            for element, row in partial.rows
         )
         pending = tuple(
             PendingEvent(names[each.element], each.earliest, each.latest)
@@ -161,8 +159,9 @@ class PatternUnit(SampleReasoner):
         return PartialMatch(events, pending)
 
     def _kinds(self) -> dict[str, Kind]:
-        """The kind of each column of the plans."""
-        columns = [column for source in self.query.sources for column in source.columns]
+        """The kind of each column of the plans that has values."""
+        sources = self.query.sources
+        columns = [c for source in sources for c in source.columns if not c.as_key]
         found = {
             each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
         }

@@ -23,6 +23,7 @@ from ...reasoning.patterns.plans.query import (
     SourceColumn,
     object_key,
     text_key,
+    value_keys,
 )
 from ...reasoning.patterns.plans.rows import Values
 from ...reasoning.patterns.recognition.recognition import Recognition
@@ -104,9 +105,11 @@ class RowReader:
         recognition: Recognition,
         numbers: NDArray[np.int64] | None = None,
     ) -> None:
-        """Add the samples with a value and wanted objects. ``numbers``: those of the objects that
-        are numbered, all of which are wanted."""
+        """Add the samples with a value and wanted objects; of a sort, all with its objects.
+        ``numbers``: those of the objects that are numbered, all of which are wanted."""
         present = batch.columns[self._input.field].present
+        if self._source.is_sort:
+            present = np.ones(len(batch), np.bool_)
         if not present.any():
             return
         objects: list[NDArray[Any]] = []
@@ -124,7 +127,7 @@ class RowReader:
         columns = {
             column.column: objects[column.argument][rows].astype(np.int64)
             if column.part is Part.OBJECT
-            else self._values(taken, column)
+            else self._column(taken, column)
             for column in self._source.columns
             if column.part is not Part.BEFORE
         }
@@ -133,6 +136,10 @@ class RowReader:
             start = _of_each(taken.columns[START], parse_time)
             end = _of_each(taken.columns[END], parse_time)
         recognition.add(place, self._source.kind, rows, taken.available, start, end, columns)
+
+    def _column(self, batch: SampleBatch, column: SourceColumn) -> Values:
+        values = self._values(batch, column)
+        return value_keys(values) if column.as_key else values
 
     def _values(self, batch: SampleBatch, column: SourceColumn) -> Values:
         """The values as the plans compare them. Raises `ValueError` for another kind."""

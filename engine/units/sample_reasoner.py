@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
@@ -24,6 +24,25 @@ class Reasoning(Protocol):
     def set_idle(self, sources: Iterable[int], /) -> None: ...
     def advance(self, watermark: int, *, by_clock: bool = False) -> Any: ...
     def finish(self, moment: int, /) -> Any: ...
+
+
+ReportLimit: TypeAlias = Callable[[ComputationalUnit, str], None]
+"""Reports what a limit has left out, with its unit."""
+
+
+class ReportedLosses:
+    """Reports what limits leave out, each kind when it is first left out."""
+
+    def __init__(self, report: ReportLimit) -> None:
+        self._report = report
+        self._reported: set[str] = set()
+
+    def report(self, unit: ComputationalUnit, losses: Iterable[str]) -> None:
+        """Report the ``losses`` that are new."""
+        for what in losses:
+            if what not in self._reported:
+                self._reported.add(what)
+                self._report(unit, f"left out: {what}")
 
 
 class SampleReasoner(ComputationalUnit):

@@ -52,11 +52,24 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
+class Given:
+    """``sign * ?d + offset`` of a parameter ``?d`` of a template, in ns."""
+
+    variable: Variable
+    sign: int = 1
+    offset: int = 0
+
+
+Duration: TypeAlias = int | Given
+"""In ns."""
+
+
+@dataclass(frozen=True, slots=True)
 class Moment:
-    """``t1 + 3s``: a time relative to a point, in ns."""
+    """``t1 + 3s``: a time relative to a point."""
 
     point: Point
-    offset: int
+    offset: Duration
     span: Span = attribute(compare=False)
 
 
@@ -94,12 +107,12 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """``second - first in [least, most]`` in ns; None: no bound."""
+    """``second - first in [least, most]``; None: no bound."""
 
     first: Point
     second: Point
-    least: int | None
-    most: int | None
+    least: Duration | None
+    most: Duration | None
     span: Span = attribute(compare=False)
 
 
@@ -121,7 +134,7 @@ class Chronicle:
     """``chronicle name(?x, ?y) { clauses when recognized { emit event(name[?x, ?y], t); } }``.
 
     ``emitted``: the point that is the time of a match; None: that of its last event. ``stream``:
-    the name in ``REGISTER STREAM stream AS``.
+    the name in ``REGISTER STREAM stream AS``. ``max_delay`` in ns: of ``with max delay 5s``.
     """
 
     name: str
@@ -129,6 +142,7 @@ class Chronicle:
     clauses: tuple[Clause, ...]
     emitted: Point | None
     stream: str | None
+    max_delay: int | None
     span: Span = attribute(compare=False)
 
 

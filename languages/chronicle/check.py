@@ -27,7 +27,9 @@ from .checked import (
     CheckedTemplate,
     Comparison,
     Distance,
+    Duration,
     Event,
+    Given,
     Hold,
     Meaning,
     Message,
@@ -147,6 +149,7 @@ class _Checker:
             tuple(self.comparison(each) for each in clauses if isinstance(each, ast.Comparison)),
             None if chronicle.emitted is None else chronicle.emitted.name,
             chronicle.span,
+            max_delay=chronicle.max_delay,
         )
 
     # -- variables ---------------------------------------------------------------------------
@@ -317,10 +320,26 @@ class _Checker:
                 clause.span,
                 "name two points, or leave it out",
             )
-        return Distance(first, second, clause.least, clause.most)
+        bounds = (
+            None if each is None else self.duration(each) for each in (clause.least, clause.most)
+        )
+        return Distance(first, second, *bounds)
 
     def moment(self, moment: ast.Moment) -> Moment:
-        return Moment(self.point(moment.point), moment.offset)
+        return Moment(self.point(moment.point), self.duration(moment.offset))
+
+    def duration(self, duration: ast.Duration) -> Duration:
+        if isinstance(duration, int):
+            return duration
+        variable = duration.variable
+        if variable.name not in self.parameters:
+            raise self.error(
+                f"`?{variable.name}` is no duration that a request gives",
+                variable.span,
+                "name it in the head of a template: `REGISTER TEMPLATE e(?d) AS chronicle …`",
+            )
+        self.values.parameter(variable, Kind.DURATION)
+        return Given(variable.name, duration.sign, duration.offset)
 
     def point(self, point: ast.Point) -> str:
         if point.name not in self._points:

@@ -60,11 +60,24 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
+class Given:
+    """``sign * duration + offset``, in ns, of the duration that a parameter of a template has."""
+
+    name: str
+    sign: int
+    offset: int
+
+
+Duration: TypeAlias = int | Given
+"""In ns."""
+
+
+@dataclass(frozen=True, slots=True)
 class Moment:
-    """A time relative to a point, in ns."""
+    """A time relative to a point."""
 
     point: str
-    offset: int
+    offset: Duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +106,12 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """``second - first in [least, most]`` in ns; None: no bound."""
+    """``second - first in [least, most]``; None: no bound."""
 
     first: str
     second: str
-    least: int | None
-    most: int | None
+    least: Duration | None
+    most: Duration | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +139,9 @@ class CheckedChronicle:
     """A match binds each event to a sample of its own, and each variable to one object or value.
 
     ``head``: the variables that a match tells of. ``emitted``: the point that is the time of a
-    match; None: that of the last event. ``fixed``: the objects (IRIs) of variables that a request
-    of a template gives; each is taken to belong to the sort of its variable.
+    match; None: that of the last event. ``max_delay`` in ns. ``fixed``: the objects (IRIs) of
+    variables that a request of a template gives; each is taken to belong to the sort of its
+    variable.
     """
 
     name: str
@@ -140,6 +154,7 @@ class CheckedChronicle:
     emitted: str | None
     span: Span = attribute(compare=False)
     fixed: tuple[tuple[str, str], ...] = ()
+    max_delay: int | None = None
 
     def messages(self) -> tuple[Message, ...]:
         """The messages of all events, then of the other clauses."""
@@ -180,10 +195,35 @@ def with_arguments(
     def message(old: Message) -> Message:
         return replace(old, before=test(old.before), value=test(old.value))
 
+    def duration(old: Duration) -> int:
+        if isinstance(old, int):
+            return old
+        value = values[old.name]
+        assert isinstance(value, Constant)
+        return old.sign * int(value.value) + old.offset
+
+    def moment(old: Moment) -> Moment:
+        return replace(old, offset=duration(old.offset))
+
+    def bound(old: Duration | None) -> int | None:
+        return None if old is None else duration(old)
+
     return replace(
         chronicle,
         events=tuple(replace(each, message=message(each.message)) for each in chronicle.events),
-        probes=tuple(replace(each, message=message(each.message)) for each in chronicle.probes),
+        probes=tuple(
+            replace(
+                each,
+                message=message(each.message),
+                start=moment(each.start),
+                end=moment(each.end),
+            )
+            for each in chronicle.probes
+        ),
+        distances=tuple(
+            replace(each, least=bound(each.least), most=bound(each.most))
+            for each in chronicle.distances
+        ),
         comparisons=tuple(
             replace(each, right=operand(each.right)) for each in chronicle.comparisons
         ),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 from typing import Final
 
 from lark import Token, Tree
@@ -147,6 +148,9 @@ class _Reader(TermReader):
         parameters: tuple[Slot, ...] = ()
         if nodes and nodes[0].data == "parameters":
             parameters = self.slots(trees(nodes.pop(0)))
+        delay = None
+        if nodes and nodes[-1].data == "delay":
+            delay = self.duration(tokens(nodes.pop(), "DURATION")[0])
         emitted = None
         if nodes and nodes[-1].data == "recognized":
             emitted = self.emitted(nodes.pop(), name, parameters)
@@ -157,7 +161,7 @@ class _Reader(TermReader):
                 "divide it into chronicles that read each other's events",
             )
         clauses = tuple(map(self.clause, nodes))
-        return ast.Chronicle(name, parameters, clauses, emitted, stream, span_of(tree))
+        return ast.Chronicle(name, parameters, clauses, emitted, stream, delay, span_of(tree))
 
     def emitted(self, tree: Tree[Token], name: str, parameters: tuple[Slot, ...]) -> ast.Point:
         message_tree, point = trees(tree)
@@ -327,9 +331,9 @@ class _Reader(TermReader):
 
     def moment(self, tree: Tree[Token]) -> ast.Moment:
         name = tokens(tree, "NAME")[0]
-        offset = 0
-        for token in tokens(tree, "DURATION", "DECIMAL"):
-            offset = self.length(token) * self.sign(tree)
+        offset: ast.Duration = 0
+        for token in tokens(tree, "DURATION", "DECIMAL", "VARIABLE"):
+            offset = _times(self.sign(tree), self.length(token))
         return ast.Moment(ast.Point(str(name), span_of(name)), offset, span_of(tree))
 
     def difference(self, tree: Tree[Token]) -> tuple[ast.Point, ast.Point]:
@@ -345,9 +349,10 @@ class _Reader(TermReader):
 
     def bounds(
         self, tree: Tree[Token], low: Tree[Token], high: Tree[Token]
-    ) -> tuple[int | None, int | None]:
+    ) -> tuple[ast.Duration | None, ast.Duration | None]:
         least, most = self.bound(low), self.bound(high)
-        if least > most or least == _LONGEST or most == -_LONGEST:
+        is_over = isinstance(least, int) and isinstance(most, int) and least > most
+        if is_over or least == _LONGEST or most == -_LONGEST:
             raise self.error(
                 "the interval ends before it begins",
                 Span(span_of(low).start, span_of(high).end),
@@ -359,19 +364,27 @@ class _Reader(TermReader):
         """The distance of two points, from the one that the clause says is first."""
         sign = tokens(tree, "COMPARISON")[0]
         first, second = (right, left) if sign in (">", ">=") else (left, right)
-        bound = first.offset - second.offset
+        if isinstance(first.offset, ast.Given) and isinstance(second.offset, ast.Given):
+            raise self.error(
+                "two parameters stand in one bound",
+                span_of(tree),
+                "write one, which is their difference or sum",
+            )
+        bound = _difference(first.offset, second.offset)
         bounds = self.compared(sign, _TURNED.get(str(sign), str(sign)), bound)
         return ast.Distance(first.point, second.point, *bounds, span_of(tree))
 
-    def compared(self, sign: Token, operator: str, bound: int) -> tuple[int | None, int | None]:
+    def compared(
+        self, sign: Token, operator: str, bound: ast.Duration
+    ) -> tuple[ast.Duration | None, ast.Duration | None]:
         """The bounds of a difference that is compared with ``bound``."""
         match operator:
             case "<":
-                return None, bound - 1
+                return None, _difference(bound, 1)
             case "<=":
                 return None, bound
             case ">":
-                return bound + 1, None
+                return _difference(bound, -1), None
             case ">=":
                 return bound, None
             case "=":
@@ -383,16 +396,25 @@ class _Reader(TermReader):
                     "write `<` or `>`, or a chronicle for each",
                 )
 
-    def bound(self, tree: Tree[Token]) -> int:
-        """A duration in ns; `_LONGEST` stands for ``oo``."""
-        token = tokens(tree, "DURATION", "DECIMAL", "OO")[0]
-        return self.sign(tree) * (_LONGEST if token.type == "OO" else self.length(token))
+    def bound(self, tree: Tree[Token]) -> ast.Duration:
+        """A duration; `_LONGEST` stands for ``oo``."""
+        token = tokens(tree, "DURATION", "DECIMAL", "OO", "VARIABLE")[0]
+        sign = self.sign(tree)
+        if token.type == "OO":
+            return sign * _LONGEST
+        found = _times(sign, self.length(token))
+        for more in trees(tree):
+            length = self.length(tokens(more, "DURATION")[0])
+            found = _difference(found, _times(-self.sign(more), length))
+        return found
 
     def sign(self, tree: Tree[Token]) -> int:
         return -1 if tokens(tree, "SIGN")[:1] == ["-"] else 1
 
-    def length(self, token: Token) -> int:
+    def length(self, token: Token) -> ast.Duration:
         """A duration; ``0`` needs no unit."""
+        if token.type == "VARIABLE":
+            return ast.Given(self.variable(token))
         if token.type == "DECIMAL":
             if float(token) != 0.0:
                 raise self.error(
@@ -414,3 +436,17 @@ class _Reader(TermReader):
 
     def too_many(self, span: Span) -> LanguageError:
         return self.error(f"at most {MOST_ARGUMENTS} stand here", span, "leave this one out")
+
+
+def _times(sign: int, duration: ast.Duration) -> ast.Duration:
+    if isinstance(duration, int):
+        return sign * duration
+    return replace(duration, sign=sign * duration.sign, offset=sign * duration.offset)
+
+
+def _difference(one: ast.Duration, other: ast.Duration) -> ast.Duration:
+    """One duration less another. Contract: at most one of them is a parameter."""
+    if isinstance(other, ast.Given):
+        assert isinstance(one, int)
+        return _difference(_times(-1, other), -one)
+    return one - other if isinstance(one, int) else replace(one, offset=one.offset - other)

@@ -33,7 +33,8 @@ def _lines(chronicle: ast.Chronicle) -> Iterator[str]:
         names = ", ".join(f"?{slot.variable.name}" for slot in chronicle.parameters)
         event = f"{chronicle.name}[{names}]" if names else chronicle.name
         yield f"  when recognized {{ emit event({event}, {chronicle.emitted.name}); }}"
-    yield "}"
+    delay = chronicle.max_delay
+    yield "}" if delay is None else f"}} with max delay {format_duration(delay)}"
 
 
 def _clause(clause: ast.Clause) -> str:
@@ -100,13 +101,23 @@ def _interval(start: ast.Moment, end: ast.Moment) -> str:
 
 
 def _moment(moment: ast.Moment) -> str:
+    if isinstance(moment.offset, ast.Given):
+        given = moment.offset
+        return f"{moment.point.name} {'-' if given.sign < 0 else '+'} ?{given.variable.name}"
     if not moment.offset:
         return moment.point.name
     sign = "-" if moment.offset < 0 else "+"
     return f"{moment.point.name} {sign} {_duration(abs(moment.offset))}"
 
 
-def _duration(duration: int) -> str:
+def _duration(duration: ast.Duration) -> str:
+    if isinstance(duration, ast.Given):
+        sign = "-" if duration.sign < 0 else ""
+        more = ""
+        if duration.offset:
+            size = format_duration(abs(duration.offset))
+            more = f" {'-' if duration.offset < 0 else '+'} {size}"
+        return f"{sign}?{duration.variable.name}{more}"
     if not duration:
         return "0s"
     return f"-{format_duration(-duration)}" if duration < 0 else format_duration(duration)

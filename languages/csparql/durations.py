@@ -40,21 +40,21 @@ _XSD_EXAMPLE: Final = (
 _DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 
 
-def read_duration(at: Cursor, what: str, *, spelled_out: bool = False) -> int:
-    """Read a duration, in ns; more than 0 and less than 146 years. ``spelled_out``: the unit may be
-    a word, as in ``5 seconds``."""
+def read_duration(at: Cursor, what: str, *, spelled_out: bool = False, least: int = 1) -> int:
+    """Read a duration, in ns; at least ``least``, and less than 146 years. ``spelled_out``: the
+    unit may be a word, as in ``5 seconds``."""
     here = at.here
     if here is not None and here.kind is Kind.STRING:
-        return _literal(at, what)
+        return _literal(at, what, least)
     if here is not None and here.kind is Kind.WORD and here.text[0] in "Pp":
-        return _xsd(at, what)
+        return _xsd(at, what, least)
     if here is None or here.kind is not Kind.NUMBER or not here.text.isdigit():
         raise at.expected(what, _EXAMPLE)
     at.take()
     factor = _unit(at, what, here, spelled_out=spelled_out)
     # Rejects longer texts before int(), whose cost is quadratic in the digits.
     value = int(here.text) * factor if len(here.text) <= 20 else _LONGEST
-    return _in_range(at, what, value, here.span)
+    return _in_range(at, what, value, here.span, least)
 
 
 def _unit(at: Cursor, what: str, number: Token, *, spelled_out: bool) -> int:
@@ -76,16 +76,16 @@ def _unit(at: Cursor, what: str, number: Token, *, spelled_out: bool) -> int:
     raise at.expected(f"the unit of {what}", hint)
 
 
-def _xsd(at: Cursor, what: str) -> int:
+def _xsd(at: Cursor, what: str, least: int) -> int:
     """Read ``PT0.5S``, which is several adjacent tokens."""
     start = at.take().start
     while at.here is not None and at.here.start == at.last_token.end and not at.is_mark("]"):
         at.take()
     span = Span(start, at.last_token.end)
-    return _parse_xsd(at, what, at.source[span.start : span.end], span)
+    return _parse_xsd(at, what, at.source[span.start : span.end], span, least)
 
 
-def _literal(at: Cursor, what: str) -> int:
+def _literal(at: Cursor, what: str, least: int) -> int:
     start = 0 if at.here is None else at.here.start
     term = at.term()
     span = Span(start, at.last_token.end)
@@ -96,10 +96,10 @@ def _literal(at: Cursor, what: str) -> int:
             span,
             'write `"PT5S"^^xsd:duration` or `PT5S`',
         )
-    return _parse_xsd(at, what, term.value, span)
+    return _parse_xsd(at, what, term.value, span, least)
 
 
-def _parse_xsd(at: Cursor, what: str, text: str, span: Span) -> int:
+def _parse_xsd(at: Cursor, what: str, text: str, span: Span, least: int) -> int:
     try:
         # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
         if not text.upper().startswith("P"):
@@ -108,11 +108,11 @@ def _parse_xsd(at: Cursor, what: str, text: str, span: Span) -> int:
     except ValueError:
         message = f"{what} is not a duration: `{text}`"
         raise LanguageError(message, at.source, span, _XSD_EXAMPLE) from None
-    return _in_range(at, what, value, span)
+    return _in_range(at, what, value, span, least)
 
 
-def _in_range(at: Cursor, what: str, value: int, span: Span) -> int:
-    if not 0 < value < _LONGEST:
-        hint = "it is more than 0 and < 146 years"
+def _in_range(at: Cursor, what: str, value: int, span: Span, least: int) -> int:
+    if not least <= value < _LONGEST:
+        hint = f"it is {'more than 0 and ' if least else ''}< 146 years"
         raise LanguageError(f"{what} is out of range", at.source, span, hint)
     return value

@@ -92,7 +92,8 @@ class EpSparqlQuery:
     | ``projection`` | the items of SELECT; None for ``*`` and for other forms |
     | ``template`` | the triples of CONSTRUCT; None for other forms |
     | ``graphs`` | the IRIs of FROM and of FROM NAMED: static graphs |
-    | ``within`` | the longest that a solution may last, in ns; None without WITHIN |
+    | ``max_delay`` | how long after its time a sample comes at the latest, in ns, or None |
+    | ``within`` | the longest that a solution may last, in ns, or a parameter; None: no WITHIN |
     """
 
     name: str
@@ -103,7 +104,8 @@ class EpSparqlQuery:
     template: tuple[Triple, ...] | None
     graphs: tuple[tuple[str, ...], tuple[str, ...]]
     where: Group
-    within: int | None
+    within: int | Variable | None
+    max_delay: int | None
     prefixes: Mapping[str, str]
     head: Span = attribute(compare=False)
     source: str = attribute(compare=False)

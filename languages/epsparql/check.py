@@ -20,8 +20,9 @@ from ..errors import LanguageError, Span
 from ..hints import did_you_mean
 from ..mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
 from . import ast, checked
-from .checked import DURATION, CheckedPattern, ValueKind, kind_of
-from .expressions import ExpressionChecker, bounds_of_duration
+from .binding import check_horizon
+from .checked import CheckedPattern, kind_of
+from .expressions import ExpressionChecker
 from .groups import Classes, classes_of, parts_in, triples_in, union, variables_in
 from .head import HeadChecker
 from .kinds import find_kinds
@@ -60,7 +61,7 @@ class _Checker:
         self._query = query
         self._reader = TripleReader(query.source, vocabulary, is_static)
         self._read: dict[int, tuple[Read, ...]] = {}
-        self._kinds: dict[str, ValueKind] = {}
+        self._kinds: dict[str, Kind] = {}
         self._static: set[str] = set()
         """Variables that static triples have, and no sample."""
         self._parameters = {each.value for each in query.parameters}
@@ -79,6 +80,8 @@ class _Checker:
         for read in reads:
             if isinstance(read, StaticTriple):
                 self._static |= variables_of(read.triple).keys() - self._kinds.keys()
+        for graph in (part for part in parts_in(query.where) if isinstance(part, ast.Graph)):
+            self._static |= variables_of(graph.triples).keys() - self._kinds.keys()
         where = self._group(query.where, {})
         if not readings:
             raise self._error(
@@ -86,11 +89,14 @@ class _Checker:
                 query.where.span,
                 "write a triple of a feature: `?c dyknow:price ?p`",
             )
+        within = self._within()
+        check_horizon(where, query.source)
         names = set(_names(where))
         head = HeadChecker(
             query,
             self._expressions,
             names | self._parameters,
+            {name for name in self._static if not name.startswith(BLANK)},
             {read.feature for read in readings},
             lambda span: self._known(names, span),
         )
@@ -100,7 +106,8 @@ class _Checker:
             tuple(map(self._slot, query.parameters)),
             head.items(),
             where,
-            self._within(where),
+            within,
+            query.max_delay,
             query.graphs,
             query.source,
         )
@@ -194,8 +201,8 @@ class _Checker:
         if isinstance(read.value, Variable):
             name = read.value.value
             known = self._kinds.setdefault(name, Kind.NUMBER)
-            assert known != DURATION
-            kind = Kind(known)
+            assert known != Kind.DURATION
+            kind = known
         elif kind is None:
             kind = Kind.OBJECT
             if isinstance(read.value, Literal):
@@ -240,7 +247,7 @@ class _Checker:
             message = f"`?{name}` is not bound in this group"
             if name in self._static:
                 message = f"`?{name}` has its value from static graphs"
-                hint = "a condition on it is a triple: `GRAPH <g> {…}`, or a static triple"
+                hint = "the head may tell it as it is; a condition on it is a static triple"
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:
@@ -261,30 +268,28 @@ class _Checker:
             }
             return ObjectSlot(name, self._reader.narrowest(frozenset(sorts)))
         used = {each for part in parts_in(self._query.where) for each in variables_in(part)}
-        if name not in used:
+        if name not in used and parameter != self._query.within:
             raise self._error(
                 f"the pattern does not use `?{name}`",
                 self._query.head,
                 "use it, as in `FILTER (?price > ?limit)`, or leave it out",
             )
-        kind = self._kinds[name]
-        if kind == DURATION:
-            raise self._error(
-                f"the parameter `?{name}` is compared with a duration",
-                self._query.head,
-                "write the duration: requests give objects, numbers, texts, truths and times",
-            )
-        return Parameter(name, Kind(kind))
+        return Parameter(name, self._kinds[name])
 
-    def _within(self, where: checked.Group) -> int | None:
-        """The longest that a solution may last, by WITHIN and the conditions of the whole."""
-        bounds = [] if self._query.within is None else [self._query.within]
-        for part in where.parts:
-            if isinstance(part, checked.Filter):
-                bounds += bounds_of_duration(part.condition)
-                if min(bounds, default=0) < 0:
-                    raise self._error("nothing lasts less than no time", part.span, "write `<=`")
-        return min(bounds, default=None)
+    def _within(self) -> checked.Duration | checked.Variable | None:
+        match self._query.within:
+            case Variable(value=name):
+                if name not in self._parameters:
+                    raise self._error(
+                        f"`?{name}` has no value",
+                        self._query.head,
+                        "only a template has parameters: `REGISTER TEMPLATE e(?x) AS …`",
+                    )
+                return checked.Variable(name, Kind.DURATION)
+            case int(within):
+                return checked.Duration(within)
+            case _:
+                return None
 
     def _error(self, message: str, span: Span, hint: str = "") -> LanguageError:
         return LanguageError(message, self._query.source, span, hint)

@@ -8,16 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import field as attribute
-from typing import Final, Literal, TypeAlias
+from typing import TypeAlias
 
 from ...sparql.ast import Form, Triple
 from ..errors import Span
 from ..mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
 from .ast import Operator
-
-DURATION: Final = "duration"
-ValueKind: TypeAlias = Kind | Literal["duration"]
-"""A duration is a value of a query, in ns, but of no feature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +21,7 @@ class Variable:
     """A variable, or a blank node (`triples.BLANK`)."""
 
     name: str
-    kind: ValueKind
+    kind: Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +45,19 @@ class Calculation:
     operator: str
     left: Value
     right: Value
-    kind: ValueKind
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
+class StaticVariable:
+    """A variable that only static triples have, in the head. Its value is a text: the name of an
+    object, or that of a literal."""
+
+    name: str
 
 
 Place: TypeAlias = Variable | ObjectConstant | Constant
-Value: TypeAlias = Place | Duration | TimeOf | Calculation
+Value: TypeAlias = Place | Duration | TimeOf | Calculation | StaticVariable
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,26 +154,28 @@ class Item:
 
     name: str
     value: Value
-    kind: ValueKind
+    kind: Kind
     span: Span = attribute(compare=False)
 
 
 @dataclass(frozen=True)
 class CheckedPattern:
     """An EP-SPARQL query. ``slots``: the parameters of a template in the order of requests; those
-    of objects may stay free. ``within`` in ns, from WITHIN or from the conditions of the whole."""
+    of objects may stay free. ``within``: that of WITHIN; the conditions of the whole may bound a
+    solution, too (`binding.horizon`). ``max_delay`` in ns."""
 
     name: str
     form: Form
     slots: tuple[ObjectSlot | Parameter, ...]
     items: tuple[Item, ...]
     where: Group
-    within: int | None
+    within: Duration | Variable | None
+    max_delay: int | None
     graphs: tuple[tuple[str, ...], tuple[str, ...]]
     source: str = attribute(compare=False)
 
 
-def kind_of(value: Value) -> ValueKind:
+def kind_of(value: Value) -> Kind:
     """Return the kind of a value."""
     match value:
         case Variable(_, kind) | Calculation(_, _, _, kind) | Constant(_, kind):
@@ -177,6 +183,8 @@ def kind_of(value: Value) -> ValueKind:
         case ObjectConstant():
             return Kind.OBJECT
         case Duration():
-            return DURATION
+            return Kind.DURATION
+        case StaticVariable():
+            return Kind.TEXT
         case TimeOf(function):
-            return DURATION if function == "getDURATION" else Kind.TIME
+            return Kind.DURATION if function == "getDURATION" else Kind.TIME

@@ -19,7 +19,6 @@ from ..mtl.checked import Constant, Kind, ObjectConstant
 from . import checked
 from .ast import TIME_FUNCTIONS
 from .checked import (
-    DURATION,
     And,
     Bound,
     Calculation,
@@ -30,22 +29,21 @@ from .checked import (
     TimeOf,
     Truth,
     Value,
-    ValueKind,
     kind_of,
 )
 
 _DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 _NEGATED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "=": "!=", "!=": "="}
-_ORDERED: Final = (Kind.NUMBER, Kind.TIME, DURATION)
+_ORDERED: Final = (Kind.NUMBER, Kind.TIME, Kind.DURATION)
 _MIRRORED: Final = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
-_SUMS: Final[Mapping[tuple[str, ValueKind, ValueKind], ValueKind]] = {
+_SUMS: Final[Mapping[tuple[str, Kind, Kind], Kind]] = {
     **{(operator, Kind.NUMBER, Kind.NUMBER): Kind.NUMBER for operator in "+-*/"},
-    ("+", DURATION, DURATION): DURATION,
-    ("-", DURATION, DURATION): DURATION,
-    ("+", Kind.TIME, DURATION): Kind.TIME,
-    ("+", DURATION, Kind.TIME): Kind.TIME,
-    ("-", Kind.TIME, DURATION): Kind.TIME,
-    ("-", Kind.TIME, Kind.TIME): DURATION,
+    ("+", Kind.DURATION, Kind.DURATION): Kind.DURATION,
+    ("-", Kind.DURATION, Kind.DURATION): Kind.DURATION,
+    ("+", Kind.TIME, Kind.DURATION): Kind.TIME,
+    ("+", Kind.DURATION, Kind.TIME): Kind.TIME,
+    ("-", Kind.TIME, Kind.DURATION): Kind.TIME,
+    ("-", Kind.TIME, Kind.TIME): Kind.DURATION,
 }
 """The kinds of calculations."""
 
@@ -56,7 +54,7 @@ class ExpressionChecker:
     span of the condition; ``variable`` raises for a variable that has no value there."""
 
     source: str
-    kinds: Mapping[str, ValueKind]
+    kinds: Mapping[str, Kind]
 
     def condition(
         self,
@@ -160,7 +158,7 @@ class ExpressionChecker:
         kind, other = kind_of(left), kind_of(right)
         if kind != other:
             hint = "both sides of a comparison are of one kind"
-            if DURATION in (kind, other):
+            if Kind.DURATION in (kind, other):
                 hint = 'a duration is written `"PT10M"^^xsd:duration`'
             raise self.error(f"{_article(kind)} is compared with {_article(other)}", span, hint)
         if operator in _MIRRORED and kind not in _ORDERED:
@@ -211,5 +209,5 @@ def _most(operator: str, duration: int) -> int | None:
     return {"<": duration - 1, "<=": duration}.get(operator)
 
 
-def _article(kind: ValueKind) -> str:
+def _article(kind: Kind) -> str:
     return f"an {kind}" if kind is Kind.OBJECT else f"a {kind}"

@@ -16,7 +16,7 @@ from ...streams.sample import LONGEST_NAME, TIME_FIELDS
 from ..errors import LanguageError, Span
 from ..mtl.checked import Kind
 from . import ast
-from .checked import Item, kind_of
+from .checked import Item, StaticVariable, Value, kind_of
 from .expressions import ExpressionChecker
 from .groups import parts_in
 
@@ -27,13 +27,15 @@ _RESERVED: Final = ("start", "end", *TIME_FIELDS)
 
 @dataclass(frozen=True, slots=True)
 class HeadChecker:
-    """Checks the head of ``query``. ``names``: the variables that have a value; ``features``: those
-    that the pattern reads (IRIs). ``known`` returns a function that raises `LanguageError` for a
+    """Checks the head of ``query``. ``names``: the variables that have a value; ``static``: those
+    that only static triples have; ``features``: those that the pattern reads (IRIs). ``known``
+    returns a function that raises `LanguageError` for a
     variable without a value."""
 
     query: ast.EpSparqlQuery
     expressions: ExpressionChecker
     names: AbstractSet[str]
+    static: AbstractSet[str]
     features: AbstractSet[str]
     known: Callable[[Span], Callable[[str], None]]
 
@@ -66,8 +68,13 @@ class HeadChecker:
     def _item(self, name: str, node: sparql.Expression, span: Span) -> Item:
         if not isinstance(node, Variable) and name in self.names:
             raise self._error(f"`?{name}` is bound already", span, "give the value another name")
-        value = self.expressions.value(node, span, self.known(span))
+        value = self._value(node, span)
         return Item(name, value, kind_of(value), span)
+
+    def _value(self, node: sparql.Expression, span: Span) -> Value:
+        if isinstance(node, Variable) and node.value in self.static - self.names:
+            return StaticVariable(node.value)
+        return self.expressions.value(node, span, self.known(span))
 
     def _all_names(self) -> Iterator[str]:
         """The variables of ``*``, in reading order."""
@@ -75,9 +82,11 @@ class HeadChecker:
         for part in parts_in(self.query.where):
             if isinstance(part, sparql.Triples):
                 written.update(variables_of(part))
+            elif isinstance(part, ast.Graph):
+                written.update(variables_of(part.triples))
             elif isinstance(part, ast.Bind):
                 written[part.variable.value] = None
-        return (name for name in written if name in self.names)
+        return (name for name in written if name in self.names | self.static)
 
     def _constructed(self, template: tuple[sparql.Triple, ...]) -> Iterator[Item]:
         """The fields of CONSTRUCT: `ID` for the subject, and one for each predicate."""
@@ -113,7 +122,7 @@ class HeadChecker:
             if isinstance(triple.object, BlankNode):
                 raise self._error("a blank node has no value", triple.span, "write a variable")
             name = local_name(triple.predicate.value)
-            value = self.expressions.value(triple.object, triple.span, self.known(triple.span))
+            value = self._value(triple.object, triple.span)
             yield Item(name, value, kind_of(value), triple.span)
 
     def _error(self, message: str, span: Span, hint: str = "") -> LanguageError:

@@ -16,13 +16,13 @@ from ..mtl.checked import Kind
 from . import ast
 from .ast import DURATION as GET_DURATION
 from .ast import END_TIME, START_TIME
-from .checked import DURATION, ValueKind, kind_of
+from .checked import kind_of
 from .expressions import ExpressionChecker
 from .groups import parts_in
 from .triples import BLANK, Read, Reading, Term
 
 
-def find_kinds(query: ast.EpSparqlQuery, reads: Iterable[Read]) -> dict[str, ValueKind]:
+def find_kinds(query: ast.EpSparqlQuery, reads: Iterable[Read]) -> dict[str, Kind]:
     """Return the kind of each variable of samples and of BIND, and of each parameter. Raises
     `LanguageError` at the second place of a variable that has two."""
     return _Finder(query).find(reads)
@@ -31,10 +31,10 @@ def find_kinds(query: ast.EpSparqlQuery, reads: Iterable[Read]) -> dict[str, Val
 class _Finder:
     def __init__(self, query: ast.EpSparqlQuery) -> None:
         self._query = query
-        self._kinds: dict[str, ValueKind] = {}
+        self._kinds: dict[str, Kind] = {}
         self._expressions = ExpressionChecker(query.source, {})
 
-    def find(self, reads: Iterable[Read]) -> dict[str, ValueKind]:
+    def find(self, reads: Iterable[Read]) -> dict[str, Kind]:
         unknown: dict[str, None] = {}
         for read in reads:
             if isinstance(read, Reading):
@@ -45,6 +45,8 @@ class _Finder:
                 elif isinstance(read.value, Variable):
                     unknown[read.value.value] = None
         unknown.update((each.value, None) for each in self._query.parameters)
+        if isinstance(self._query.within, Variable):
+            self._set_kind(self._query.within, Kind.DURATION, self._query.head)
         parts = list(parts_in(self._query.where))
         binds = [part for part in parts if isinstance(part, ast.Bind)]
         conditions = [part.condition for part in parts if isinstance(part, ast.Filter)]
@@ -87,7 +89,7 @@ class _Finder:
                 if kind is not None:
                     self._kinds.setdefault(side.value, kind)
 
-    def _guess(self, node: sparql.Expression) -> ValueKind | None:
+    def _guess(self, node: sparql.Expression) -> Kind | None:
         """The kind of an expression as far as it is known."""
         match node:
             case Variable(value=name):
@@ -97,20 +99,20 @@ class _Finder:
             case Literal():
                 return _kind_of_literal(self._expressions, node)
             case sparql.Call(name) if name == GET_DURATION:
-                return DURATION
+                return Kind.DURATION
             case sparql.Call(name) if name in (START_TIME, END_TIME):
                 return Kind.TIME
             case sparql.Arithmetic(first, rest):
                 kinds = [self._guess(first), *(self._guess(each) for _, each in rest)]
                 found = {kind for kind in kinds if kind is not None}
                 if Kind.TIME in found:
-                    return DURATION if kinds.count(Kind.TIME) == 2 else Kind.TIME
-                return DURATION if DURATION in found else Kind.NUMBER
+                    return Kind.DURATION if kinds.count(Kind.TIME) == 2 else Kind.TIME
+                return Kind.DURATION if Kind.DURATION in found else Kind.NUMBER
             case _:
                 return None
 
 
-def _kind_of_literal(expressions: ExpressionChecker, literal: Literal) -> ValueKind | None:
+def _kind_of_literal(expressions: ExpressionChecker, literal: Literal) -> Kind | None:
     """The kind of a literal; None for one that is wrong, which its condition reports."""
     try:
         return kind_of(expressions.constant(literal, Span(0, 0)))

@@ -2,7 +2,7 @@
 
 ```text
 query   : prologue [REGISTER … AS] prologue (SELECT items | CONSTRUCT {triples} | ASK)
-          (FROM graph)* [WHERE] chain FILTER* [WITHIN duration]
+          (FROM graph)* [WHERE] chain FILTER* [WITHIN duration] [WITH MAX DELAY duration]
 chain   : group ((SEQ | EQUALS | OPTIONALSEQ | EQUALSOPTIONAL | UNION) group)*
 group   : "{" (triples | FILTER | BIND | GRAPH iri {triples} | chain)* "}"
 ```
@@ -135,6 +135,7 @@ class _Reader(ClauseReader):
         self.accept_word("WHERE")
         where = self._where()
         within = self._within()
+        max_delay = self._max_delay()
         self._check_end()
         return EpSparqlQuery(
             name_of(self.found, self),
@@ -146,6 +147,7 @@ class _Reader(ClauseReader):
             graphs,
             where,
             within,
+            max_delay,
             used_prefixes(self),
             head,
             self.source,
@@ -216,10 +218,20 @@ class _Reader(ClauseReader):
             return chain
         return Group(tuple(parts), Span(chain.span.start, self.last_token.end))
 
-    def _within(self) -> int | None:
+    def _within(self) -> int | Variable | None:
         if not self.accept_word("WITHIN"):
             return None
+        if self.here is not None and self.here.kind is Kind.VARIABLE:
+            return self.named_variable()
         return read_duration(self, "the time of WITHIN", spelled_out=True)
+
+    def _max_delay(self) -> int | None:
+        if not self.accept_word("WITH"):
+            return None
+        for word in ("MAX", "DELAY"):
+            if not self.accept_word(word):
+                raise self.unexpected("write `WITH MAX DELAY 5s`")
+        return read_duration(self, "the delay", spelled_out=True, least=0)
 
     def _check_end(self) -> None:
         here = self.here
@@ -328,7 +340,7 @@ class _Reader(ClauseReader):
         return Graph(name, triples)
 
     def begins_part(self, token: Token) -> bool:
-        return super().begins_part(token) or token.is_word(*_OPERATORS, "WITHIN")
+        return super().begins_part(token) or token.is_word(*_OPERATORS, "WITHIN", "WITH")
 
     def _collection(self) -> tuple[NamedNode, bool]:
         raise self.error(

@@ -27,7 +27,10 @@ def format_epsparql(query: EpSparqlQuery) -> str:
     lines += [f"FROM NAMED <{iri}>" for iri in named]
     lines += _group("WHERE ", query.where, "", printer)
     if query.within is not None:
-        lines.append(f"WITHIN {format_duration(query.within)}")
+        within = query.within
+        lines.append(f"WITHIN {format_duration(within) if isinstance(within, int) else within}")
+    if query.max_delay is not None:
+        lines.append(f"WITH MAX DELAY {format_duration(query.max_delay)}")
     return "\n".join(lines) + "\n"
 
 

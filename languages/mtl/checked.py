@@ -24,6 +24,8 @@ class Kind(StrEnum):
     TEXT = "text"
     TIME = "time"
     OBJECT = "object"
+    DURATION = "duration"
+    """In ns; of a parameter or of a calculation, but of no feature."""
 
 
 _KINDS: Final = {

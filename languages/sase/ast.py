@@ -146,18 +146,20 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A query of SASE+. ``name`` is that of its stream, or empty. ``within`` in ns; None stands
-    for a clause that is not written. ``limit``: of the matches that one event completes."""
+    """A query of SASE+. ``name`` is that of its stream, or empty. ``within`` in ns, or a parameter
+    of a template; None stands for a clause that is not written. ``limit``: of the matches that one
+    event completes. ``max_delay`` in ns."""
 
     name: str
     stream: Symbol | None
     parts: tuple[Part, ...]
     strategy: Strategy | None
     where: tuple[Condition, ...]
-    within: int | None
+    within: int | Variable | None
     having: tuple[Condition, ...]
     items: tuple[Item, ...]
     limit: int | None
+    max_delay: int | None
     span: Span = attribute(compare=False)
 
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from ..errors import Span
 from ..mtl.ast import Measured, Number, Symbol, Text, TimePoint, Truth, Variable
 from ..mtl.checked import Constant, Kind, ObjectConstant
+from ..rewriting import rewritten
 from . import ast
 from .checked import CheckedPattern, CheckedTemplate, ValueSlot
+from .parts import check_within
 
 
 def bound_sase(
     template: CheckedTemplate, arguments: Mapping[str, Constant | ObjectConstant]
 ) -> CheckedPattern:
     """Return the pattern of a template with these arguments, by the names of parameters. A
-    parameter for objects without an argument is free; one for a value must have one."""
+    parameter for objects without an argument is free; one for a value must have one. Raises
+    `LanguageError` for a duration that does not fit."""
     pattern = template.pattern
     objects = []
     for each in pattern.objects:
@@ -37,8 +39,17 @@ def bound_sase(
                 return _written(values[variable.name], unit, node.span)
         return node
 
-    text = rewritten(pattern.text, bind)
-    return replace(pattern, text=text, objects=tuple(objects))
+    text = pattern.text
+    if isinstance(text.within, Variable):
+        within = _duration(values[text.within.name])
+        check_within(within, text, pattern.source)
+        text = replace(text, within=within)
+    return replace(pattern, text=rewritten(text, bind), objects=tuple(objects))
+
+
+def _duration(value: Constant | ObjectConstant) -> int:
+    assert isinstance(value, Constant)
+    return int(value.value)
 
 
 def _written(value: Constant | ObjectConstant, unit: Any, span: Span) -> ast.Constant:
@@ -52,18 +63,7 @@ def _written(value: Constant | ObjectConstant, unit: Any, span: Span) -> ast.Con
             return Truth(bool(value.value), span)
         case Kind.TIME:
             return TimePoint(int(value.value), span)
+        case Kind.DURATION:
+            return ast.Duration(int(value.value), span)
         case _:
             return Text(str(value.value), span)
-
-
-def rewritten(node: Any, change: Callable[[Any], Any]) -> Any:
-    """A tree with other nodes for those that ``change`` replaces."""
-    if isinstance(node, tuple):
-        return tuple(rewritten(each, change) for each in node)
-    if isinstance(node, Span) or not dataclasses.is_dataclass(node):
-        return node
-    if (changed := change(node)) is not node:
-        return changed
-    fields = {f.name: getattr(node, f.name) for f in dataclasses.fields(node)}
-    new = {name: rewritten(old, change) for name, old in fields.items()}
-    return replace(node, **new)

@@ -10,8 +10,8 @@ from ...ontology.vocabulary import Vocabulary
 from ..mtl.ast import Slot, Symbol
 from ..object_cache import ObjectCache
 from ..ontology_names import OntologyNames
+from ..rewriting import rewritten
 from . import ast
-from .binding import rewritten
 from .checked import CheckedPattern, CheckedTemplate
 from .conditions import Conditions
 from .parameters import Parameters
@@ -47,7 +47,7 @@ def _checked(
 
     text = replace(pattern, items=pattern.items or objects_of(pattern))
     objects = tuple(parameters.objects.values())
-    checked = CheckedPattern(text, names.source, parts.types, objects)
+    checked = CheckedPattern(text, names.source, parts.types, objects, parts.stream)
     _check_strategy(checked, parts)
     Results(parts, conditions).check(checked)
 

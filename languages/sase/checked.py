@@ -58,12 +58,14 @@ class ObjectParameter:
 @dataclass(frozen=True, slots=True)
 class CheckedPattern:
     """A pattern. ``text`` has values in place of parameters, and IRIs as names of objects;
-    ``types``: those of each part; ``source``: all of the text."""
+    ``types``: those of each part; ``source``: all of the text; ``stream``: the name of the stream
+    of FROM, or empty."""
 
     text: ast.Pattern
     source: str
     types: tuple[tuple[EventType, ...], ...]
     objects: tuple[ObjectParameter, ...] = ()
+    stream: str = ""
 
     @property
     def is_over_matches(self) -> bool:

@@ -7,8 +7,8 @@ from typing import Final
 
 from ..mtl.ast import Measured, Symbol, Variable
 from . import ast
-from .checked import condition_leaves, is_over_matches
-from .parameters import Parameters
+from .checked import TIME, condition_leaves, is_over_matches
+from .parameters import Parameters, no_value
 from .parts import Parts
 
 _OPEN: Final = frozenset({ast.Index.EACH, ast.Index.PREVIOUS, ast.Index.BEFORE})
@@ -36,6 +36,12 @@ class Conditions:
                 )
         read = [leaf for leaf in leaves if isinstance(leaf, _READING)]
         if isinstance(condition, ast.Equivalence):
+            if condition.name == TIME:
+                raise self._parts.error(
+                    "events of one time never follow each other",
+                    condition.span,
+                    f"bound the time between two parts: `b.{TIME} - a.{TIME} <= 5s`",
+                )
             if is_having:
                 raise self._parts.error(
                     f"`[{condition.name}]` selects events, and HAVING filters matches",
@@ -70,11 +76,7 @@ class Conditions:
         match leaf:
             case Variable(name) | Measured(Variable(name)):
                 if name not in self._parameters.slots:
-                    raise self._parts.error(
-                        f"`?{name}` has no value",
-                        leaf.span,
-                        "only a template has parameters: `REGISTER TEMPLATE e(?x) AS PATTERN …`",
-                    )
+                    raise self._parts.error(*no_value(name, leaf.span))
             case Symbol(text) if text in self._parts.of_name:
                 raise self._parts.error(
                     f"`{text}` is an event, not a value", leaf.span, f"write `{text}.id`"

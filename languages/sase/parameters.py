@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from typing import Final
 
 from ...ontology.vocabulary import THING
+from ..errors import Span
 from ..mtl.ast import Measured, Slot, Symbol, Text, TimePoint, Truth, Variable
 from ..mtl.checked import Kind, ObjectSlot
 from . import ast
-from .checked import ObjectParameter, ValueSlot, condition_leaves, leaves_of
+from .checked import ObjectParameter, ValueSlot, condition_leaves
 from .parts import Parts
 
 _KINDS: Final = {
@@ -29,6 +30,9 @@ class Parameters:
         self._parts = parts
         self._pattern = parts.pattern
         self.slots = {slot.variable.name: slot for slot in slots}
+        within = self._pattern.within
+        if isinstance(within, Variable) and within.name not in self.slots:
+            raise parts.error(*no_value(within.name, within.span))
         self.defining = self._defining()
         self.objects = self._object_parameters()
 
@@ -38,10 +42,13 @@ class Parameters:
             return ObjectSlot(name, self.objects[name].sort)
         kinds: list[Kind | None] = []
         pattern = self._pattern
+        if isinstance(pattern.within, Variable) and pattern.within.name == name:
+            kinds.append(Kind.DURATION)
         for condition in (*pattern.where, *pattern.having):
             kinds += self._kinds_in(condition, name)
         for item in pattern.items:
-            kinds += [Kind.NUMBER for leaf in leaves_of(item.term) if _is_variable(leaf, name)]
+            kinds += self._kinds_of_operands(item.term, name)
+            kinds += [Kind.NUMBER] * _is_variable(item.term, name)
         if not kinds:
             raise self._parts.error(
                 f"the pattern does not use `?{name}`",
@@ -77,7 +84,53 @@ class Parameters:
                 ):
                     is_ordered = operator not in ("=", "!=")
                     return [kind or (Kind.NUMBER if is_ordered else None)]
+                if is_alone:
+                    return [Kind.DURATION if self._is_duration(other) else Kind.NUMBER]
+                sides = (self._kinds_of_operands(side, name) for side in (left, right))
+                return [kind for kinds_ in sides for kind in kinds_]
         return [Kind.NUMBER]
+
+    def _kinds_of_operands(self, term: ast.Term, name: str) -> list[Kind | None]:
+        """The kinds as which a variable is calculated with: a duration beside times and
+        durations."""
+        match term:
+            case ast.Arithmetic(operator, left, right):
+                found: list[Kind | None] = []
+                for one, other in ((left, right), (right, left)):
+                    if _is_variable(one, name):
+                        is_sum = operator in "+-"
+                        is_time = is_sum and (self._is_time(other) or self._is_duration(other))
+                        found.append(Kind.DURATION if is_time else Kind.NUMBER)
+                    else:
+                        found += self._kinds_of_operands(one, name)
+                return found
+            case ast.Negative(operand):
+                of = self._kinds_of_operands(operand, name)
+                return [*of, *[Kind.NUMBER] * _is_variable(operand, name)]
+            case _:
+                return []
+
+    def _is_duration(self, term: ast.Term) -> bool:
+        match term:
+            case ast.Duration():
+                return True
+            case ast.Arithmetic("-", left, right) if self._is_time(left) and self._is_time(right):
+                return True
+            case ast.Arithmetic("+" | "-", left, right):
+                return not self._is_time(left) and any(map(self._is_duration, (left, right)))
+            case _:
+                return False
+
+    def _is_time(self, term: ast.Term) -> bool:
+        match term:
+            case TimePoint():
+                return True
+            case ast.Attribute(part, _, name):
+                return part in self._parts.of_name and self._parts.kind(part, name) is Kind.TIME
+            case ast.Arithmetic("+" | "-", left, right):
+                return self._is_time(left) and not self._is_time(right)
+            case _:
+                return False
 
     def _defining(self) -> dict[str, ast.Attribute]:
         """The variables that an ``id`` of an event that happens equals, and the first such one."""
@@ -129,3 +182,12 @@ def _is_variable(term: ast.Term, name: str) -> bool:
             return found == name
         case _:
             return False
+
+
+def no_value(name: str, span: Span) -> tuple[str, Span, str]:
+    """The error for a variable that no request gives."""
+    return (
+        f"`?{name}` has no value",
+        span,
+        "only a template has parameters: `REGISTER TEMPLATE e(?x) AS PATTERN …`",
+    )

@@ -16,7 +16,7 @@ from lark.exceptions import UnexpectedInput
 from ...rdf.namespaces import local_name
 from ...streams.time import parse_time
 from ..errors import LanguageError, Span
-from ..mtl.ast import Number, Slot, Symbol, Text, TimePoint, Truth
+from ..mtl.ast import Number, Slot, Symbol, Text, TimePoint, Truth, Variable
 from ..mtl.terms import TermReader
 from ..ontology_names import possible_iris
 from ..syntax import (
@@ -110,7 +110,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "sequences do not nest: list all parts in one SEQ"
     if found == "/" and "RSQB" in expected:
         return "a unit is a product of powers: write `m.s-1` for m/s"
-    if expected == {"DURATION"}:
+    if expected in ({"DURATION"}, {"DURATION", "VARIABLE"}):
         return 'write a duration with its unit, such as `12 hours`, `5s` or `"PT5S"^^xsd:duration`'
     return expected_hint(expected)
 
@@ -165,17 +165,20 @@ class _Reader(TermReader):
         found = {str(each.data): each for each in trees(tree)}
         parts = [each for each in trees(tree) if each.data in ("event", "negated")]
         strategy, where = self.where(found.get("where"))
-        from_, within, limit = (found.get(each) for each in ("from", "within", "limit"))
+        from_, within, limit, delay = (
+            found.get(each) for each in ("from", "within", "limit", "delay")
+        )
         return ast.Pattern(
             name,
             self.symbol(trees(from_)[0]) if from_ else None,
             tuple(map(self.part, parts)),
             strategy,
             where,
-            self.duration(tokens(within, "DURATION")[0]) if within else None,
+            self.within(tokens(within, "DURATION", "VARIABLE")[0]) if within else None,
             self.conditions(found["having"]) if "having" in found else (),
             tuple(map(self.item, trees(found["return"]))) if "return" in found else (),
             self.limit(tokens(limit, "DECIMAL")[0]) if limit else None,
+            self.duration(tokens(delay, "DURATION")[0]) if delay else None,
             span_of(tree),
         )
 
@@ -210,6 +213,9 @@ class _Reader(TermReader):
         written = tokens(tree, "STRATEGY")
         strategy = ast.Strategy(str(written[0]).lower().replace("-", "_")) if written else None
         return strategy, self.conditions(tree)
+
+    def within(self, token: Token) -> int | Variable:
+        return self.variable(token) if token.type == "VARIABLE" else self.duration(token)
 
     def limit(self, token: Token) -> int:
         if not token.isdigit() or not 0 < float(token) <= _MOST_MATCHES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from ...rdf.namespaces import local_name
 from ..errors import LanguageError, Span
 from ..hints import suggest_name
 from ..mtl.ast import Symbol
@@ -40,6 +41,16 @@ class Parts:
             hint = suggest_name(name, self.of_name)
             raise self.error(f"the pattern has no part `{name}`", span, hint)
         return self.of_name[name]
+
+    @property
+    def stream(self) -> str:
+        """The name of the stream of FROM; empty: matching finds the streams. An IRI names a stream
+        by its last part, as in C-SPARQL's FROM STREAM."""
+        written = self.pattern.stream
+        if written is None or written.text.isidentifier():
+            return "" if written is None else written.text
+        iri = self.names.iris(written.text, written.span)[0]
+        return local_name(iri).removesuffix(".trdf")
 
     def is_object(self, part: str, attribute: str) -> bool:
         """Whether an attribute of a part is an object."""
@@ -80,40 +91,26 @@ class Parts:
     def _check(self) -> None:
         pattern = self.pattern
         self._check_size()
-        if pattern.stream is not None:
-            raise self.error(
-                "streams are found by the types of a pattern, so it has no FROM",
-                pattern.stream.span,
-                "omit it; a stream is meant by a feature or event of its own",
-            )
         seen: set[str] = set()
         for part in pattern.parts:
             if part.name in seen:
                 raise self.error(f"`{part.name}` is a part twice", part.span, "rename the second")
             seen.add(part.name)
-        there = self.there
-        if not there:
+        if not self.there:
             raise self.error(
                 "a pattern needs an event that happens",
                 pattern.parts[0].span,
                 "write one without `~`: the others are absent before, between or after such events",
             )
-        if pattern.within is None:
+        within = pattern.within
+        if within is None:
             raise self.error(
                 "a pattern without WITHIN would keep its events for ever",
                 Span(pattern.span.start, pattern.span.start + len("PATTERN")),
                 "write how long a match may last: `WITHIN 12 hours`",
             )
-        if pattern.within < len(there) - 1:
-            raise self.error(
-                f"{len(there)} events that follow each other do not fit into WITHIN",
-                pattern.span,
-                "write a longer time",
-            )
-        if pattern.within >= _LONGEST:
-            raise self.error(
-                "WITHIN exceeds 36 years", pattern.span, "write a shorter time, such as 365d"
-            )
+        if isinstance(within, int):
+            check_within(within, pattern, self.names.source)
 
     def _check_size(self) -> None:
         pattern = self.pattern
@@ -130,3 +127,20 @@ class Parts:
                     some[most].span,
                     "divide it into patterns that read each other",
                 )
+
+
+def check_within(within: int, pattern: ast.Pattern, source: str) -> None:
+    """Raise `LanguageError` for a window (ns) into which a match does not fit, or that is too
+    long."""
+    count = sum(not part.is_negated for part in pattern.parts)
+    if within < count - 1:
+        raise LanguageError(
+            f"{count} events that follow each other do not fit into WITHIN",
+            source,
+            pattern.span,
+            "write a longer time",
+        )
+    if within >= _LONGEST:
+        raise LanguageError(
+            "WITHIN exceeds 36 years", source, pattern.span, "write a shorter time, such as 365d"
+        )

@@ -39,13 +39,17 @@ def _clauses(pattern: ast.Pattern) -> Iterator[str]:
         conditions = [f"{{ {_conditions(pattern.where)} }}"] if pattern.where else []
         yield " ".join(["WHERE", *strategy, *conditions])
     if pattern.within is not None:
-        yield f"WITHIN {format_duration(pattern.within)}"
+        within = pattern.within
+        text = format_duration(within) if isinstance(within, int) else format_term(within)
+        yield f"WITHIN {text}"
     if pattern.having:
         yield f"HAVING {_conditions(pattern.having)}"
     if pattern.items:
         yield f"RETURN {', '.join(map(_item, pattern.items))}"
     if pattern.limit is not None:
         yield f"LIMIT {pattern.limit}"
+    if pattern.max_delay is not None:
+        yield f"WITH MAX DELAY {format_duration(pattern.max_delay)}"
 
 
 def _part(part: ast.Part) -> str:

@@ -23,7 +23,7 @@ class ParameterModel(BaseModel):
     """A parameter of a template. A number or text may be compared with a feature."""
 
     name: str
-    role: Literal["object", "sort", "feature", "number", "text"] = Field(
+    role: Literal["object", "sort", "feature", "number", "text", "duration"] = Field(
         description="what its argument is"
     )
     sort: str | None = Field(description="the sort of an object, where the template states one")

@@ -318,7 +318,8 @@ def print_sase(text: str) -> str:
 def print_source(source: Source) -> str:
     of = ", ".join(print_role(each.sort, each.object, None) for each in source.arguments)
     columns = ", ".join(f"{each.column} = {each.part}" for each in source.columns)
-    return f"source {source.kind} of {of}: {columns}"
+    read = f" in {source.stream}" if source.stream else ""
+    return f"source {source.kind} of {of}{read}: {columns}"
 
 
 PRINTERS = {

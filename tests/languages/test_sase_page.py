@@ -24,7 +24,7 @@ from dyknow.languages.sase.ast import Index, Strategy
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import PREFIXES
 from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
-from dyknow.reasoning.patterns.plans.query import Keys, text_key, with_numbers
+from dyknow.reasoning.patterns.plans.query import Keys, text_key, value_keys, with_numbers
 from dyknow.reasoning.patterns.plans.rows import Rows
 from dyknow.reasoning.patterns.recognition.choice import evaluator_of
 
@@ -71,6 +71,7 @@ def found(body: str, table: dict[str, list[str]]) -> list[str]:
         columns["tag"] = np.array([keys.number(text_key(table["tag"][i])) for i in mine], np.int64)
     if "x" in table:
         columns["x"] = np.array([float(table["x"][i]) for i in mine])
+        columns["x as a key"] = value_keys(columns["x"])
     kind = np.array([kinds.index(table["event"][i]) for i in mine], np.int64)
     decided = [running.push(Rows(kinds, kind, times, times, columns)), running.end()]
     shown = []
@@ -111,7 +112,7 @@ def test_templates_are_right(text: str) -> None:
     slots = check_sase_template(
         parse_sase_template(text), Engine(epoch="e1").ontology.vocabulary
     ).slots
-    assert [slot.name for slot in slots] == ["uav", "limit"]
+    assert [slot.name for slot in slots] == ["uav", "limit", "time"]
 
 
 @pytest.mark.parametrize(("text", "error"), REFUSED)

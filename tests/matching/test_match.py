@@ -30,7 +30,7 @@ from dyknow.matching.plan import (
     streams_of,
     wanted_annotation,
 )
-from dyknow.matching.space import StreamSpace, TransformationDescription
+from dyknow.matching.space import StreamDescription, StreamSpace, TransformationDescription
 from dyknow.matching.strategy import Strategy
 from dyknow.matching.subject import Subject
 from dyknow.matching.want import Want
@@ -421,3 +421,63 @@ def test_how_many_combinations_of_parts_are_looked_at(vocabulary, monkeypatch):
     space = StreamSpace((stream("speeds", "speed=v", sort="UAV", id="id"),))
     assert match(Want(iri("speed"), None, iri("a"), others), space, vocabulary).supply is None
     assert COMBINED / 2 < len(solved) <= COMBINED + 1
+
+
+# -- sorts in place of features, and named streams -----------------------------------------------
+
+SPEEDS = stream("speeds", "speed=spd km.h-1, altitude=alt ft", sort="UAV", id="id")
+HEIGHTS = stream("heights", "altitude=alt ft", sort="RMAX", id="nr")
+CARS = stream("cars", "speed=spd km.h-1", sort="Car", id="id")
+ALL = stream("all", "GPS=gps", sort="Thing", id="name")
+ONE = stream("one", "altitude=alt ft", object="uav1")
+
+
+def sources(found):
+    return [(source.node, source.roles[0].id_field) for source in found.supply.sources]
+
+
+@pytest.mark.parametrize("strategy", ["fast", "cost", "quality"])
+def test_a_sort_is_the_samples_of_all_streams_with_its_objects(vocabulary, strategy):
+    space = StreamSpace((SPEEDS, HEIGHTS, CARS, ALL, ONE), (TO_SPEED,))
+    made = StreamDescription("made", SPEEDS.contents, maker="coordinatesToSpeed")
+    space.put_stream(made)
+    found = match(want("UAV", "UAV"), space, vocabulary, strategy)
+    assert [
+        (node.stream, id_field) for node, id_field in sources(found)
+    ] == [("speeds", "id"), ("heights", "nr"), ("all", "name"), ("one", None)]  # fmt: skip
+
+
+def test_a_sort_of_one_object(vocabulary):
+    space = StreamSpace((SPEEDS, CARS, ONE))
+    found = match(want("UAV", "UAV", "uav1"), space, vocabulary)
+    streams = [UseStream("speeds", SPEEDS.contents), UseStream("one", ONE.contents)]
+    selected = SelectObject(streams[0], "id", iri("uav1"))
+    assert [node for node, _ in sources(found)] == [selected, streams[1]]
+
+
+def test_no_stream_tells_of_a_sort(vocabulary):
+    found = match(want("RMAX", "RMAX"), StreamSpace((CARS,), (TO_SPEED,)), vocabulary)
+    assert found.supply is None
+    assert found.missing == ("stream cars: sort dyknow:Car is not a dyknow:RMAX",)
+
+
+@pytest.mark.parametrize(("wanted", "id_field"), [("altitude", "nr"), ("UAV", "nr")])
+def test_a_stream_may_be_named(vocabulary, wanted, id_field):
+    """Neither another stream nor a transformation is taken; the others are not asked."""
+    space = StreamSpace((SPEEDS, HEIGHTS), (unit("toAltitude", "GPS", "altitude ft"),))
+    named = Want(iri(wanted), iri("UAV"), streams=("heights",))
+    assert [(node.stream, f) for node, f in sources(match(named, space, vocabulary))] == [
+        ("heights", id_field)
+    ]
+
+
+def test_a_named_stream_that_does_not_have_it(vocabulary):
+    space = StreamSpace((SPEEDS, HEIGHTS, POSITIONS), (TO_SPEED,))
+    found = match(Want(iri("speed"), iri("UAV"), streams=("positions",)), space, vocabulary)
+    assert found.supply is None
+    assert found.missing == (
+        "stream speeds: only positions is read",
+        "coordinatesToSpeed: only positions is read",
+    )
+    found = match(Want(iri("speed"), iri("UAV"), streams=("height",)), space, vocabulary)
+    assert found.missing == ("there is no stream height with an annotation: did you mean heights?",)

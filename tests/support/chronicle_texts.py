@@ -36,10 +36,12 @@ class ChronicleTexts:
         clauses = tuple(self.clause() for _ in range(draw.randint(0, 6)))
         emitted = draw.choice([None, self.point()])
         stream = draw.choice([None, "found"])
-        return ast.Chronicle("N", self.slots(names), clauses, emitted, stream, NOWHERE)
+        delay = draw.choice([None, None, 0, 5 * 10**9])
+        return ast.Chronicle("N", self.slots(names), clauses, emitted, stream, delay, NOWHERE)
 
     def template(self) -> ast.ChronicleTemplate:
-        chronicle = ast.Chronicle("N", self.slots(["a"]), (self.clause(),), None, None, NOWHERE)
+        slots = self.slots(["a"])
+        chronicle = ast.Chronicle("N", slots, (self.clause(),), None, None, None, NOWHERE)
         return ast.ChronicleTemplate("http://example.org/N", self.slots(["a", "b"]), chronicle, "")
 
     def slots(self, names: list[str]) -> tuple[Slot, ...]:
@@ -62,10 +64,11 @@ class ChronicleTexts:
                 state = ast.Message(self.symbol(), self.arguments(), None, self.test(), NOWHERE)
                 return ast.Hold(state, self.moment(), self.moment(), NOWHERE)
             case 3:
-                least, most = sorted([self.offset(), self.offset()])
-                least, most = draw.choice(
-                    [(least, None), (None, most), (None, None), (least, most)]
-                )
+                low, high = sorted([self.offset(), self.offset()])
+                given = ast.Given(self.variable(), draw.choice([-1, 1]), self.offset())
+                bounds = [(low, None), (None, high), (None, None), (low, high)]
+                bounds += [(given, high), (low, given), (None, given), (given, None)]
+                least, most = draw.choice(bounds)
                 return ast.Distance(self.point(), self.point(), least, most, NOWHERE)
             case 4:
                 operator = draw.choice(["<", "<=", ">", ">=", "=", "!="])
@@ -114,7 +117,9 @@ class ChronicleTexts:
         return ast.Point(self.random.choice(["t1", "t2", "end", "now_2"]), NOWHERE)
 
     def moment(self) -> ast.Moment:
-        return ast.Moment(self.point(), self.offset(), NOWHERE)
+        given = ast.Given(self.variable(), self.random.choice([-1, 1]))
+        offset = self.random.choice([self.offset(), self.offset(), given])
+        return ast.Moment(self.point(), offset, NOWHERE)
 
     def offset(self) -> int:
         return self.random.choice([0, 0, 1, -1, 5 * 10**9, -(36 * 10**11), 10**18])

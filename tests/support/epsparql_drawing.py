@@ -79,6 +79,8 @@ STATIC: tuple[Fact, ...] = (
     ((OBJECTS, "urn:q"), "urn:of", (TEXTS, "y"), None),
     ((OBJECTS, f"{DYKNOW}o0"), "urn:level", (NUMBERS, 1.0), None),
 )
+STATIC_NAMES = ("?k", "?m")
+"""The variables that only static triples have."""
 OPERATORS = ("SEQ", "SEQ", "SEQ", "EQUALS", "OPTIONALSEQ", "EQUALSOPTIONAL", "UNION")
 
 
@@ -108,7 +110,10 @@ class QueryDrawing:
         items = " ".join(sorted({*names, *VARIABLES[NUMBERS][:1]} & names))
         times = "(getSTARTTIME() AS ?from) (getDURATION() AS ?lasts)"
         if has_static:
-            chain = f"{{ {chain} {self.static_triple()} }}"
+            static = self.static_triple()
+            chain = f"{{ {chain} {static} }}"
+            told = [name for name in STATIC_NAMES if name in static and draw.random() < 0.7]
+            items = " ".join([items, *told])
         self.text = f"SELECT {items} {times} WHERE {chain} {filters} {within}"
 
     # -- the text ------------------------------------------------------------------------------

@@ -48,10 +48,11 @@ class TextDrawing:
             self.some(self.part, 3, 1),
             draw.choice([None, *ast.Strategy]),
             self.some(self.condition, 3),
-            draw.choice([None, 0, 1, 1500, 12 * 3600 * 10**9]),
+            draw.choice([None, 0, 1, 1500, 12 * 3600 * 10**9, Variable("x", HERE)]),
             self.some(self.condition, 2),
             self.some(self.item, 3),
             draw.choice([None, 1, 1000]),
+            draw.choice([None, None, 0, 5 * 10**9]),
             HERE,
         )
 

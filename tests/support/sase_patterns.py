@@ -11,7 +11,13 @@ from sase_definition import Event
 from dyknow.languages.mtl.checked import Kind
 from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.plans.plan import NO_VALUE
-from dyknow.reasoning.patterns.plans.query import Keys, Part, PatternQuery, text_key
+from dyknow.reasoning.patterns.plans.query import (
+    Keys,
+    Part,
+    PatternQuery,
+    text_key,
+    value_keys,
+)
 from dyknow.reasoning.patterns.plans.rows import Rows
 
 TYPES = ("A", "B", "C")
@@ -70,9 +76,9 @@ class PatternDrawing:
             *(self.condition() for _ in range(draw.choice([0, 0, 1, 1, 2, 3]))),
         ]
         if self.strategy == "partition_contiguity" or draw.random() < 0.3:
-            conditions.append(draw.choice(["[tag]", "[id]"]))
+            conditions.append(draw.choice(["[tag]", "[id]", "[n]", "[ok]", "[at]", "[n = 1]"]))
         elif draw.random() < 0.2:
-            conditions.append(draw.choice(["[n]", "[ok]", "[n = 1]", "[tag = 'u']", "[ok = true]"]))
+            conditions.append(draw.choice(["[m]", "[ok]", "[m = 0]", "[tag = 'u']", "[ok = true]"]))
         draw.shuffle(conditions)
         where = f" {{ {' and '.join(conditions)} }}" if conditions else ""
         having = f" HAVING {self.having()}" if draw.random() < 0.2 else ""
@@ -166,7 +172,7 @@ class PatternDrawing:
         found: dict[str, Any] = {
             "tag": draw.choice("uv"),
             "n": draw.choice([0.0, 1.0, 2.0, 3.0]),
-            "m": draw.choice([-1.0, 0.0, 0.5, 2.0]),
+            "m": draw.choice([-1.0, 0.0, -0.0, 0.5, 2.0]),
             "at": draw.randrange(6),
             "ok": draw.random() < 0.5,
         }
@@ -187,7 +193,7 @@ class TrendDrawing(PatternDrawing):
         draw = self.random
         conditions = [self.condition() for _ in range(draw.choice([0, 1, 1, 2]))]
         if draw.random() < 0.5:
-            conditions.append(draw.choice(["[tag]", "[id]", "[tag = 'u']", "[n = 1]"]))
+            conditions.append(draw.choice(["[tag]", "[id]", "[m]", "[tag = 'u']", "[n = 1]"]))
         where = f" WHERE {' and '.join(conditions)}" if conditions else ""
         last = f"{self.last(self.parts[-1])}.tag AS t"
         items = ["COUNT(*) AS c", last, *(self.aggregate(i) for i in range(draw.choice([0, 1, 2])))]
@@ -262,6 +268,11 @@ def rows_of(query: PatternQuery, keys: Keys, events: list[Event], draw: Random) 
                 values.append(None)
             elif source.part is Part.OBJECT:
                 values.append(keys.number(event.values["id"]))
+            elif source.as_key:
+                value = event.values[source.field]
+                is_number = source.kind is Kind.NUMBER
+                found = _column([value], is_number)
+                values.append(int(value_keys(found)[0]))
             else:
                 value = event.values[source.field]
                 is_text = source.kind is Kind.TEXT and value is not None

@@ -1,4 +1,4 @@
-"""Chronicles as event templates: arguments of a request in place of parameters."""
+"""Patterns as event templates: arguments of a request in place of parameters."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from chronicle_worlds import vocabulary
 from pyoxigraph import Literal, NamedNode, Variable
 
 from dyknow.languages.chronicle import parse_chronicle_template
-from dyknow.rdf.namespaces import DYKNOW
+from dyknow.languages.errors import LanguageError
+from dyknow.languages.patterns import parse_pattern, parse_pattern_template
+from dyknow.rdf.namespaces import DYKNOW, XSD
 from dyknow.reasoning.patterns.plans.plan import OWN, Condition, Constant, Key, Value
 from dyknow.reasoning.patterns.plans.query import Argument
-from dyknow.templates.event_patterns import bound_pattern_template
+from dyknow.templates.event_patterns import bound_pattern, bound_pattern_template
 from dyknow.templates.instantiate import ArgumentError
 
 TEMPLATE = parse_chronicle_template(
@@ -78,3 +80,82 @@ def test_arguments_of_another_kind(place: int, argument: object, message: str) -
         bound_pattern_template(TEMPLATE, arguments, vocabulary()).query({})
     with pytest.raises(ArgumentError, match="takes 5 arguments, not 4"):
         bound_pattern_template(TEMPLATE, arguments[:4], vocabulary()).query({})
+
+
+# -- durations ---------------------------------------------------------------------------------
+
+CHRONICLE = "chronicle E(?x) {{ event(speed[?x], t1); event(near[?x, ?], t2); {} }}"
+SASE = "PATTERN SEQ(speed a, speed b) WHERE [id] {}"
+EP = "SELECT ?a WHERE {{ ?a dyknow:speed ?v }} SEQ {{ ?a dyknow:speed ?w }} {}"
+DURATIONS = [
+    (CHRONICLE, "t2 - t1 in [-{0}, {0}];"),
+    (CHRONICLE, "t2 - t1 in [0s, {0} - 1ns];"),
+    (CHRONICLE, "t1 < t2; t2 - t1 < {0};"),
+    (CHRONICLE, "t1 <= t2; t2 - 1s < t1 + {0};"),
+    (CHRONICLE, "t1 = t2; noevent(speed[?], (t1 - {0}, t2)); hold(speed[?x]:> 3, (t1, t2 + {0}));"),
+    (SASE, "WITHIN {0}"),
+    (SASE, "and b.valid - a.valid > {0} WITHIN 1h"),
+    (SASE, "and a.valid + {0} < b.valid WITHIN 1h RETURN b.valid - a.valid - {0} AS over"),
+    (EP, "WITHIN {0}"),
+    (EP, "FILTER (getDURATION() < {0})"),
+    (EP, "FILTER ({0} >= getDURATION()) WITHIN 1h"),
+    (EP, "FILTER ({0} < getDURATION() || ?v > ?w) WITHIN 1h"),
+]
+
+
+def duration(text: str, datatype: str = "duration") -> Literal:
+    return Literal(text, datatype=NamedNode(XSD + datatype))
+
+
+@pytest.mark.parametrize(("body", "rest"), DURATIONS)
+@pytest.mark.parametrize("datatype", ["duration", "dayTimeDuration", "string"])
+def test_a_duration_is_given_by_a_request(body: str, rest: str, datatype: str) -> None:
+    """The plans are those of the text that has the duration."""
+    written = '"PT5S"^^xsd:duration'
+    text = body.format(rest.format(written))
+    direct = bound_pattern(parse_pattern(text), text, vocabulary()).query({})
+    pattern = body.format(rest.format("?d"))
+    template = parse_pattern_template(f"REGISTER TEMPLATE E(?d) AS {pattern}")
+    given = [Literal("5s") if datatype == "string" else duration("PT5S", datatype)]
+    query = bound_pattern_template(template, given, vocabulary()).query({})
+    assert query.plans == direct.plans
+    assert query.branches == direct.branches
+    assert query.sources == direct.sources
+
+
+@pytest.mark.parametrize(("body", "rest"), DURATIONS)
+def test_what_is_no_duration(body: str, rest: str) -> None:
+    pattern = body.format(rest.format("?d"))
+    template = parse_pattern_template(f"REGISTER TEMPLATE E(?d) AS {pattern}")
+    for argument, message in (
+        (Literal(5), 'it is a duration in the template, and "5" is none'),
+        (Literal("soon"), "soon"),
+        (duration("5s"), 'it is a duration in the template, and "5s" is none'),
+        (duration("P1Y"), "P1Y"),
+        (duration("P40000D"), "exceeds 36 years"),
+        (Variable("d"), "it must be given"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            bound_pattern_template(template, [argument], vocabulary())
+    with pytest.raises(LanguageError, match=r"`\?d` (has no value|is no duration|is not bound)"):
+        bound_pattern(parse_pattern(pattern), pattern, vocabulary())
+
+
+def test_a_duration_that_does_not_fit() -> None:
+    template = parse_pattern_template(
+        f"REGISTER TEMPLATE E(?d) AS {SASE.format('WITHIN ?d').replace('b)', 'b, speed c)')}"
+    )
+    with pytest.raises(LanguageError, match="3 events that follow each other do not fit"):
+        bound_pattern_template(template, [duration("PT0.000000001S")], vocabulary())
+    template = parse_pattern_template(
+        f"REGISTER TEMPLATE E(?d) AS {EP.format('FILTER (getDURATION() < ?d)')}"
+    )
+    with pytest.raises(LanguageError, match="nothing lasts less than no time"):
+        bound_pattern_template(template, [duration("PT0S")], vocabulary())
+
+
+def test_a_duration_is_of_one_kind() -> None:
+    for body, rest in ((SASE, "and a.value > ?d WITHIN ?d"), (EP, "FILTER (?v > ?d) WITHIN ?d")):
+        text = f"REGISTER TEMPLATE E(?d) AS {body.format(rest)}"
+        with pytest.raises(LanguageError, match="number"):
+            bound_pattern_template(parse_pattern_template(text), [duration("PT5S")], vocabulary())

@@ -19,7 +19,7 @@ from ....streams.time import TIME_MAX, TIME_MIN
 from ..match_samples import MatchWriter
 from ..merge import ObjectCodes, ObjectName
 from ..row_readers import SourceInput, row_readers
-from ..sample_reasoner import SampleReasoner
+from ..sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
 from .instances import InstanceUnit, SharingUnit
 
 Parts = NDArray[np.int64]
@@ -71,6 +71,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         dictionary: TermDictionary,
         lateness: Callable[[StreamGenerator], int],
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
+        report_limit: ReportLimit,
     ) -> None:
         super().__init__(*args, newest=newest)
         self.pattern = pattern
@@ -83,6 +84,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         )
         self.matches = 0
         """Matches found by now."""
+        self._losses = ReportedLosses(report_limit)
         self._parts = ObjectParts()
         self._readers = row_readers(inputs_of_sources, dictionary, self.keys, pattern.column)
         self._coders = {
@@ -210,6 +212,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
     # -- matches -----------------------------------------------------------------------------
 
     def _emit(self, found: Recognized) -> None:
+        self._losses.report(self, self.recognition.losses())
         if not len(found):
             return
         self.matches += len(found)

@@ -13,6 +13,7 @@ from typing import Final, assert_never
 from ....languages.chronicle.checked import Argument as Named
 from ....languages.chronicle.checked import (
     CheckedChronicle,
+    Duration,
     Hold,
     Message,
     Moment,
@@ -95,7 +96,8 @@ class _Compiler:
         plan = self._checked(self._plan(sources))
         valid = END if chronicle.emitted is None else _EMITTED
         results = tuple(map(self._result, chronicle.head))
-        return PatternQuery(chronicle.name, sources, (plan,), results, valid)
+        delay = chronicle.max_delay
+        return PatternQuery(chronicle.name, sources, (plan,), results, valid, max_delay=delay)
 
     def _plan(self, sources: tuple[Source, ...]) -> PatternPlan:
         chronicle = self._chronicle
@@ -194,7 +196,7 @@ class _Compiler:
                 assert_never(clause)
 
     def _time(self, moment: Moment, more: int = 0) -> Bound:
-        return Bound(Point(self._places[moment.point]), moment.offset + more)
+        return Bound(Point(self._places[moment.point]), _known(moment.offset) + more)
 
     # -- objects and values ------------------------------------------------------------------
 
@@ -258,7 +260,8 @@ class _Compiler:
                 yield Between(Point(first), Point(number), 0, 0)
         for each in self._chronicle.distances:
             points = Point(self._places[each.first]), Point(self._places[each.second])
-            yield Between(*points, each.least, each.most)
+            bounds = (None if d is None else _known(d) for d in (each.least, each.most))
+            yield Between(*points, *bounds)
 
     def _outputs(self) -> Iterator[Output]:
         everything = tuple(range(len(self._chronicle.events)))
@@ -325,3 +328,8 @@ def _calculated(operand: object) -> float:
             return float(value)
         case _:
             raise ValueError(f"{operand} is no number")
+
+
+def _known(duration: Duration) -> int:
+    assert isinstance(duration, int), "a request gives the durations of a template"
+    return duration

@@ -22,8 +22,9 @@ from typing import Final, assert_never
 
 from ....languages.epsparql.ast import DURATION as GET_DURATION
 from ....languages.epsparql.ast import START_TIME
+from ....languages.epsparql.binding import bound_epsparql, horizon
+from ....languages.epsparql.checked import And as AndCondition
 from ....languages.epsparql.checked import (
-    DURATION,
     Calculation,
     CheckedPattern,
     Comparison,
@@ -32,12 +33,12 @@ from ....languages.epsparql.checked import (
     Item,
     Or,
     Sample,
+    StaticVariable,
     TimeOf,
     Value,
     Variable,
     kind_of,
 )
-from ....languages.epsparql.checked import And as AndCondition
 from ....languages.epsparql.expressions import bound_of_duration
 from ....languages.errors import LanguageError, Span
 from ....languages.mtl.checked import Constant, Kind, ObjectConstant, Parameter
@@ -67,6 +68,7 @@ def epsparql_query(pattern: CheckedPattern, arguments: Argued | None = None) -> 
     for too many alternatives or elements, and where no alternative has a solution.
     """
     given = arguments or {}
+    pattern = bound_epsparql(pattern, given)
     samples, branches = branches_of(pattern, frozenset(given))
     return _Compiler(pattern, given, samples).compile(branches)
 
@@ -102,6 +104,7 @@ class _Compiler:
             tuple(map(self.sources.result, self._pattern.items)),
             branches=tuple(self._branches),
             graphs=self._pattern.graphs,
+            max_delay=self._pattern.max_delay,
         )
 
     # -- plans -------------------------------------------------------------------------------
@@ -119,13 +122,15 @@ class _Compiler:
             )
         is_given = branch in given
         building = _Plan(self, branch)
-        made, tests = building.build(self._pattern.items if is_given else (), self._pattern.within)
+        made, tests = building.build(
+            self._pattern.items if is_given else (), horizon(self._pattern)
+        )
         self._check_times(made, branch)
         absences = tuple(
             building.absence(alone, other)
             for alone, other in zip(branch.absences, others, strict=True)
         )
-        static = building.static() if branch.static else None
+        static = building.static(self._pattern.items) if branch.static else None
         self._plans.append(building.with_outputs(made))
         self._branches.append(query.Branch(tests, absences, static, is_given))
         self._known[branch] = len(self._plans) - 1
@@ -227,7 +232,7 @@ class _Plan:
             until = self._output("until", plan.Time(self._of(alone.kept)))
         return query.Absence(other, rows, until)
 
-    def static(self) -> query.StaticJoin:
+    def static(self, items: tuple[Item, ...]) -> query.StaticJoin:
         triples = tuple((each.triple, each.graph) for each in self.branch.static)
         known = {
             each.name: each
@@ -243,8 +248,14 @@ class _Plan:
             place = self.compiler.sources.constant(known.get(name) or Variable(name, Kind.OBJECT))
             if not isinstance(place, Variable) or name in known:
                 output = self._output("static", self.expression(place, self.branch.samples))
-                variables.append((name, output, Kind(kind_of(place))))
-        return query.StaticJoin(triples, tuple(variables))
+                variables.append((name, output, kind_of(place)))
+        names = {name for each, _ in triples for name in variables_of(each)}
+        results = tuple(
+            (item.value.name, item.name)
+            for item in items
+            if isinstance(item.value, StaticVariable) and item.value.name in names
+        )
+        return query.StaticJoin(triples, tuple(variables), results)
 
     # -- elements, keys, times ---------------------------------------------------------------
 
@@ -347,14 +358,16 @@ class _Plan:
             found = self.expression(value, everything)
             return (
                 plan.Arithmetic("/", found, plan.Constant(float(SECOND)))
-                if (item.kind == DURATION)
+                if (item.kind == Kind.DURATION)
                 else found
             )
-        is_number = item.kind in (Kind.NUMBER, DURATION)
+        is_number = item.kind in (Kind.NUMBER, Kind.DURATION)
         return plan.Constant(math.nan if is_number else NO_VALUE)
 
     def _has_value(self, value: Value) -> bool:
         match value:
+            case StaticVariable():
+                return False  # in the plan: the static join gives it
             case Variable(name):
                 return name in self._carriers or name in self.compiler.sources.arguments
             case Calculation(_, left, right):
@@ -388,5 +401,7 @@ class _Plan:
                 return plan.Arithmetic(
                     sign, self.expression(left, samples), self.expression(right, samples)
                 )
+            case StaticVariable():
+                raise AssertionError("only the head has one")
             case _:
                 assert_never(value)

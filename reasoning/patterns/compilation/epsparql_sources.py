@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping
 from typing import Final, TypeAlias
 
-from ....languages.epsparql.checked import DURATION, Item, Place, Sample, Value, Variable
+from ....languages.epsparql.checked import Item, Place, Sample, Value, Variable
 from ....languages.mtl.checked import Constant, Kind, ObjectConstant
 from ....rdf.namespaces import local_name
 from ..plans.plan import Column, ColumnType
@@ -68,7 +68,7 @@ class PatternSources:
 
     def result(self, item: Item) -> Result:
         """The field of an item of the head."""
-        kind = Kind.NUMBER if item.kind == DURATION else Kind(item.kind)
+        kind = Kind.NUMBER if item.kind == Kind.DURATION else item.kind
         value = self.constant(item.value)
         argument = None
         if isinstance(value, ObjectConstant):

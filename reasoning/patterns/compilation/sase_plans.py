@@ -14,8 +14,8 @@ from typing import Any, Final
 from ....languages.errors import LanguageError, Span
 from ....languages.mtl.ast import Symbol, Variable
 from ....languages.mtl.checked import Kind
+from ....languages.rewriting import rewritten
 from ....languages.sase import ast
-from ....languages.sase.binding import rewritten
 from ....languages.sase.checked import TIME, CheckedPattern, is_over_matches, leaves_of, terms_of
 from ....languages.sase.results import result_name
 from ..plans.plan import (
@@ -42,8 +42,8 @@ from ..plans.plan import (
 from ..plans.query import END, START, Argument, Keys, Kinds, PatternQuery, Result, with_numbers
 from ..sequences.run_packing import sequence_network
 from ..sequences.trend_packing import pack_trends
-from .sase_sources import Attributes, source_kind
-from .sase_terms import NS, Terms, Typed, is_key
+from .sase_sources import Attributes, is_key, source_kind
+from .sase_terms import NS, Terms, Typed
 
 _SECOND: Final = 1e9
 
@@ -70,6 +70,9 @@ class _Compiler:
         )
         self._parts = {part.name: part for part in self._text.parts}
         self._given = self._object_terms()
+        within = checked.text.within
+        assert isinstance(within, int), "the check wants one, and binding gives a parameter's"
+        self._within = within
         self._own: dict[str, list[Condition]] = {part: [] for part in self._parts}
         self._beside: dict[str, list[Condition]] = {part: [] for part in self._parts}
         """The conditions on an absent part and others."""
@@ -105,7 +108,7 @@ class _Compiler:
                 tuple(self._conditions),
                 tuple(probes),
                 selection,
-                text.within,
+                self._within,
                 outputs=(Output(START, Time((0,), True)), Output(END, Time((last,))), *outputs),
                 trends=trends,
                 partition=partition,
@@ -117,7 +120,9 @@ class _Compiler:
         except PlanError as error:
             places = [self._there[i].span for i in error.elements] or [text.span]
             raise self._error(error.message, places[0], error.hint) from None
-        return PatternQuery(text.name, self._attributes.sources(), (plan,), results)
+        return PatternQuery(
+            text.name, self._attributes.sources(), (plan,), results, max_delay=text.max_delay
+        )
 
     def _error(self, message: str, span: Span, hint: str) -> LanguageError:
         return self._attributes.error(message, span, hint)
@@ -136,8 +141,7 @@ class _Compiler:
     def _absence(self, place: int) -> CountProbe:
         """An absent part: between its neighbours; before the first part as far as a match that ends
         with the last one may reach back; after the last one as far as a match may last."""
-        parts, within = self._text.parts, self._text.within
-        assert within is not None
+        parts, within = self._text.parts, self._within
         part = parts[place]
         before = [self._numbers[p.name] for p in parts[:place] if not p.is_negated]
         after = [self._numbers[p.name] for p in parts[place:] if not p.is_negated]
@@ -173,15 +177,8 @@ class _Compiler:
         for condition in self._text.where:
             if isinstance(condition, ast.Equivalence):
                 first = self._there[0].name
-                found = self._attributes.attribute(first, condition.name, condition.span)
-                if not is_key(found.kind):
-                    raise self._error(
-                        f"`{condition.name}` is a {found.kind}, and partitions are of texts or "
-                        "objects",
-                        condition.span,
-                        "write the id of what the events are about: `[id]`",
-                    )
-                columns.append(found.column)
+                found = self._attributes.key(first, condition.name, condition.span)
+                columns += [] if found is None else [found.column]
         return tuple(dict.fromkeys(columns))
 
     # -- conditions --------------------------------------------------------------------------
@@ -205,18 +202,11 @@ class _Compiler:
             case ast.Comparison():
                 yield bound
             case ast.Equivalence(name, value):
-                shared = self._shared(name, bound) if value is None else value
+                shared = self._each(self._there[0].name, name, bound) if value is None else value
                 for part in self._parts:
                     each = self._each(part, name, bound)
                     if each != shared or self._parts[part].is_kleene or len(self._there) == 1:
                         yield ast.Comparison("=", each, shared, bound.span)
-
-    def _shared(self, name: str, at: ast.Condition) -> ast.Attribute:
-        """What an attribute of each event must equal: that of all events of the first part, or of
-        its first event where it is no key."""
-        found = self._each(self._there[0].name, name, at)
-        kind = self._attributes.attribute(found.part, name, at.span).kind
-        return found if is_key(kind) else self._first(found)
 
     def _is_given(self, node: Any) -> bool:
         return isinstance(node, Variable) and node.name in self._given
@@ -239,7 +229,9 @@ class _Compiler:
         parts = list(dict.fromkeys(leaf.part for leaf in read))
         absent = next((part for part in parts if self._parts[part].is_negated), None)
         is_self = isinstance(node.left, ast.Attribute) and node.left == node.right
-        same = None if is_self and not is_shared else self._same_keys(node, absent)
+        same = None
+        if is_shared or not is_self:
+            same = self._same_keys(node, absent, is_shared=is_shared)
         if same is not None and absent is None and not is_shared:
             self._equalities.append((same, node))
         elif same is not None:
@@ -299,7 +291,9 @@ class _Compiler:
         is_kleene = self._parts[leaf.part].is_kleene
         return not is_kleene or (isinstance(leaf, ast.Attribute) and leaf.index is ast.Index.EACH)
 
-    def _same_keys(self, node: ast.Comparison, absent: str | None) -> Same | None:
+    def _same_keys(
+        self, node: ast.Comparison, absent: str | None, *, is_shared: bool
+    ) -> Same | None:
         """An equality of keys that an index can find: of all events of two parts, or of one that is
         repeated or alone."""
         match node:
@@ -312,19 +306,24 @@ class _Compiler:
             return None
         # The absent one comes first.
         sides = (right, left) if right.part == absent else (left, right)
-        found = [self._key(side, absent) for side in sides]
+        found = [self._key(side, absent, is_shared=is_shared) for side in sides]
         first, second = found
         if first is None or second is None or first[0] is not second[0]:
             return None
         return Same(*first[1:], *second[1:])
 
-    def _key(self, node: ast.Attribute, absent: str | None) -> tuple[Kind, int, str] | None:
-        """The kind, element and column of an attribute that is a key of each event of a part."""
+    def _key(
+        self, node: ast.Attribute, absent: str | None, *, is_shared: bool
+    ) -> tuple[Kind, int, str] | None:
+        """The kind, element and column of an attribute that is a key of each event of a part;
+        ``is_shared`` makes it one."""
         if node.name == TIME or not self._is_each(node):
             return None
-        found = self._attributes.attribute(node.part, node.name, node.span)
+        found = self._attributes.key(node.part, node.name, node.span)
+        if found is None or not (is_shared or is_key(found.kind)):
+            return None
         element = OWN if node.part == absent else self._numbers[node.part]
-        return (found.kind, element, found.column) if is_key(found.kind) else None
+        return found.kind, element, found.column
 
     # -- results -----------------------------------------------------------------------------
 

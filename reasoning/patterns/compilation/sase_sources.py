@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from ....languages.errors import LanguageError, Span
@@ -20,7 +20,7 @@ from ....languages.sase.checked import (
 from ....ontology.units import Unit
 from ....ontology.vocabulary import THING
 from ....rdf.namespaces import shorten
-from ..plans.plan import Column
+from ..plans.plan import Column, ColumnType
 from ..plans.query import Argument, Kinds, Part, Source, SourceColumn, column_type
 
 _ALL: Final = Argument(THING)
@@ -31,6 +31,11 @@ def sase_sources(checked: CheckedPattern) -> tuple[Source, ...]:
     """Return what matching has to find. The kinds of fields are not known before. Raises
     `LanguageError`."""
     return Attributes(checked, None).sources()
+
+
+def is_key(kind: Kind) -> bool:
+    """Whether values of a kind are keys, which only have an identity."""
+    return column_type(kind) is ColumnType.KEY
 
 
 def source_kind(event_type: EventType) -> str:
@@ -69,6 +74,10 @@ class Attributes:
             for each in self._types[part]:
                 if name != TIME:
                     self._read[source_kind(each)][name] = self._column(each, name, span)
+        is_divided = checked.text.strategy is ast.Strategy.PARTITION_CONTIGUITY
+        for condition in checked.text.where:
+            if isinstance(condition, ast.Equivalence) and (is_divided or condition.value is None):
+                self._add_keys(condition.name)
 
     def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
         return LanguageError(message, self._checked.source, span, hint)
@@ -81,14 +90,33 @@ class Attributes:
         """The sources, in order of the first part that reads each."""
         types = {source_kind(each): each for types in self._types.values() for each in types}
         return tuple(
-            Source(kind, each.concept, self._arguments[each], tuple(self._read[kind].values()))
+            Source(
+                kind,
+                each.concept,
+                self._arguments[each],
+                tuple(self._read[kind].values()),
+                each.is_sort,
+                self._checked.stream,
+            )
             for kind, each in types.items()
         )
 
     def attribute(self, part: str, name: str, span: Span) -> Attribute:
         """Return an attribute of a part. Raises `LanguageError` if the types of the part differ."""
+        return self._attribute(part, name, name, span)
+
+    def key(self, part: str, name: str, span: Span) -> Attribute | None:
+        """Return an attribute of a part as a key; None if it is neither a text or object nor one
+        that stands in brackets. Raises as `attribute`."""
+        found = self.attribute(part, name, span)
+        if is_key(found.kind):
+            return found
+        read = self._read[source_kind(self._types[part][0])]
+        return self._attribute(part, name, _as_key(name), span) if _as_key(name) in read else None
+
+    def _attribute(self, part: str, name: str, read: str, span: Span) -> Attribute:
         types = self._types[part]
-        columns = [self._read[source_kind(each)][name] for each in types]
+        columns = [self._read[source_kind(each)][read] for each in types]
         is_value = columns[0].part is Part.VALUE
         units = {each.unit if is_value else None for each in types}
         if len({(each.kind, each.part) for each in columns}) > 1 or len(units) > 1:
@@ -140,6 +168,14 @@ class Attributes:
                 f"no stream of {own} has a field `{name}`", span, suggest_name(name, known)
             )
         return SourceColumn(self._named(name, kind), Part.FIELD, kind, field=name)
+
+    def _add_keys(self, name: str) -> None:
+        """Add a column of keys for an attribute whose values are of another type."""
+        for read in self._read.values():
+            column = read[name]
+            if column.kind is not None and not is_key(column.kind):
+                key = self._columns.setdefault(_as_key(name), Column(_as_key(name), ColumnType.KEY))
+                read[key.name] = replace(column, column=key.name, as_key=True)
 
     def _named(self, name: str, kind: Kind | None) -> str:
         """The column of an attribute: its name, unless another type has it as another kind."""
@@ -245,3 +281,8 @@ class Attributes:
                 )
             case _:
                 return None
+
+
+def _as_key(name: str) -> str:
+    """The column of the keys of an attribute."""
+    return f"{name} as a key"

@@ -18,7 +18,6 @@ from ..plans.plan import (
     OWN,
     Aggregate,
     Arithmetic,
-    ColumnType,
     Condition,
     Constant,
     Expression,
@@ -29,7 +28,7 @@ from ..plans.plan import (
     Value,
     leaves_of,
 )
-from ..plans.query import column_type, object_key, text_key
+from ..plans.query import object_key, text_key
 from .sase_sources import Attributes
 
 NS: Final = parse_unit("ns")
@@ -255,11 +254,6 @@ class Terms:
             dimension(unit)
         except UnitError as error:
             raise self.error(str(error), span) from None
-
-
-def is_key(kind: Kind) -> bool:
-    """Whether values of a kind are keys, which only have an identity."""
-    return column_type(kind) is ColumnType.KEY
 
 
 def _reads(typed: Typed) -> bool:

@@ -45,11 +45,13 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     """Return the pattern that serves ``own``, which is ``free`` for one ``object`` (an IRI); None
     if there is none.
 
-    There is none with more than one plan, with repetition, aggregates or next matches, or where
-    another object is compared with this one.
+    There is none with more than one plan, with repetition, aggregates or next matches, with a
+    maximal delay, over the streams of a sort, or where another object is compared with this one.
     """
     if (
-        len(free.plans) != 1
+        free.max_delay is not None
+        or any(source.is_sort for source in free.sources)
+        or len(free.plans) != 1
         or len(own.plans) != 1
         or any(branch != Branch() for branch in free.branches)
     ):

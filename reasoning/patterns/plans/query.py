@@ -12,9 +12,12 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ....languages.mtl.checked import Kind
 from ....sparql.ast import Triple
-from .plan import ColumnType, Constant, Key, Listed, PatternPlan
+from .plan import NO_VALUE, ColumnType, Constant, Key, Listed, PatternPlan
 
 START, END = "start", "end"
 """Outputs that every plan has: the times (ns) at which a match starts and ends."""
@@ -37,13 +40,15 @@ class Part(StrEnum):
 class SourceColumn:
     """A ``column`` of the plan, and what fills it. ``kind``: of its values (None: that of the
     stream's field); ``argument``: which object (from 0), for `Part.OBJECT`; ``field``: its name,
-    for `Part.FIELD`."""
+    for `Part.FIELD`. ``as_key``: the column has keys, equal for equal values (`value_keys`), though
+    values of the kind are none."""
 
     column: str
     part: Part
     kind: Kind | None = None
     argument: int = 0
     field: str = ""
+    as_key: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +65,20 @@ class Source:
     """The samples that are rows of one ``kind``.
 
     ``concept``: the IRI of a feature, of an event or of a sort; of a sort they are the samples of
-    all streams that tell something of its objects. ``arguments``: the objects of the feature, at
-    least the first one. A sample without a value is no row. A sample is one row of each source
-    that it suits, so a query has one source for each concept: which objects an element means,
-    where that differs, is a condition on their column.
+    all streams that tell something of its objects, except those that units make (``is_sort``).
+    ``arguments``: the objects of the feature, at least the first one. A sample without a value is
+    no row; of a sort, one without the object. A sample is one row of each source that it suits, so
+    a query has one source for each concept: which objects an element means, where that differs, is
+    a condition on their column. ``stream``: the name of the only stream that is read; empty: those
+    that matching finds.
     """
 
     kind: str
     concept: str
     arguments: tuple[Argument, ...]
     columns: tuple[SourceColumn, ...]
+    is_sort: bool = False
+    stream: str = ""
 
     @property
     def has_changes(self) -> bool:
@@ -130,10 +139,13 @@ class Absence:
 class StaticJoin:
     """Triples of static graphs, each with its graph (None: those of FROM, or the ontology), that
     are joined to the matches of a plan: each match is a result once for each solution of them.
-    ``variables``: those that outputs of the plan fill, as (variable, output, kind)."""
+    ``variables``: those that outputs of the plan fill, as (variable, output, kind). ``results``:
+    those whose values the results have, as (variable, output); they are texts, and the plan has
+    `NO_VALUE` there."""
 
     triples: tuple[tuple[Triple, str | None], ...]
     variables: tuple[tuple[str, str, Kind], ...]
+    results: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +169,8 @@ class PatternQuery:
     of the plans has such a text.
 
     ``branches``: one for each plan; without any the matches of all plans are results. ``graphs``:
-    the static graphs of FROM and of FROM NAMED.
+    the static graphs of FROM and of FROM NAMED. ``max_delay`` (ns): how long after its valid time a
+    sample is available at the latest; None: streams are in order, but for their lateness.
     """
 
     name: str
@@ -167,6 +180,7 @@ class PatternQuery:
     valid: str = END
     branches: tuple[Branch, ...] = ()
     graphs: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    max_delay: int | None = None
 
 
 def lists_of(query: PatternQuery) -> frozenset[str]:
@@ -194,7 +208,7 @@ def column_type(kind: Kind) -> ColumnType:
     match kind:
         case Kind.NUMBER:
             return ColumnType.NUMBER
-        case Kind.TRUTH | Kind.TIME:
+        case Kind.TRUTH | Kind.TIME | Kind.DURATION:
             return ColumnType.INTEGER
         case Kind.TEXT | Kind.OBJECT:
             return ColumnType.KEY
@@ -232,6 +246,16 @@ def object_key(iri: str) -> str:
 def text_key(text: str) -> str:
     """Return the key of a text."""
     return f'"{text}'
+
+
+def value_keys(values: NDArray[np.float64] | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a key for each number, truth or time, equal for equal values; `NO_VALUE` for a missing
+    one. Values of two kinds may share a key. No memory is needed, other than for `Keys`."""
+    if values.dtype != np.float64:
+        return values.astype(np.int64)
+    # The bits of the number; adding 0 makes 0 of -0, which has those of `NO_VALUE`.
+    numbers = values + 0.0
+    return np.where(np.isnan(numbers), NO_VALUE, numbers.view(np.int64))
 
 
 def with_numbers(plan: PatternPlan, keys: Keys) -> PatternPlan:

@@ -39,9 +39,11 @@ class CombinedMatches(Matches):
     plan: Integers
 
 
-StaticSolutions: TypeAlias = Callable[[StaticJoin, Mapping[str, NDArray[Any]], int], Integers]
-"""Returns the number of solutions of a static join for each of so many rows of values, by
-variable."""
+StaticSolutions: TypeAlias = Callable[
+    [StaticJoin, Mapping[str, NDArray[Any]], int], tuple[Integers, Mapping[str, Integers]]
+]
+"""Returns the solutions of a static join for so many rows of values, by variable: the number of the
+row of each, and their results, by output."""
 
 
 class CombinedRows:
@@ -157,6 +159,10 @@ class CombinedRows:
             part.rows.kept + sum(len(found.until) for found in part.found) for part in self._parts
         )
 
+    def given(self) -> list[tuple[int, AllRows]]:
+        """The evaluations whose matches may be results, with the numbers of their plans."""
+        return [(part.number, part.rows) for part in self._parts if part.branch.is_given]
+
     def state(self) -> tuple[Any, ...]:
         """Everything that `restore` needs; it can be pickled and does not change later."""
         parts = [
@@ -201,8 +207,9 @@ class CombinedRows:
             join = part.branch.static
             if join is not None and self._static is not None:
                 values = {name: found.outputs[output] for name, output, _ in join.variables}
-                counts = self._static(join, values, len(found))
-                found = found[np.repeat(np.arange(len(found)), counts)]
+                rows, results = self._static(join, values, len(found))
+                found = found[rows]
+                found.outputs.update(results)
             final.append(found)
         for part in self._parts:
             for each in part.found:

@@ -1,17 +1,18 @@
 """Partial matches: which events have come, and when each of the others may still come (SPEC §8).
 
-They are not kept: they are enumerated from the rows of an evaluator when somebody asks.
+Under any match they are not kept: they are enumerated from the rows of an evaluator on demand. The
+strategies that select the next row keep them, as runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from ....streams.time import TIME_MAX, TIME_MIN
 from ..plans.network import INFINITE, Network
-from ..plans.plan import OWN, ColumnType, CountProbe, PatternPlan, Point, elements_of
+from ..plans.plan import OWN, CountProbe, PatternPlan, Point, elements_of
 from ..plans.row_values import Bound, Number, Row, are_same, holds, time_of
 
 MOST_STEPS: Final = 100_000
@@ -29,19 +30,32 @@ class Pending:
 
 @dataclass(frozen=True, slots=True)
 class Partial:
-    """A partial match: the rows of the events that have come, by element, and the others."""
+    """A partial match: the rows of the events that have come, each with its element, and the
+    others. Of a Kleene element it has the first row, and the last one if that is another."""
 
-    bound: Mapping[int, Row]
+    rows: tuple[tuple[int, Row], ...]
     pending: tuple[Pending, ...]
 
     @property
     def last(self) -> int:
         """The time (ns) of the last event."""
-        return max(row.end for row in self.bound.values())
+        return max(row.end for _, row in self.rows)
 
     def keys(self, columns: Collection[str]) -> set[Number | None]:
         """The keys in these columns of its rows."""
-        return {row.values.get(column) for row in self.bound.values() for column in columns}
+        return {row.values.get(column) for _, row in self.rows for column in columns}
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """All these ``keys`` are wanted, each in one of these ``columns`` of a row."""
+
+    keys: frozenset[int | None] = frozenset()
+    columns: tuple[str, ...] = ()
+
+
+NOTHING: Final = Wanted()
+"""Nothing in particular: all partial matches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,21 +71,82 @@ def partial_matches(
     rows: Sequence[Sequence[Row]],
     now: int,
     limit: int,
-    wanted: Collection[int | None] = (),
+    wanted: Wanted = NOTHING,
 ) -> Partials:
     """Return the partial matches of a plan without repetition at the watermark ``now`` (ns).
 
     A set of rows for some of its elements is one if they meet what the plan says of them, and if
     each of the others may still come: not before ``now``. ``rows`` are those of each element, then
-    of each probe. ``wanted``: only matches with these keys, by column, in one of their rows.
+    of each probe.
 
     Cost: exponential in the elements, at most `MOST_STEPS` rows.
     """
     search = _Search(network, rows, now)
-    columns = [each.name for each in network.plan.columns if each.type is ColumnType.KEY]
-    found = [each for each in search.partials() if each.keys(columns) >= set(wanted)]
-    found.sort(key=lambda each: (-each.last, -len(each.bound)))
-    return Partials(tuple(found[:limit]), len(found) > limit or search.is_over)
+    found = newest(search.partials(), limit, wanted)
+    return Partials(found.found, found.has_more or search.is_over)
+
+
+def partial_runs(
+    network: Network,
+    runs: Iterable[Sequence[tuple[Row, Row]]],
+    now: int,
+    limit: int,
+    wanted: Wanted = NOTHING,
+) -> Partials:
+    """Return the partial matches among ``runs`` at the watermark ``now`` (ns): those that have not
+    lasted too long. ``runs`` have the first and the last row of each element that they have bound.
+    ``wanted`` as for `partial_matches`. Probes are not asked: they are of whole matches.
+
+    Cost: O(runs)."""
+    found = (_of_run(network, run, now) for run in runs)
+    return newest((each for each in found if each is not None), limit, wanted)
+
+
+def _of_run(network: Network, run: Sequence[tuple[Row, Row]], now: int) -> Partial | None:
+    """The partial match of a run; None if the next event cannot come any more."""
+    plan, state = network.plan, len(run) - 1
+    times = {}
+    for element, (first, last) in enumerate(run):
+        start = first.start if plan.has_intervals else first.end
+        times[network.variable(Point(element, True))] = start
+        times[network.variable(Point(element))] = last.end
+    low_only = network.variable(Point(state)) if plan.elements[state].is_kleene else None
+    pending = []
+    for element in range(state + 1, len(plan.elements)):
+        # Of a Kleene element the first row: it ends after it begins, and before the last one ends.
+        is_kleene = plan.elements[element].is_kleene
+        low, _ = _window(network, network.variable(Point(element, is_kleene)), times)
+        latest = network.variable(Point(element, is_kleene and not plan.has_intervals))
+        # A repeated part that goes on moves the bounds that begin with its last row.
+        _, high = _window(network, latest, {v: t for v, t in times.items() if v != low_only})
+        if high < now:
+            return None
+        pending.append(Pending(element, max(low, now), None if high == TIME_MAX else high))
+    rows = []
+    for element, (first, last) in enumerate(run):
+        rows.append((element, first))
+        if last.number != first.number:
+            rows.append((element, last))
+    return Partial(tuple(rows), tuple(pending))
+
+
+def newest(found: Iterable[Partial], limit: int, wanted: Wanted) -> Partials:
+    """Return the wanted ones, at most ``limit``, the newest first."""
+    chosen = [each for each in found if each.keys(wanted.columns) >= wanted.keys]
+    chosen.sort(key=lambda each: (-each.last, -len(each.rows)))
+    return Partials(tuple(chosen[:limit]), len(chosen) > limit)
+
+
+def _window(network: Network, own: int, times: Mapping[int, int]) -> tuple[int, int]:
+    """The least and the greatest time of a variable by those of others."""
+    greatest = network.greatest
+    low, high = TIME_MIN, TIME_MAX
+    for number, time in times.items():
+        if greatest[own][number] < INFINITE:
+            low = max(low, time - greatest[own][number])
+        if greatest[number][own] < INFINITE:
+            high = min(high, time + greatest[number][own])
+    return low, high
 
 
 class _Search:
@@ -94,7 +169,7 @@ class _Search:
         """The partial matches with these rows for the elements before ``element``."""
         if element == len(self._plan.elements):
             if 0 < len(bound) < element and (pending := self._pending(bound)) is not None:
-                yield Partial(dict(bound), pending)
+                yield Partial(tuple(sorted(bound.items())), pending)
             return
         yield from self._from(element + 1, bound)
         for row in self._rows[element]:
@@ -129,16 +204,9 @@ class _Search:
 
     def _window(self, point: Point, bound: Bound) -> tuple[int, int]:
         """The least and the greatest time of a point by those of the bound rows."""
-        greatest, own = self._network.greatest, self._network.variable(point)
-        low, high = TIME_MIN, TIME_MAX
-        for element in bound:
-            for other in (Point(element), Point(element, True)):
-                time, number = time_of(self._plan, other, bound), self._network.variable(other)
-                if greatest[own][number] < INFINITE:
-                    low = max(low, time - greatest[own][number])
-                if greatest[number][own] < INFINITE:
-                    high = min(high, time + greatest[number][own])
-        return low, high
+        points = (p for element in bound for p in (Point(element), Point(element, True)))
+        times = {self._network.variable(p): time_of(self._plan, p, bound) for p in points}
+        return _window(self._network, self._network.variable(point), times)
 
     def _pending(self, bound: Bound) -> tuple[Pending, ...] | None:
         """The windows of the other elements; None if one of them cannot come any more, or a probe

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....streams.sample import Times
-from ....streams.time import TIME_MIN
+from ....streams.time import TIME_MIN, format_duration
+from ....streams.time_arithmetic import later
 from ...states.departures import Departures, Steps
+from ..evaluation.all_rows import AllRows
 from ..evaluation.evaluator import Evaluator
 from ..plans.limits import DEFAULT_LIMITS, Limits
-from ..plans.plan import NO_VALUE, Selection
+from ..plans.network import minimal_network
+from ..plans.plan import NO_VALUE, ColumnType, PatternPlan, PlanError, Selection
 from ..plans.query import END, Branch, Keys, PatternQuery, with_numbers
 from ..plans.rows import Matches, Rows, Values, concatenated
+from ..sequences.next_rows import NextRows
+from ..sequences.run_packing import sequence_network
 from .changes import Changes
 from .choice import evaluator_of
 from .combined import CombinedRows, StaticSolutions
+from .partial import Partial, Wanted, partial_matches, partial_runs
 
 STREAM, SAMPLE, KIND = range(3)
 """Where a row comes from."""
@@ -44,10 +50,11 @@ class Recognition:
 
     A row's end is its valid time. Where order matters (probes, runs, trends, changes), a row waits
     until no earlier one may come: until the greatest valid times of all streams have reached it,
-    less their ``lateness`` (ns, one a stream). A match is available when it is decided. Other plans
-    take rows as they arrive, and a match is available with the last of its rows. A row behind what
-    has been reached is late in both: it is counted, and left out. ``keeps_places``: `places` may be
-    asked for.
+    less their ``lateness`` (ns, one a stream). With a ``max_delay`` of the query it waits that long
+    after its time instead, by available times, so that the clock decides what did not happen. A
+    match is available when it is decided. Other plans take rows as they arrive, and a match is
+    available with the last of its rows. A row behind what has been reached is late in both: it is
+    counted, and left out. ``keeps_places``: `places` may be asked for.
 
     Law (tests/laws/reasoning/test_recognition.py): results and their available times do not depend
     on batch cuts, nor on the order in which the streams deliver. Cost: a sort of the new rows.
@@ -80,7 +87,7 @@ class Recognition:
         }
         has_changes = any(source.has_changes for source in query.sources)
         self._changes = Changes(query.sources) if has_changes else None
-        self._departures = Departures(None, streams, lateness)
+        self._departures = Departures(query.max_delay, streams, lateness)
         self._begun = [0] * streams
         """The number of the first sample in the last batch of each stream."""
         self._samples = [0] * streams
@@ -96,7 +103,9 @@ class Recognition:
     def explain(self) -> str:
         """Describe the plans and their evaluation."""
         order = "in order of valid time" if self.is_ordered else "as they arrive"
-        return f"{self.evaluator.explain()}\nrows are taken {order}"
+        delay = self.query.max_delay
+        wait = "" if delay is None else f", at most {format_duration(delay)} after it"
+        return f"{self.evaluator.explain()}\nrows are taken {order}{wait}"
 
     def losses(self) -> dict[str, int]:
         """Return what was left out for a limit, and how often."""
@@ -115,6 +124,43 @@ class Recognition:
         """The number of rows and matches in memory."""
         queued = sum(map(len, (self._new, self._waiting, *self._parts)))
         return queued + self.evaluator.kept + self.evaluator.pending
+
+    def partials(
+        self, limit: int, keys: Collection[int | None] = ()
+    ) -> tuple[list[tuple[PatternPlan, Partial]], bool]:
+        """Return the partial matches with all these ``keys`` of objects and texts, at most
+        ``limit``, the newest first, each with its plan; and whether there may be more. Raises
+        `PlanError` for a pattern that keeps neither rows to join nor runs."""
+        wanted = Wanted(frozenset(keys), self._named_columns())
+        evaluator = self.evaluator
+        now = evaluator.watermark
+        match evaluator:
+            case NextRows():
+                (plan,) = self.plans
+                runs = evaluator.begun()
+                parts = [(plan, partial_runs(sequence_network(plan), runs, now, limit, wanted))]
+            case AllRows() | CombinedRows():
+                joins = [(0, evaluator)] if isinstance(evaluator, AllRows) else evaluator.given()
+                parts = [
+                    (plan, partial_matches(minimal_network(plan), rows.rows(), now, limit, wanted))
+                    for plan, rows in ((self.plans[number], rows) for number, rows in joins)
+                ]
+            case _:
+                raise PlanError(
+                    "under skip_till_any_match a repeated part has exponentially many partial "
+                    "matches",
+                    "write `WHERE skip_till_next_match`, or ask a pattern without repetition",
+                )
+        found = [(plan, each) for plan, partials in parts for each in partials.found]
+        found.sort(key=lambda each: (-each[1].last, -len(each[1].rows)))
+        has_more = len(found) > limit or any(partials.has_more for _, partials in parts)
+        return found[:limit], has_more
+
+    def _named_columns(self) -> tuple[str, ...]:
+        """The columns whose keys are those of objects and texts."""
+        read = {each.column: each for source in self.query.sources for each in source.columns}
+        keys = {c.name for plan in self.plans for c in plan.columns if c.type is ColumnType.KEY}
+        return tuple(name for name in keys if name not in read or not read[name].as_key)
 
     def places(self) -> NDArray[np.int64]:
         """Return where each row came from, by the numbers of `Recognized.rows`: `STREAM`, `SAMPLE`
@@ -200,14 +246,18 @@ class Recognition:
 
     def _in_order(self, new: Batch, steps: Steps) -> Recognized:
         rows = joined([self._waiting, new]).in_order()
-        leave = int(np.searchsorted(rows.end, steps.latest, "right"))
+        side: Literal["left", "right"] = "right" if steps.delay is None else "left"
+        leave = int(np.searchsorted(rows.end, steps.latest, side))
         self._waiting = rows.take(slice(leave, None))
         rows, first = rows.take(slice(0, leave)), self._number
         found = concatenated([self._pushed(rows), self.evaluator.advance(steps.latest)])
         # A match that had to wait is decided when its time is reached, another one by its last row,
         # which leaves when its time is reached, or later, when it comes.
-        available = steps.reaching(found.decided)
         by_row = found.decided <= found.outputs[END]
+        if steps.delay is not None:
+            # One that had to wait is decided by what did not come up to the time before.
+            return self._results(found, later(found.decided - ~by_row, steps.delay))
+        available = steps.reaching(found.decided)
         came = rows.available[found.last[by_row] - first]
         available[by_row] = np.maximum(available[by_row], came)
         return self._results(found, available)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -15,16 +14,19 @@ from ....continuous.columns.relation import TermValues, as_terms
 from ....continuous.operators.background import Background
 from ....continuous.operators.executor import execute
 from ....continuous.operators.sources import EmptyWindows, StaticSide
+from ....converters.objects import object_name
 from ....languages.mtl.checked import Kind
 from ....rdf.datatypes import NUMBERS
 from ....rdf.dictionary import Term, TermDictionary
-from ....rdf.namespaces import XSD
+from ....rdf.namespaces import DYKNOW, XSD
 from ....sparql import ast
 from ....streams.time import parse_time
+from ..plans.plan import NO_VALUE
 from ..plans.query import Keys, StaticJoin, object_key, text_key
 
 Value: TypeAlias = str | float | int
-Table: TypeAlias = Counter[tuple[Value, ...]]
+Table: TypeAlias = dict[tuple[Value, ...], list[tuple[str | None, ...]]]
+"""The results of each solution, in order, by the values of the variables that the plan fills."""
 
 
 class StaticTables:
@@ -44,38 +46,58 @@ class StaticTables:
 
     def __call__(
         self, join: StaticJoin, values: Mapping[str, NDArray[Any]], count: int
-    ) -> NDArray[np.int64]:
-        """Return the number of solutions for each of ``count`` rows of values, by variable."""
+    ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.int64]]]:
+        """Return the solutions for ``count`` rows of values, by variable: the number of the row of
+        each, and their results, by output. Those of one row are in order of their texts."""
         table = self._table(join)
         columns = [
             [self._value(kind, each) for each in values[name].tolist()]
             for name, _, kind in join.variables
         ]
         rows = zip(*columns, strict=True) if columns else [()] * count
-        return np.array([table[row] for row in rows], np.int64)
+        found = [table.get(row, []) for row in rows]
+        numbers = np.repeat(np.arange(count), np.array(list(map(len, found)), np.int64))
+        solutions = [solution for solutions in found for solution in solutions]
+        results = {
+            output: np.array([self._number(solution[i]) for solution in solutions], np.int64)
+            for i, (_, output) in enumerate(join.results)
+        }
+        return numbers, results
+
+    def _number(self, text: str | None) -> int:
+        return NO_VALUE if text is None else self._keys.number(text_key(text))
 
     def _value(self, kind: Kind, value: int | float) -> Value:
         return self._keys.key(int(value)) if kind in (Kind.OBJECT, Kind.TEXT) else value
 
     def _table(self, join: StaticJoin) -> Table:
-        """The number of solutions by the values of the join's variables."""
+        """The solutions by the values of the join's variables."""
         if self._background.version != self._version:
             self._version, self._tables = self._background.version, {}
         if join not in self._tables:
-            self._tables[join] = self._counted(join)
+            self._tables[join] = self._solved(join)
         return self._tables[join]
 
-    def _counted(self, join: StaticJoin) -> Table:
+    def _solved(self, join: StaticJoin) -> Table:
         dictionary = TermDictionary()
         terms = TermValues(dictionary)
         source = EmptyWindows(StaticSide(self._background, terms), (), False, None)
         relation = execute(translate(_query(join), {}, self._graphs).plan, source, terms)
-        columns = []
-        for name, _, kind in join.variables:
+
+        def of(name: str) -> list[Term]:
             ids = as_terms(relation.column(name), dictionary).values.tolist()
-            columns.append([_value_of(dictionary.term(each), kind) for each in ids])
-        rows = zip(*columns, strict=True) if columns else [()] * relation.rows
-        return Counter(row for row in rows if None not in row)
+            return list(map(dictionary.term, ids))
+
+        given = [[_value_of(term, kind) for term in of(name)] for name, _, kind in join.variables]
+        told = [list(map(_text_of, of(name))) for name, _ in join.results]
+        table: Table = {}
+        for i in range(relation.rows):
+            row = tuple(value for column in given for value in [column[i]] if value is not None)
+            if len(row) == len(given):
+                table.setdefault(row, []).append(tuple(column[i] for column in told))
+        for solutions in table.values():
+            solutions.sort(key=lambda each: tuple(text or "" for text in each))
+        return table
 
 
 def _query(join: StaticJoin) -> ast.Query:
@@ -108,6 +130,13 @@ def _value_of(term: Term, kind: Kind) -> Value | None:
             return _time(text)
         case _:
             return None
+
+
+def _text_of(term: Term) -> str | None:
+    """A term as a result tells it: the name of an object, or the text of a literal."""
+    if isinstance(term, NamedNode):
+        return object_name(term.value, DYKNOW)
+    return term.value if isinstance(term, Literal) else None
 
 
 def _time(text: str) -> int | None:

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from ..evaluation.conditions import END
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.outputs import output_columns
-from ..evaluation.store import ROWS, SMALLEST, WATERMARK
+from ..evaluation.store import BUFFER, ROWS, SMALLEST, WATERMARK
 from ..plans.limits import DEFAULT_LIMITS, Counters, Limits
 from ..plans.plan import PatternPlan, Selection
+from ..plans.row_values import Row
 from .repetition import RunRepetition
 from .run_loop import ask, scratch
 from .run_packing import pack_runs, sequence_network
-from .runs import LIVE, UNSTARTED, Runs, width_of
+from .runs import HEAD, LISTS, LIVE, NEXT, UNSTARTED, Runs, width_of
 
 Integers = NDArray[np.int64]
 CONTIGUOUS: Final = (Selection.PARTITION_CONTIGUITY, Selection.STRICT_CONTIGUITY)
@@ -56,6 +57,20 @@ class Sequences(Evaluator):
     def runs(self) -> int:
         """The number of runs, of which some may have ended for want of rows."""
         return int(self._runs.counts[LIVE])
+
+    def begun(self) -> list[list[tuple[Row, Row]]]:
+        """The runs that lack an element: the first and the last row of each element that they have
+        bound. Some may have lasted too long. Cost: Python operations for each."""
+        runs, count = self._runs, len(self.plan.elements)
+        found = []
+        for each in runs.lists[: int(runs.counts[LISTS])]:
+            state, run = int(each[BUFFER]), int(each[HEAD])
+            while run >= 0 and state < count - 1:
+                record = runs.runs[run]
+                places = [(int(record[e]), int(record[count + e])) for e in range(state + 1)]
+                found.append([(self._row(first), self._row(last)) for first, last in places])
+                run = int(record[NEXT])
+        return found
 
     @property
     def kept(self) -> int:

@@ -71,9 +71,7 @@ def _refuse_options_of_queries(options: RunOptions, what: str) -> None:
         ),
         "--lateness": (
             options.lateness,
-            "the text says it: `with max delay t`"
-            if is_monitor
-            else "the samples come in order of valid time",
+            "the text says it: `with max delay t`",
         ),
         "--late": (options.late, "late samples are only counted"),
     }

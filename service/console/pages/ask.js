@@ -15,7 +15,8 @@ const STRATEGIES = {
 };
 const COMPARED = { ">": "above", ">=": "from", "<": "below", "<=": "up to", "=": "equal to", "!=": "other than" };
 const AGGREGATES = { AVG: "mean", MAX: "greatest", MIN: "least", SUM: "sum of", COUNT: "number of", SAMPLE: "any" };
-const LABELS = { object: "object", sort: "of sort", feature: "feature", number: "number", text: "text" };
+const LABELS = { object: "object", sort: "of sort", feature: "feature", number: "number", text: "text",
+  duration: "duration" };
 const SINCE = { now: "now", start: "with what is kept" };
 
 const prefixed = (name) => (name.includes(":") || name.startsWith("<") ? name : `dyknow:${name}`);
@@ -23,7 +24,7 @@ const sorts = () => vocabulary.value.sorts.map((each) => local(each.name));
 /** A sort that streams are about, so that the first plan is one. */
 const usual = () => [...byName.value.values()].flatMap((each) => each.ports).flatMap((port) => port.of)
   .filter((each) => each.every).map((each) => local(each.name))[0] ?? sorts()[0] ?? "Thing";
-const initial = (use) => ({ sort: usual(), number: "100", feature: "speed" })[use.role] ?? "";
+const initial = (use) => ({ sort: usual(), number: "100", feature: "speed", duration: "10s" })[use.role] ?? "";
 
 /** The term for an argument, as a request has it. */
 function term(use, text) {

@@ -4,7 +4,9 @@ import pytest
 from feeding import feed, samples
 
 from dyknow.engine.model.errors import BadArguments, NoPlan, NoResult
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.languages.errors import LanguageError
+from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
 DESCENT = """REGISTER TEMPLATE Descent(?x, ?low) AS chronicle descent(?x) {
@@ -141,6 +143,77 @@ def test_sase(flying):
     ]
 
 
+def test_numbers_that_all_events_share(flying):
+    """Also of two types, in one unit: 100 km/h are an integer here and a float there. A missing
+    value equals none, and -0 equals 0."""
+    flying.annotate("stream cars contains speed(Car) = kmh [km.h-1] for every Car = id")
+    flying.queries.register(
+        "REGISTER STREAM s AS PATTERN SEQ(speed a, speed b) WHERE partition_contiguity [value] "
+        "WITHIN 9s RETURN a.id AS x, b.value AS v"
+    )
+    feed(flying, "speeds", [(t, {"id": "uav1", "spd": v}) for t, v in
+                            ((1, 100.0), (2, -0.0), (4, None), (5, None), (6, 0.0))])  # fmt: skip
+    feed(flying, "cars", [(t, {"id": "car1", "kmh": v}) for t, v in ((3, 100), (7, 3))])
+    for name in ("speeds", "cars"):
+        flying.end(name)
+    assert [(int(t), r["x"], r["v"]) for t, r in samples(flying, "s")] == [
+        (3, "uav1", 100.0),
+        (6, "uav1", 0.0),
+    ]
+
+
+def test_one_name_for_fields_of_two_types(engine):
+    for stream, feature, type in (("s1", "speed", "STRING"), ("s2", "altitude", "FLOAT")):
+        fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+        engine.declare(StreamDeclaration(stream, (*fields, Field("tag", FieldType[type]))))
+        engine.annotate(f"stream {stream} contains {feature}(UAV) = v for every UAV = id")
+    engine.queries.register(
+        "REGISTER STREAM s AS PATTERN SEQ(speed a, altitude b) WHERE [id] and a.tag = 'x' and "
+        "b.tag > 3 WITHIN 5s RETURN a.id AS x"
+    )
+    feed(engine, "s1", [(1, {"id": "uav1", "v": 1.0, "tag": "x"})])
+    feed(engine, "s2", [(2, {"id": "uav1", "v": 1.0, "tag": 4.0})])
+    for name in ("s1", "s2"):
+        engine.end(name)
+    assert told(engine, "s") == [(2, "uav1")]
+
+
+def test_a_duration_of_a_request(flying):
+    """uav1 is fast at 3 s and low at 5 s."""
+    flying.register_template(
+        DESCENT.replace("?low) AS", "?low, ?time) AS").replace("3s]", "?time]")
+    )
+    streams = {
+        time: ask(flying, f'Descent(?x, 400, "{time}"^^xsd:duration)').stream
+        for time in ("PT1.9S", "PT2S", "PT7S")
+    }
+    fly(flying)
+    found = {time: told(flying, stream) for time, stream in streams.items()}
+    assert found == {"PT1.9S": [], "PT2S": [(5, "uav1")], "PT7S": [(5, "uav1"), (9, "uav2")]}
+
+
+LIMITED = (
+    "REGISTER STREAM s AS PATTERN SEQ(speed+ a[], altitude b) WHERE [id] WITHIN 1 minute "
+    "RETURN count(a[]) AS n LIMIT 2"
+)
+
+
+def test_the_first_loss_is_reported(flying):
+    """Of two speeds and a height there are three matches, and two are results."""
+    flying.queries.register(LIMITED)
+    feed(flying, "speeds", [(t, {"id": "uav1", "spd": 80.0}) for t in (1, 2)])
+    feed(flying, "heights", [(t, {"id": "uav1", "alt": 50.0}) for t in (3, 4, 5)])
+    for name in ("speeds", "heights"):
+        flying.end(name)
+    assert len(samples(flying, "s")) == 6
+    unit = flying.queries.unit("s")
+    reported = [v for _, v in samples(flying, "status") if v["change"] == "limit reached"]
+    assert [(each["stream"], each["unit"], each["specification"]) for each in reported] == [
+        ("s", unit.name, "left out: rows that complete more matches than the limit")
+    ]
+    assert unit.recognition.losses() == {"rows that complete more matches than the limit": 3}
+
+
 def test_rounded_numbers_are_told(flying):
     """Of 70 speeds each subset but the empty one ends with the height: 2^70 - 1 matches."""
     flying.queries.register(
@@ -264,3 +337,35 @@ def test_static_triples_are_joined(flying):
     )
     fly(flying)
     assert [(int(v), r["c"]) for v, r in samples(flying, "owned")] == [(3, "uav1")]
+
+
+def test_static_triples_are_told(flying):
+    """A result for each of their solutions, in order of texts; `*` has their variables, too."""
+    flying.load_ontology(
+        "@prefix d: <http://www.ida.liu.se/dyknow/> . @prefix e: <http://e.org/> . "
+        "d:uav1 e:owner d:ann , e:bob . e:bob e:age 40 . d:ann e:age 'old' .",
+        name="http://e.org/owners",
+        format="turtle",
+    )
+    head = "PREFIX dyknow: <http://www.ida.liu.se/dyknow/> PREFIX e: <http://e.org/> "
+    where = ("{ ?c dyknow:speed ?v . ?c e:owner ?who . ?who e:age ?age FILTER (?v > 100) } "
+             "WITHIN 1 s")  # fmt: skip
+    flying.queries.register(f"REGISTER STREAM s AS {head} SELECT ?c ?age (?who AS ?o) {where}")
+    flying.queries.register(f"REGISTER STREAM t AS {head} SELECT * {where}")
+    flying.queries.register(f"REGISTER STREAM u AS {head} CONSTRUCT {{ ?c e:by ?who }} {where}")
+    assert [field.name for field in flying.queries.view("t").fields] == [
+        "c", "v", "who", "age", "start", "end"]  # fmt: skip
+    fly(flying)
+    owners = ["ann", "http://e.org/bob"]
+    found = {
+        name: [(int(t), r.get("o"), r.get("who"), r.get("age"), r.get("by"))
+               for t, r in samples(flying, name)]
+        for name in "stu"
+    }  # fmt: skip
+    assert found == {
+        "s": [(3, "http://e.org/bob", None, "40", None), (3, "ann", None, "old", None)],
+        "t": [(3, None, "ann", "old", None), (3, None, owners[1], "40", None)],
+        "u": [(3, None, None, None, who) for who in owners],
+    }
+    (bob, ann) = flying.queries.why("s", ["uav1"], 3 * SECOND)()
+    assert (bob.values["o"], ann.values["o"]) == (owners[1], "ann")

@@ -115,7 +115,10 @@ def test_examples_are_right(text: str) -> None:
 def test_templates_are_right(text: str) -> None:
     assert is_chronicle(text)
     template = check_chronicle_template(parse_chronicle_template(text), VOCABULARY)
-    values = {"limit": Constant(100.0, Kind.NUMBER)}
+    values = {
+        "limit": Constant(100.0, Kind.NUMBER),
+        "longest": Constant(10**11, Kind.DURATION),
+    }
     assert chronicle_query(with_arguments(template.chronicle, values, {}), text, VOCABULARY).plans
 
 

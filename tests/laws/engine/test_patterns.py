@@ -27,8 +27,9 @@ PATTERNS = (
     "when recognized { emit event(m[?x, ?v], t1); } }",
     "chronicle m(?y in UAV) { event(speed[?x]:(?, > 36), t1); event(altitude[?y], t2); ?x != ?y; "
     "hold(speed[?y]:(< 100), (t1, t2)); t2 - t1 in [-2s, 2s]; }".replace(":(< 100)", ":< 100"),
-    # A unit selects the samples of uav1; its watermarks are those of whole batches.
-    "chronicle m { event(speed[uav1]:(?, > 18), t1); event(altitude[uav2], t2); "
+    # A unit selects the samples of uav2; its watermarks are those of whole batches. Each world has
+    # the altitude of uav1.
+    "chronicle m { event(speed[uav2]:(?, > 18), t1); event(altitude[uav1], t2); "
     "t2 - t1 in [0s, 3s]; }",
     "REGISTER STREAM m AS PATTERN SEQ(speed a, altitude+ b[], speed c) WHERE skip_till_next_match "
     "[id] AND b[i].value > 5 WITHIN 4 seconds RETURN a.id AS x, count(b[]) AS n, b[].value AS all",
@@ -40,6 +41,10 @@ PATTERNS = (
     "{ ?x dyknow:altitude ?w FILTER (?w > 10) } WITHIN 3 s",
     f"REGISTER STREAM m AS {EP}SELECT ?x ?v ?w WHERE {{ {{ ?x dyknow:speed ?v }} OPTIONALSEQ "
     "{ ?x dyknow:altitude ?w } } WITHIN 2 s",
+    "chronicle m(?x in UAV) { event(speed[?x]:(?, > 36), t); "
+    "noevent(altitude[?x], (t, t + 1s)); } with max delay 1s",
+    "REGISTER STREAM m AS PATTERN SEQ(speed a, speed b) WHERE partition_contiguity [value] "
+    "WITHIN 4 seconds RETURN a.id AS x, b.value AS v WITH MAX DELAY 0.5s",
 )
 
 

@@ -51,7 +51,8 @@ class Texts:
         graphs = draw.choice(["", " FROM <http://e/g>", " FROM NAMED <http://e/g>"])
         chain = self.chain(2, least=2)
         filters = " ".join(self.filter() for _ in range(draw.choice([0, 0, 1, 2])))
-        within = draw.choice(["", f" WITHIN {draw.choice(DURATIONS)}"])
+        within = draw.choice(["", f" WITHIN {draw.choice([*DURATIONS, '?w'])}"])
+        within += draw.choice(["", "", " WITH MAX DELAY 0s", " with max delay PT5S"])
         where = draw.choice([" ", " WHERE "])
         return f"{register}{head}{graphs}{where}{chain} {filters}{within}"
 

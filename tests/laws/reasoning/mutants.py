@@ -1,4 +1,4 @@
-"""Whether the laws of formulas see faults: each mutant of the product must fail one of them.
+"""Whether the laws of formulas and patterns see faults: each mutant of the product must fail one of them.
 
     python tests/laws/reasoning/mutants.py
 
@@ -19,7 +19,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
 STATES, MONITORING = "test_states.py", "test_monitoring.py"
-EPSPARQL = "test_epsparql.py"
+EPSPARQL, SASE = "test_epsparql.py", "test_sase.py"
+RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
 # ruff: noqa: E501
 MUTANTS = (
     # An interval [a, b] closes when the horizon is at its end, not later.
@@ -56,17 +57,24 @@ MUTANTS = (
     ("mtl/monitoring.py", "self.evaluator.advance(steps.latest - 1)", "self.evaluator.advance(steps.latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
     # SEQ is strict; EQUALS is of both times.
-    ("patterns/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
-    ("patterns/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),
+    ("patterns/compilation/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
+    ("patterns/compilation/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),
     # What a condition decides in a branch.
-    ("patterns/epsparql_branches.py", "if part == Truth(decides)", "if part == Truth(not decides)", EPSPARQL),
-    ("patterns/epsparql_branches.py", "return condition if has_values else Truth(False)", "return condition if has_values else Truth(True)", EPSPARQL),
+    ("patterns/compilation/epsparql_branches.py", "if part == Truth(decides)", "if part == Truth(not decides)", EPSPARQL),
+    ("patterns/compilation/epsparql_branches.py", "return condition if has_values else Truth(False)", "return condition if has_values else Truth(True)", EPSPARQL),
     # Alone waits until no sample of its time may come, and what excludes it is kept so long.
-    ("patterns/combined.py", "outputs[absence.until] + 1", "outputs[absence.until]", EPSPARQL),
-    ("patterns/combined.py", "until = due + self.span + 1", "until = due", EPSPARQL),
-    ("patterns/combined.py", "self.until[0][0] < watermark", "self.until[0][0] < TIME_MIN", EPSPARQL),
+    ("patterns/recognition/combined.py", "outputs[absence.until] + 1", "outputs[absence.until]", EPSPARQL),
+    ("patterns/recognition/combined.py", "until = due + self.span + 1", "until = due", EPSPARQL),
+    ("patterns/recognition/combined.py", "self.until[0][0] < watermark", "self.until[0][0] < TIME_MIN", EPSPARQL),
     # Each solution of static triples is a result.
-    ("patterns/combined.py", "np.repeat(np.arange(len(found)), counts)", "np.flatnonzero(counts)", EPSPARQL),
+    ("patterns/recognition/static_tables.py", ".append(tuple(column[i] for column in told))", "[:] = [tuple(column[i] for column in told)]", EPSPARQL),
+    # -0 equals 0, and each event has the key of its own value.
+    ("patterns/plans/query.py", "numbers = values + 0.0", "numbers = values", SASE),
+    # With a max delay a time is over that long after it, and absence is known of the time before.
+    ("patterns/recognition/recognition.py", "later(found.decided - ~by_row, steps.delay)", "later(found.decided, steps.delay)", RECOGNITION),
+    ("patterns/recognition/recognition.py", '"right" if steps.delay is None else "left"', '"right"', RECOGNITION),
+    # A repeated part that goes on moves the bounds that begin with its last row.
+    ("patterns/recognition/partial.py", "if v != low_only}", "}", PARTIAL),
 )  # fmt: skip
 """The file in ``reasoning``, the text in it, what stands there instead, the law that sees it."""
 

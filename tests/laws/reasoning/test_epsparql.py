@@ -12,6 +12,7 @@ import pytest
 from epsparql_definition import Definition, Sample, Value
 from epsparql_drawing import (
     STATIC,
+    STATIC_NAMES,
     QueryDrawing,
     suits,
     vocabulary,
@@ -22,6 +23,7 @@ from hypothesis import strategies as st
 
 from dyknow.languages.epsparql import check_epsparql, parse_epsparql
 from dyknow.languages.errors import LanguageError
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.compilation.epsparql_plans import epsparql_query
 from dyknow.reasoning.patterns.plans.plan import PlanError
 from dyknow.reasoning.patterns.plans.query import PatternQuery
@@ -46,9 +48,17 @@ def wanted_of(query: Definition) -> list[tuple[Result, bool]]:
     for solution, values in query.results():
         own = max(ends[number] for number in solution.samples)
         due = max(own, int(solution.due)) if solution.due > -math.inf else own
-        shown = tuple((name, of_result(value)) for name, value in values.items())
+        shown = tuple(
+            (name, of_static(value) if f"?{name}" in STATIC_NAMES else of_result(value))
+            for name, value in values.items()
+        )
         found.append(((solution.samples, shown, due), due > own))
     return found
+
+
+def of_static(value: Value | None) -> Value | None:
+    """What static triples tell is a text: of an object its name."""
+    return None if value is None else ("text", str(value[1]).removeprefix(DYKNOW))
 
 
 def of_result(value: Value | None) -> Value | None:
@@ -144,7 +154,7 @@ def test_optional_parts(seed: int) -> None:
 @settings(deadline=None, max_examples=300)
 @given(SEEDS)
 def test_static_triples(seed: int) -> None:
-    """A result comes once for each solution of the static triples."""
+    """A result comes once for each solution of the static triples, and tells it."""
     case = QueryDrawing(seed, has_static=True)
     assume("?a" in case.names)
     check(

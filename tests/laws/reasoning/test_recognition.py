@@ -101,6 +101,37 @@ def expected(query: PatternQuery, sent: list[Sent], lateness: list[int]) -> tupl
     return [(instants[each.step], _end(plan, each.outputs), each.outputs) for each in found], late
 
 
+def expected_by_delay(query: PatternQuery, sent: list[Sent], delay: int) -> tuple[Found, int]:
+    """The same with a ``max_delay``: each time is over that long after it, whatever comes."""
+    kept = [each for each in sent if each.row.end >= each.available - delay]
+    last = max(each.available for each in sent)
+    steps: list[Step] = []
+    instants: list[int] = []
+
+    def take(new: list[Step], at: int) -> None:
+        for each in new:
+            number = sum(isinstance(step, Row) for step in steps)
+            steps.append(replace(each, number=number) if isinstance(each, Row) else each)
+            instants.append(at)
+
+    is_ordered = needs_order(query)
+    if is_ordered:
+        ends = [each.row.end for each in kept]
+        for time in range(min(ends, default=0) - 50, last - delay + 1):
+            own = in_order([each for each in kept if each.row.end == time])
+            take([*(each.row for each in own), Watermark(time + 1)], time + delay)
+        rest = in_order([each for each in kept if each.row.end + delay > last])
+        take([each.row for each in rest], last)
+    else:
+        for each in sorted(kept, key=lambda each: (each.available, each.stream, each.place)):
+            take([each.row], each.available)
+    take([Watermark(TIME_MAX)], last)
+    (plan,) = query.plans
+    found = matches(plan, steps, is_ordered=is_ordered)
+    results = [(instants[each.step], _end(plan, each.outputs), each.outputs) for each in found]
+    return results, len(sent) - len(kept)
+
+
 def in_order(rows: list[Sent]) -> list[Sent]:
     return sorted(rows, key=lambda each: (each.row.end, each.available, each.stream, each.place))
 
@@ -162,7 +193,28 @@ def test_matches_do_not_depend_on_cuts(seed: int) -> None:
     query = query_of(case)
     sent = sent_in(draw, case, draw.randint(1, 14))
     lateness = [draw.choice([0, 0, 2]) for _ in range(STREAMS)]
-    wanted = expected(query, sent, lateness)
+    agree(query, sent, lateness, expected(query, sent, lateness), draw)
+
+
+@settings(deadline=None, max_examples=600)
+@given(st.integers(0, 2**32))
+def test_a_max_delay(seed: int) -> None:
+    draw = Random(seed)
+    case = PatternDrawing(seed, is_ordered=draw.random() < 0.8)
+    delay = draw.choice([0, 1, 1, 3, 8])
+    query = replace(query_of(case), max_delay=delay)
+    sent = sent_in(draw, case, draw.randint(4, 14))
+    agree(query, sent, [0] * STREAMS, expected_by_delay(query, sent, delay), draw)
+
+
+def agree(
+    query: PatternQuery,
+    sent: list[Sent],
+    lateness: list[int],
+    wanted: tuple[Found, int],
+    draw: Random,
+) -> None:
+    """What is found in some cuts is what is wanted."""
     for _ in range(2):
         try:
             assert recognized(query, sent, lateness, draw) == wanted

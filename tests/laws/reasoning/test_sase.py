@@ -18,6 +18,7 @@ from sase_patterns import KEYS, KINDS, TYPES, EqualityDrawing, PatternDrawing, T
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.ast import Symbol, Variable
 from dyknow.languages.mtl.checked import Constant, Kind, ObjectConstant
+from dyknow.languages.rewriting import rewritten
 from dyknow.languages.sase import (
     CheckedPattern,
     bound_sase,
@@ -27,7 +28,6 @@ from dyknow.languages.sase import (
     parse_sase,
     parse_sase_template,
 )
-from dyknow.languages.sase.binding import rewritten
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
 from dyknow.reasoning.patterns.compilation.sase_plans import sase_query

@@ -74,6 +74,9 @@ def test_the_column_of_the_object(text, column, objects):
         ),
         SASE.format("SEQ(speed+ a[], altitude b) WHERE [id = ?x] AND b.value > ?limit")
         + " RETURN COUNT(*) AS n",
+        # With a maximal delay; over the streams of a sort.
+        CHRONICLE.format(EVENTS) + " with max delay 2s",
+        SASE.format("SEQ(UAV a, altitude b) WHERE { [id = ?x] and b.value > ?limit }"),
         # Several plans.
         f"{EP} SELECT ?x ?v WHERE {{ {{ ?x dyknow:speed ?v }} OPTIONALSEQ "
         "{ ?x dyknow:altitude ?w FILTER (?w > ?limit) } } WITHIN 3 s",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from pyoxigraph import Literal, NamedNode, Quad, Store
 
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.mtl.checked import Kind
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.plans.query import Keys, StaticJoin, object_key, text_key
 from dyknow.reasoning.patterns.recognition.static_tables import StaticTables
 from dyknow.sparql import ast, parse_sparql
@@ -34,7 +37,9 @@ def counts(tables: StaticTables, asked: StaticJoin, *columns: list[float]) -> li
         name: np.array(column, np.float64 if kind is Kind.NUMBER else np.int64)
         for (name, _, kind), column in zip(asked.variables, columns, strict=True)
     }
-    return tables(asked, values, len(columns[0]) if columns else 2).tolist()
+    count = len(columns[0]) if columns else 2
+    rows, _ = tables(asked, values, count)
+    return np.bincount(rows, minlength=count).tolist()
 
 
 def test_solutions_are_counted_by_the_shared_variables() -> None:
@@ -88,3 +93,20 @@ def test_a_graph_is_read_by_its_name() -> None:
     named = join("?s :p :b", ("s", Kind.OBJECT), graph="urn:g")
     assert counts(tables, named, [a]) == [1]
     assert counts(tables, join("?s :p :b", ("s", Kind.OBJECT)), [a]) == [0]
+
+
+def test_solutions_are_told_in_order() -> None:
+    keys = Keys()
+    a, b, c = (keys.number(object_key(each.value)) for each in (A, B, C))
+    facts = store(
+        (A, P, C), (A, P, B), (A, P, Literal(5)), (A, P, NamedNode(DYKNOW + "uav1")), (B, P, A)
+    )
+    asked = replace(join("?s :p ?o", ("s", Kind.OBJECT)), results=(("o", "what"), ("s", "whose")))
+    tables = StaticTables(Background(facts), keys)
+    rows, results = tables(asked, {"s": np.array([b, c, a])}, 3)
+    assert rows.tolist() == [0, 2, 2, 2, 2]
+    texts = {name: [keys.key(each) for each in found.tolist()] for name, found in results.items()}
+    assert texts == {
+        "what": ['"urn:a', '"5', '"uav1', '"urn:b', '"urn:c'],
+        "whose": ['"urn:b', *['"urn:a'] * 4],
+    }

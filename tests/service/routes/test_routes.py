@@ -392,6 +392,20 @@ def test_a_template_tells_what_its_parameters_stand_for(annotated: httpx.Client)
     assert threshold["aggregate"] == "AVG"
 
 
+def test_a_duration_is_a_parameter(annotated: httpx.Client) -> None:
+    text = (
+        "REGISTER TEMPLATE Twice(?x, ?low, ?time) AS PATTERN SEQ(speed a, speed b) "
+        "WHERE [id = ?x] and b.value < ?low WITHIN ?time"
+    )
+    assert annotated.post("/templates", content=text).status_code == 201
+    found = annotated.get("/templates/Twice").json()
+    roles = {use["name"]: use["role"] for use in found["uses"]}
+    assert roles == {"?x": "object", "?low": "number", "?time": "duration"}
+    for given, status in (('"5s"', 201), ('"PT5S"^^xsd:duration', 201), ("5", 400)):
+        answer = annotated.post("/events", content=f"dyknow:Twice(?x, 100, {given})")
+        assert answer.status_code == status, answer.text
+
+
 NAMES = """PREFIX o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?s a o:Stream ; o:hasName ?name } ORDER BY ?name"""
 

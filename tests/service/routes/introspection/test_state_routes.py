@@ -112,6 +112,21 @@ def test_late_and_duplicate_samples_are_problems_from_a_share_on(
     assert late["what"] == "5 % of gps arrive late"
 
 
+def test_matches_that_a_limit_leaves_out_are_a_problem(http: httpx.Client, clock: Any) -> None:
+    declare(http)
+    text = (
+        "REGISTER STREAM s AS PATTERN SEQ(latitude+ a[], longitude b) WHERE [id] WITHIN 5s LIMIT 1"
+    )
+    assert http.post("/queries", content=text).status_code == 201
+    publish(http, [clock.now - 3 * SECOND, clock.now - 2 * SECOND])
+    assert problems(http) == []
+    publish(http, [clock.now - SECOND, clock.now])
+    (lossy,) = problems(http)
+    assert lossy["what"] == "Pattern s leaves matches out"
+    assert lossy["detail"] == "Left out: 1 rows that complete more matches than the limit."
+    assert lossy["stream"] == "s"
+
+
 def test_a_failed_unit_is_the_first_problem(http: httpx.Client, clock: Any, engine: Engine) -> None:
     declare(http)
     assert http.post("/queries", content=QUERY).status_code == 201
