@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from pages import SHELL
 from places import ROOT
 from waiting import HANGS
 
@@ -28,10 +29,6 @@ PAGES = sorted(
     for page in (ROOT / "docs").glob(pattern)
     if "```sh\n" in page.read_text()
 )
-RUN = """set -euo pipefail
-dyknow() { "$PYTHON" -c 'from dyknow.service.cli import main; main()' "$@"; }
-curl() { command curl -sS --fail-with-body "$@"; }
-"""
 
 
 @pytest.fixture
@@ -57,7 +54,7 @@ def test_the_commands_run_from_top_to_bottom(page: Path, url: str, tmp_path: Pat
         (tmp_path / shared).symlink_to(ROOT / shared)
     commands = [text for kind, _, text in blocks if kind == "sh"]
     done = subprocess.run(
-        ["bash", "-c", RUN + "".join(f"echo; echo @@@\n{text}" for text in commands)],
+        ["bash", "-c", SHELL + "".join(f"echo; echo @@@\n{text}" for text in commands)],
         cwd=tmp_path,
         env=os.environ | {"PYTHON": sys.executable, "URL": url, "DYKNOW_URL": url},
         capture_output=True,

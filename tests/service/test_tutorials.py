@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pages import Block, blocks
+from pages import SHELL, Block, blocks
 from places import ROOT
 from serving import Serving
 from waiting import HANGS
@@ -26,11 +26,6 @@ from waiting import HANGS
 from dyknow.service.config.defaults import URL
 
 PAGES = sorted((ROOT / "docs" / "tutorial").glob("*.md"))
-RUN = """set -euo pipefail
-dyknow() { "$PYTHON" -c 'from dyknow.service.cli import main; main()' "$@"; }
-python() { "$PYTHON" "$@"; }
-curl() { command curl -sS --fail-with-body "$@"; }
-"""
 
 
 class Reader:
@@ -60,7 +55,7 @@ class Reader:
         """Run the commands of a `sh` block, and return what they print."""
         url = "http://127.0.0.1:1" if self._service is None else self._service.url
         done = subprocess.run(
-            ["bash", "-c", RUN + commands.replace(URL, url)],
+            ["bash", "-c", SHELL + commands.replace(URL, url)],
             cwd=self._folder,
             env=os.environ | {"PYTHON": sys.executable, "DYKNOW_URL": url},
             capture_output=True,
