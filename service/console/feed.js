@@ -66,6 +66,7 @@ export const extra = signal(null);
 /** The rings that are shown, live or played back; a new `tick` says that they have changed. */
 export const shown = signal(live);
 export const tick = signal(0);
+/** connecting; open, waiting or failed; ended, as the followed streams have. */
 export const feedState = signal("connecting");
 /** Samples a second that have arrived, and all so far. */
 export const pace = signal({ rate: 0, total: 0 });
@@ -162,11 +163,13 @@ effect(() => {
     if (!stream.producer && stream.rate < FAST && place(stream)) names.add(stream.name);
   }
   const wanted = [...names].filter((name) => byName.value.has(name)).sort().slice(0, MOST_STREAMS);
-  if (wanted.join() === followed.join()) return;
+  const goesOn = feedState.peek() === "ended" && wanted.some((name) => !byName.value.get(name).ended);
+  if (wanted.join() === followed.join() && !goesOn) return;
   followed = wanted;
   stop?.();
   stop = null;
   connection++;
+  feedState.value = "connecting";
   if (wanted.length) {
     stop = follow(address("/follow", { stream: wanted }), take, (state, position) => {
       feedState.value = state;
@@ -175,7 +178,7 @@ effect(() => {
       // What comes from here on is sent; what came before is read.
       for (const name of wanted) early.set(name, []);
       begin(wanted, ++connection);
-    });
+    }, wanted.length);
   }
 });
 

@@ -144,7 +144,7 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
 }
 
 /** The last samples of a stream, and those that arrive. */
-function useTail(name) {
+function useTail({ name, ended }) {
   const [rows, setRows] = useState([]), [trouble, setTrouble] = useState(null);
   useEffect(() => {
     const kept = [];
@@ -164,12 +164,12 @@ function useTail(name) {
       stop();
       clearTimeout(due);
     };
-  }, [name]);
+  }, [name, ended]);
   return [rows, trouble];
 }
 
 function Tail({ stream }) {
-  const [rows, trouble] = useTail(stream.name), [wished, setField] = useState(null);
+  const [rows, trouble] = useTail(stream), [wished, setField] = useState(null);
   const id = objectField(stream), plottable = numbers(stream), field = plottable.includes(wished) ? wished : plottable[0];
   const data = () => {
     const groups = [...Map.groupBy(rows, (row) => row[id]).values()].sort((a, b) => b.length - a.length).slice(0, LINES);

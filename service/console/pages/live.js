@@ -103,6 +103,7 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     <span class="grow"></span>
     ${held.value && html`<span class="small accent num">held, +${count(pace.value.total - frozen.current.total)}</span>`}
     ${feedState.value === "waiting" && html`<span class="small warn">reconnecting</span>`}
+    ${feedState.value === "ended" && html`<span class="small faint" title="all streams of the requests have ended">ended</span>`}
     <span class="small faint num wide">${rate(pace.value.rate)}</span>
     <input type="search" class="short" placeholder="object" aria-label="filter by object" value=${find}
       onInput=${(event) => setFind(event.target.value)} /></header>

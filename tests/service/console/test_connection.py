@@ -104,6 +104,9 @@ class CuttingProxy:
 
 
 OPEN_FEED = "import('/console/feed.js').then((m) => m.following.value.includes('numbers'))"
+FEED_STATE = "import('/console/feed.js').then((m) => m.feedState.value)"
+ALL_ENDED = """import('/console/state.js').then(({ streams }) =>
+  streams.value.every((each) => each.ended || each.name === 'status'))"""
 SEEN = """(async () => { const { shown } = await import('/console/feed.js');
   return shown.value.events.filter((each) => !each.gap).map((each) => each.values.v); })()"""
 
@@ -187,6 +190,39 @@ def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN, is_l
             assert time.monotonic() < until
             publish(http, 1_000, 5)
             time.sleep(0.2)
+
+
+FOLLOWED = """window.own = window.fetch; window.asked = 0;
+window.fetch = (path, ...rest) => {
+  if (String(path).includes('/follow')) window.asked += 1;
+  return window.own(path, ...rest);
+}; true"""
+
+
+def test_streams_that_ended_are_no_lost_connection(open_page: OPEN) -> None:
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        declare(http)
+        assert http.put("/streams/others", json={"fields": {"v": "integer"}}).status_code == 201
+        assert http.post("/subscriptions", json={"stream": "others"}).status_code == 201
+        page = open_page(f"{url}/#live")
+        page.wait(OPEN_FEED)
+        publish(http, 0, 10)
+        page.wait(f"{SEEN}.then((each) => each.length === 10)")
+        page.run(FOLLOWED)
+        assert http.post("/streams/others/end").is_success
+        publish(http, 10, 10)  # one has ended, and the other goes on
+        page.wait(f"{SEEN}.then((each) => each.length === 20)")
+        assert page.run(FEED_STATE) == "open"
+        assert http.post("/streams/numbers/end").is_success
+        page.wait(f"{FEED_STATE}.then((each) => each === 'ended')")
+        page.wait_text("ended")
+        page.wait(ALL_ENDED)
+        assert page.run("window.asked") <= 1  # once more if a look at the streams came in between
+        assert "reconnecting" not in page.run("document.body.innerText")
+        publish(http, 20, 10)  # it goes on
+        page.wait(f"{SEEN}.then((each) => each.length === 30)")
+        assert page.run(SEEN) == list(range(30))
+        assert page.run(FEED_STATE) == "open"
 
 
 def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> None:
