@@ -54,8 +54,9 @@ export function words(name) {
   return text.slice(0, 1).toUpperCase() + text.slice(1);
 }
 
-/** A unit of SSL as people write it: km.h-1 → km/h, m.s-2 → m/s². */
+/** A unit of SSL as people write it: km.h-1 → km/h, m.s-2 → m/s²; nothing for what has none. */
 export function unit(text) {
+  if (text === "no_unit") return "";
   const powers = { 1: "", 2: "²", 3: "³" };
   let above = "", below = "";
   for (const part of (text ?? "").split(".")) {

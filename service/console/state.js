@@ -23,6 +23,14 @@ export const byName = computed(() => new Map(streams.value.map((each) => [each.n
 export const makers = computed(() => new Map(units.value.map((each) => [each.output, each])));
 export const featureOf = computed(
   () => new Map(vocabulary.value.features.map((each) => [local(each.name), each])));
+/** Stream → the request that it answers. Where there are several, a query before a subscription. */
+export const asked = computed(
+  () => new Map(requests.value.toReversed().map((each) => [each.stream, each])));
+/** What a request gives: verdicts of a MONITOR, matches of a PATTERN, or results of a query. */
+export const MONITOR = "MONITOR", PATTERN = "PATTERN";
+/** The fields that say what a verdict or a match is; none names an object. */
+const TOLD = { [MONITOR]: ["verdict", "decided", "witness", "last"], [PATTERN]: ["start", "end"] };
+export const told = (stream) => TOLD[asked.value.get(stream)?.gives] ?? [];
 export const may = (scope) => !session.value.required || session.value.scopes.includes(scope)
   || session.value.scopes.includes("admin");
 
@@ -44,7 +52,8 @@ export function title(stream) {
 /** The field that names the object of a sample. */
 export function objectField(stream) {
   const named = stream.ports.flatMap((port) => port.of).find((each) => each.id);
-  return named?.id ?? stream.fields.find((field) => field.type === "string")?.name;
+  const isName = (field) => field.type === "string" && !told(stream.name).includes(field.name);
+  return named?.id ?? stream.fields.find(isName)?.name;
 }
 
 /** The unit of a field, from its annotation; in a query's results that of the feature it is
@@ -104,7 +113,7 @@ function eventRequest(one) {
   const terms = one.arguments.map((each) => (each.startsWith("?") ? "any" : local(each)));
   return request("event", words(one.event), {
     id: one.id, stream: one.stream, state: one.state, problem: one.failure, chips: terms,
-    empty: one.empty, event: one.event, plan: one.plan, address: `/events/${one.id}`,
+    empty: one.empty, event: one.event, gives: one.kind, plan: one.plan, address: `/events/${one.id}`,
     again: { event: one.event, arguments: one.arguments, strategy: one.strategy },
   });
 }
@@ -113,7 +122,7 @@ function queryRequest(one) {
   return request("query", one.name, {
     id: one.name, stream: one.stream, state: one.state, problem: one.failure, empty: one.empty,
     chips: [one.form || one.dialect], source: one.source, plan: one.plan, dialect: one.dialect,
-    form: one.form, address: `/queries/${encodeURIComponent(one.name)}`,
+    form: one.form, gives: one.kind, address: `/queries/${encodeURIComponent(one.name)}`,
   });
 }
 

@@ -6,22 +6,12 @@ import { feedState, oldest, pace, play, shown, tick } from "../feed.js";
 import { clock, count, duration, rate, value } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
+import { Values } from "../results.js";
 import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
-const SHOWN_FIELDS = 4, LINES = 24, PLOTTED = 90, RECENT = 10;
+const LINES = 24, PLOTTED = 90, RECENT = 10;
 const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
-
-/** The values of an event beside its object, with their units. */
-function Values({ of }) {
-  const stream = byName.value.get(of.name), id = stream && objectField(stream);
-  const fields = Object.entries(of.values).filter(([name, each]) => name !== id && each != null);
-  return fields.slice(0, SHOWN_FIELDS).map(([name, each]) => {
-    const unit = stream && unitOf(stream, name);
-    return html`<span class="faint">${name} </span><span class="num">${value(each)}</span>
-      ${unit && html`<span class="faint"> ${unit}</span>`} `;
-  });
-}
 
 function Request({ request, isChosen, choose }) {
   const event = shown.value.last.get(request.stream), stream = byName.value.get(request.stream);
