@@ -2,11 +2,11 @@
 // at them four times a second, however many arrive.
 import { effect, signal } from "./vendor/preact.js";
 import { address, ask, follow } from "./http.js";
-import { byName, held, moment, objectField, place, requests, streams } from "./state.js";
+import { byName, held, moment, objectField, pace, place, requests, streams } from "./state.js";
 
 const EVENTS = 2_000, POINTS = 600, OBJECTS = 200, TRACKS = 5_000, TRACK_POINTS = 120;
 const TICK = 250, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
-const PLAYED_PAST = 120_000, FAST = 5_000;
+const PLAYED_PAST = 120_000, FAST = 5_000, LEAST = 0.05;
 
 /** The newest samples in the shapes that pages draw. */
 export class Rings {
@@ -69,14 +69,16 @@ export const tick = signal(0);
 /** connecting; open, waiting or failed; ended, as the followed streams have. */
 export const feedState = signal("connecting");
 /** Samples a second that have arrived, and all so far. */
-export const pace = signal({ rate: 0, total: 0 });
+export const arrivals = signal({ rate: 0, total: 0 });
 
-let dirty = false, before = 0;
+let dirty = false, before = 0, rate = 0;
 setInterval(() => {
-  const rate = 0.7 * pace.value.rate + (0.3 * (live.total - before) * 1000) / TICK;
+  rate = 0.7 * rate + (0.3 * (live.total - before) * 1000) / TICK;
+  if (rate < LEAST) rate = 0;
   before = live.total;
   if (document.hidden) return;
-  if (Math.abs(rate - pace.value.rate) > 0.05 || held.value) pace.value = { rate, total: live.total };
+  const isOther = Math.abs(rate - arrivals.value.rate) > LEAST || (!rate && arrivals.value.rate);
+  if (isOther || held.value) arrivals.value = { rate, total: live.total };
   if (dirty && !held.value && moment.value === null) {
     dirty = false;
     tick.value++;
@@ -160,7 +162,7 @@ effect(() => {
   if (!streams.value.length) return;
   const names = new Set([...requests.value.map((request) => request.stream), extra.value]);
   for (const stream of streams.value) {
-    if (!stream.producer && stream.rate < FAST && place(stream)) names.add(stream.name);
+    if (!stream.producer && pace(stream) < FAST && place(stream)) names.add(stream.name);
   }
   const wanted = [...names].filter((name) => byName.value.has(name)).sort().slice(0, MOST_STREAMS);
   const goesOn = feedState.peek() === "ended" && wanted.some((name) => !byName.value.get(name).ended);

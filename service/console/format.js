@@ -10,6 +10,13 @@ export function duration(seconds) {
   return `${Math.round(seconds / 86400)} days`;
 }
 
+/** How long ago, or in how long: 5 s ago, now, in 4 h. */
+export function ago(seconds) {
+  if (seconds == null || Number.isNaN(seconds)) return "–";
+  if (Math.abs(seconds) < 2) return "now";
+  return seconds < 0 ? `in ${duration(-seconds)}` : `${duration(seconds)} ago`;
+}
+
 export const count = (value) => (value == null ? "–" : Math.round(value).toLocaleString("en-US"));
 
 export function rate(value) {

@@ -76,14 +76,24 @@ export function place(stream) {
 export const numbers = (stream) =>
   stream.fields.filter((each) => ["float", "integer"].includes(each.type)).map((each) => each.name);
 
-/** Seconds since the last sample. A stream's own `lag` is how late that sample came. */
+/** Seconds since the last sample; negative for one in the future. A stream's own `lag` is how late
+    that sample came. */
 export const silence = (stream) => stream.last_available && status.value
-  ? Math.max(0, (Date.parse(status.value.now) - Date.parse(stream.last_available)) / 1000) : null;
+  ? (Date.parse(status.value.now) - Date.parse(stream.last_available)) / 1000 : null;
+
+/** Samples a second; a stream that has ended still knows the rate that it had. */
+export const pace = (stream) => (stream?.ended ? 0 : stream?.rate);
+
+/** running, failed, ended as its stream has, or what else the service says. */
+export function stateOf(request) {
+  if (!["running", "ended"].includes(request.state)) return request.state;
+  return byName.value.get(request.stream)?.ended ? "ended" : "running";
+}
 
 // -- polling -----------------------------------------------------------------------------------------
 
 function rateOf(list) {
-  return list.reduce((sum, stream) => sum + (stream?.rate ?? 0), 0);
+  return list.reduce((sum, stream) => sum + (pace(stream) ?? 0), 0);
 }
 
 async function look() {

@@ -1,30 +1,31 @@
 // What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
-import { byName, held, may, moment, numbers, objectField, requests, refresh, unitOf } from "../state.js";
-import { feedState, oldest, pace, play, shown, tick } from "../feed.js";
-import { clock, count, duration, rate, value } from "../format.js";
+import { byName, held, may, moment, numbers, pace, requests, refresh, stateOf, unitOf } from "../state.js";
+import { arrivals, feedState, oldest, play, shown, tick } from "../feed.js";
+import { ago, clock, count, rate, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
 import { Values } from "../results.js";
 import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
+const STATES = ["failed", "running", "ended"];
 const LINES = 24, PLOTTED = 90, RECENT = 10;
 const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
 
 function Request({ request, isChosen, choose }) {
   const event = shown.value.last.get(request.stream), stream = byName.value.get(request.stream);
   const now = moment.value ?? Date.now(), age = event ? (now - event.time) / 1000 : null;
-  const isBad = request.state === "failed", isRunning = request.state === "running";
-  const dot = isBad ? "bad" : !isRunning ? "warn" : age !== null && age < RECENT ? "on" : "";
+  const state = stateOf(request), isBad = state === "failed";
+  const dot = { failed: "bad", ended: "", running: age !== null && Math.abs(age) < RECENT ? "on" : "" }[state] ?? "warn";
   return html`<button class="ask-row" aria-pressed=${isChosen} onClick=${choose}>
-    <span class="row"><i class=${`dot ${dot}`} title=${request.state}></i>
-      <span class="name cut grow">${request.name}</span><span class="faint small num">${rate(stream?.rate)}</span></span>
+    <span class="row"><i class=${`dot ${dot}`} title=${state}></i>
+      <span class="name cut grow">${request.name}</span><span class="faint small num">${state === "ended" ? state : rate(pace(stream))}</span></span>
     ${request.chips.length > 0 && html`<${Chips} of=${request.chips} />`}
     <span class="said cut">${request.problem ? html`<span class=${isBad ? "bad" : "warn"}>${request.problem}</span>`
       : event ? html`<span class="mono">${event.object}</span> <${Values} of=${event} />
-        <span class="faint">· ${age < 2 ? "now" : `${duration(age)} ago`}</span>`
+        <span class="faint">· ${ago(age)}</span>`
       : html`<span class="faint" title=${request.empty}>${request.empty ?? "no event yet"}</span>`}</span></button>`;
 }
 
@@ -42,17 +43,25 @@ async function end(request) {
   });
 }
 
-function Running({ chosen }) {
+/** The states that requests are listed by, each with those that have it. */
+function groups() {
+  const states = Map.groupBy(requests.value, stateOf);
+  const others = [...states.keys()].filter((each) => !STATES.includes(each));
+  return [...others, ...STATES].filter((each) => states.has(each)).map((each) => [each, states.get(each)]);
+}
+
+function Requests({ chosen }) {
   const [trouble, setTrouble] = useState(null);
-  const list = requests.value;
   const go = (request) => {
     location.hash = request === chosen ? "live" : `live/${encodeURIComponent(request.stream)}`;
   };
-  return html`<section class="panel asks" aria-label="requests"><header><h2 class="grow">Running</h2>
+  return html`<section class="panel asks" aria-label="requests"><header><h2 class="grow">Requests</h2>
     <a class="small" href="#ask">Ask for more</a></header>
-    <div class="scroll">${list.map((request) => html`<${Request} key=${request.kind + request.id} request=${request}
-        isChosen=${request === chosen} choose=${() => go(request)} />`)}
-      ${!list.length && html`<${Empty} title="No requests run.">
+    <div class="scroll">${groups().map(([state, list]) => html`<section key=${state} aria-label=${`${state} requests`}>
+        <h3 class="group">${words(state)} <span class="faint num">${count(list.length)}</span></h3>
+        ${list.map((request) => html`<${Request} key=${request.kind + request.id} request=${request}
+          isChosen=${request === chosen} choose=${() => go(request)} />`)}</section>`)}
+      ${!requests.value.length && html`<${Empty} title="No requests run.">
         <span>Say what you want to know; DyKnow finds or builds the streams that answer it.</span>
         <a href="#ask">Ask for an event</a>
         <code>dyknow events 'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, 800)'</code><//>`}</div>
@@ -66,7 +75,7 @@ const isOfAll = (event) => event.gap && !event.name;
 
 function Feed({ chosen, object, select, all, setAll, isWanted }) {
   const [find, setFind] = useState(""), [asked, setAsked] = useState(null), frozen = useRef(null), byScroll = useRef(false);
-  if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: pace.value.total };
+  if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: arrivals.value.total };
   else frozen.current = null;
   const text = find.toLowerCase();
   const fits = (event) => isOfAll(event) || isWanted(event.name) && (!object || event.object === object)
@@ -83,7 +92,7 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     : html`<div class=${`line ${object && event.object === object ? "on" : ""}`} key=${event.number} style=${at}>
         <time>${clock(event.time)}</time><span class="cut of muted">${names.get(event.name) ?? event.name}</span>
         <button class="cut who" onClick=${() => select(event.object)}>${event.object ?? "–"}</button>
-        <span class="cut">${question(event) && html`<button class="chip" onClick=${() => setAsked(question(event))}>why?</button> `}<${Values} of=${event} /></span></div>`;
+        <span class="cut">${question(event) && html`<button class="chip" onClick=${() => setAsked(question(event))}>why?</button> `}<${Values} of=${event} brief=${true} /></span></div>`;
   return html`<section class="panel feed" aria-label="events"><header>
     ${chosen ? html`<h2>Events</h2><a class="chip on" href="#live" title="show all">${chosen.name} ✕</a>`
       : html`<div class="tabs" role="group" aria-label="which">
@@ -91,10 +100,10 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
           <button aria-pressed=${all} onClick=${() => setAll(true)}>All results</button></div>`}
     ${object && html`<button class="chip on" onClick=${() => select(null)} title="show all objects">${object} ✕</button>`}
     <span class="grow"></span>
-    ${held.value && html`<span class="small accent num">held, +${count(pace.value.total - frozen.current.total)}</span>`}
+    ${held.value && html`<span class="small accent num">held, +${count(arrivals.value.total - frozen.current.total)}</span>`}
     ${feedState.value === "waiting" && html`<span class="small warn">reconnecting</span>`}
     ${feedState.value === "ended" && html`<span class="small faint" title="all streams of the requests have ended">ended</span>`}
-    <span class="small faint num wide">${rate(pace.value.rate)}</span>
+    <span class="small faint num wide">${rate(arrivals.value.rate)}</span>
     <input type="search" class="short" placeholder="object" aria-label="filter by object" value=${find}
       onInput=${(event) => setFind(event.target.value)} /></header>
     ${events.length ? html`<${Rows} items=${events} draw=${row} label="events" scrolled=${scrolled} />`
@@ -170,7 +179,7 @@ export default function Live({ rest }) {
   const plotted = chosen ?? candidates.find((each) => now - latest(each) < PLOTTED * 1000)
     ?? candidates.find(latest);
   return html`<main class="page fill"><div class="live">
-    <${Running} chosen=${chosen} />
+    <${Requests} chosen=${chosen} />
     <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
     <section class="panel map" aria-label="map"><div class="sheet">
       ${shown.value.tracks.size ? html`<${TrackMap} selected=${object} select=${select} isWanted=${isWanted} />`

@@ -270,7 +270,7 @@ def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) 
               requestAnimationFrame(step); })"""
         )
         shown = page.run("document.querySelectorAll('.line').length")
-        total = page.run("import('/console/feed.js').then((m) => m.pace.value.total)")
+        total = page.run("import('/console/feed.js').then((m) => m.arrivals.value.total)")
         stopped.set()
         sender.join()
         assert total > rate  # they have arrived
