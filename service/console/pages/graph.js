@@ -171,15 +171,14 @@ function useTail({ name, ended }) {
 function Tail({ stream }) {
   const [rows, trouble] = useTail(stream), [wished, setField] = useState(null);
   const id = objectField(stream), plottable = numbers(stream), field = plottable.includes(wished) ? wished : plottable[0];
-  const data = () => {
-    const groups = [...Map.groupBy(rows, (row) => row[id]).values()].sort((a, b) => b.length - a.length).slice(0, LINES);
-    return aligned(groups.map((group) => group.map((row) => [Date.parse(row.valid) / 1000, row[field]])));
-  };
+  const groups = [...Map.groupBy(rows, (row) => row[id])].sort((a, b) => b[1].length - a[1].length).slice(0, LINES);
+  const data = () => aligned(groups.map(([, group]) => group.map((row) => [Date.parse(row.valid) / 1000, row[field]])));
+  const names = id ? groups.map(([name]) => String(name)) : [];
   const shown = stream.fields.slice(0, FIELDS), isNumber = (each) => plottable.includes(each.name);
   return html`<${Trouble} of=${trouble} />
     ${plottable.length > 0 && html`<div class="body"><div class="row"><h3 class="grow">Last samples</h3>
       <select aria-label="field" value=${field} onChange=${(event) => setField(event.target.value)}>${plottable.map((each) => html`<option value=${each}>${each} ${unitOf(stream, each)}</option>`)}</select></div>
-      <div class="smallplot"><${Plot} data=${data} tick=${`${rows.length}${rows.at(-1)?.valid}${field}`} label=${`${field} over time`} name=${`${stream.name}-${field}`} /></div></div>`}
+      <div class="smallplot"><${Plot} data=${data} tick=${`${rows.length}${rows.at(-1)?.valid}${field}`} label=${`${field} over time`} names=${names} name=${`${stream.name}-${field}`} /></div></div>`}
     <table><thead><tr><th>valid</th>${shown.map((each) => html`<th class=${isNumber(each) ? "num" : ""}>${each.name}</th>`)}</tr></thead>
       <tbody>${rows.slice(-TAIL).reverse().map((row) => html`<tr><td class="faint num">${clock(row.valid)}</td>
         ${shown.map((each) => html`<td class=${isNumber(each) ? "num" : "mono cut"}>${value(row[each.name])}</td>`)}</tr>`)}</tbody></table>`;

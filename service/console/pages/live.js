@@ -130,7 +130,7 @@ function LivePlot({ request, object }) {
     <h2 class="cut grow">${field} <span class="faint">${unitOf(stream, field)} · ${request.name}</span></h2>
     <span class="small accent mono">${lines[focus]?.[0]}</span></header>
     ${lines.length ? html`<${Plot} data=${data} focus=${focus + 1} tick=${`${tick.value}${request.stream}`}
-        label=${`${field} over time`} name=${`${request.name}-${field}`} />`
+        label=${`${field} over time`} names=${lines.map(([name]) => String(name))} name=${`${request.name}-${field}`} />`
       : html`<${Empty}><span>No values in the last ${PLOTTED} s.</span><//>`}</section>`;
 }
 
