@@ -1,6 +1,6 @@
 // The frame: pages, keys, theme, what is wrong. A page is loaded when it is first opened.
 import { effect, html, render, signal, useEffect, useRef } from "./vendor/preact.js";
-import { connection, held, history, requests, session, start, stateOf, streams, wrong } from "./state.js";
+import { connection, held, history, requests, session, start, stateOf, status, streams, wrong } from "./state.js";
 import { count, plural, rate } from "./format.js";
 import { ask } from "./http.js";
 import { say, theme, toast } from "./widgets.js";
@@ -59,9 +59,9 @@ function Help() {
 }
 
 function Connection() {
-  const state = connection.value;
-  const dot = { open: "on", waiting: "bad" }[state] ?? "";
-  return html`<span class="row small muted" role="status"><i class=${`dot ${dot}`}></i>
+  const isStarting = connection.value === "open" && status.value.starting.length > 0;
+  const state = isStarting ? "starting" : connection.value, dot = { open: "on", waiting: "bad" }[state] ?? "";
+  return html`<span class="row small muted" role="status" title=${isStarting ? status.value.starting.join("; ") : null}><i class=${`dot ${dot}`}></i>
     <span class="wide">${state === "open" ? "connected" : state}</span></span>`;
 }
 

@@ -22,10 +22,12 @@ function Tiles() {
   const before = past.at(-SMOOTHED);
   const busy = before ? (load.processor - before.processor) / (load.time - before.time) : null;
   const isReady = connection.value === "open" && !wrong.value.some((each) => each.kind === "service" && each.level === "bad");
+  const starting = now?.starting ?? [];
+  const ready = connection.value === "open" && starting.length ? "Starting" : isReady ? "Yes" : "No";
   const used = load?.memory_limit ? (100 * load.memory) / load.memory_limit : null;
   return html`<div class="tiles">
-    <${Tile} name="Ready" shown=${isReady ? "Yes" : "No"} small=${now && `for ${duration((Date.parse(now.now) - Date.parse(now.started)) / 1000)}`}>
-      ${now && `version ${now.version}`}<//>
+    <${Tile} name="Ready" shown=${ready} small=${now && `for ${duration((Date.parse(now.now) - Date.parse(now.started)) / 1000)}`}>
+      ${starting[0] ?? (now && `version ${now.version}`)}<//>
     <${Tile} name="Samples in" shown=${rate(load?.in)} small=${now && `${count(now.accepted)} in all`}>${sparks("in")}<//>
     <${Tile} name="Results out" shown=${rate(load?.out)} small=${now && `${plural(now.clients, "follower")}`}>${sparks("out")}<//>
     <${Tile} name="Memory" shown=${bytes(load?.memory)} small=${load?.memory_limit ? `of ${bytes(load.memory_limit)}` : ""}>
