@@ -7,6 +7,8 @@ import { local, unit, words } from "./format.js";
 export const status = signal(null), streams = signal([]), units = signal([]), problems = signal([]);
 export const requests = signal([]), templates = signal([]), transformations = signal([]);
 export const vocabulary = signal({ sorts: [], features: [], events: [], prefixes: {} });
+/** Whether requests, templates and the vocabulary have been read once: until then none is known. */
+export const isKnown = signal(false);
 export const session = signal({ required: false, scopes: [] });
 /** connecting, open, waiting (no answer) or login. */
 export const connection = signal("connecting");
@@ -157,6 +159,7 @@ export async function refresh() {
     templates.value = known;
     transformations.value = made;
     vocabulary.value = names;
+    isKnown.value = true;
   });
 }
 

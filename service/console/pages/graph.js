@@ -1,7 +1,7 @@
 // Streams and the units that make them, from left to right. Choose one: what it is, what feeds it,
 // and what breaks without it.
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
-import { byName, held, numbers, objectField, pace, problems, requests, silence, streams, title, transformations, unitOf, units } from "../state.js";
+import { byName, held, numbers, objectField, pace, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
 import { chain, model, reached } from "../graph.js";
 import { curve, layout } from "../layout.js";
 import { address, ask, follow } from "../http.js";
@@ -139,7 +139,7 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
     ${graph.edges.map((edge, i) => drawn.paths[i].length > 1 && html`<path key=${edge.join()} class=${edgeClass(edge)} d=${curve(drawn.paths[i])} stroke-width=${thick(edge[2])} />`)}
     ${graph.nodes.map((node) => html`<${Node} key=${node.id} node=${node} at=${drawn.places.get(node.id)} isChosen=${node.id === chosen}
       isDim=${isDim(node.id)} level=${levels.get(node.stream)} apart=${apart} pick=${pick} keys=${keys} />`)}</g></svg>
-    ${!graph.nodes.length && html`<${Empty} title="No streams yet."><span>Publish one:</span><code>dyknow replay flights.csv --stream flights</code><//>`}
+    ${status.value && !graph.nodes.length && html`<${Empty} title="No streams yet."><span>Publish one:</span><code>dyknow replay flights.csv --stream flights</code><//>`}
     <div class="over"><button onClick=${() => { view.current.auto = true; whole(); }}>Fit</button></div></div>`;
 }
 

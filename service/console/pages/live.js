@@ -1,11 +1,12 @@
 // What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
-import { byName, held, may, moment, numbers, pace, requests, refresh, stateOf, unitOf } from "../state.js";
+import { byName, held, isKnown, may, moment, numbers, pace, place, requests, refresh, stateOf, status, streams, templates, unitOf } from "../state.js";
 import { arrivals, feedState, oldest, play, shown, tick } from "../feed.js";
 import { ago, clock, count, rate, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
+import { eventText } from "../terms.js";
 import { Values } from "../results.js";
 import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
@@ -50,6 +51,14 @@ function groups() {
   return [...others, ...STATES].filter((each) => states.has(each)).map((each) => [each, states.get(each)]);
 }
 
+/** A request that this service can answer, or how to get a template first. */
+function Proposal() {
+  const [template] = templates.value;
+  if (template) return html`<code>dyknow events '${eventText(template)}'</code>`;
+  return html`<span>There is no event template yet. Add one of the library:</span>
+    <code>dyknow template add --library high_speed</code>`;
+}
+
 function Requests({ chosen }) {
   const [trouble, setTrouble] = useState(null);
   const go = (request) => {
@@ -61,10 +70,10 @@ function Requests({ chosen }) {
         <h3 class="group">${words(state)} <span class="faint num">${count(list.length)}</span></h3>
         ${list.map((request) => html`<${Request} key=${request.kind + request.id} request=${request}
           isChosen=${request === chosen} choose=${() => go(request)} />`)}</section>`)}
-      ${!requests.value.length && html`<${Empty} title="No requests run.">
+      ${isKnown.value && !requests.value.length && html`<${Empty} title="No requests run.">
         <span>Say what you want to know; DyKnow finds or builds the streams that answer it.</span>
         <a href="#ask">Ask for an event</a>
-        <code>dyknow events 'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, 800)'</code><//>`}</div>
+        <${Proposal} /><//>`}</div>
     <${Trouble} of=${trouble} />
     ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>
       ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
@@ -165,6 +174,13 @@ function Playback() {
     <time class="num small">${clock(time)}</time><button onClick=${stop}>Now</button></div>`;
 }
 
+/** A line in place of the map, where no stream has positions. */
+const NoMap = () => html`<section class="panel map" aria-label="map"><header>
+  <details class="grow"><summary>No stream has positions</summary><div class="stack small muted">
+    <span>Annotate one that has latitude and longitude; its objects appear on a map here.</span>
+    <code>dyknow annotate 'stream gps contains latitude(Car) = lat, longitude(Car) = lon for every Car = id'</code></div></details>
+  <${Playback} /></header></section>`;
+
 export default function Live({ rest }) {
   const [object, select] = useState(null), [all, setAll] = useState(false);
   tick.value;
@@ -178,14 +194,14 @@ export default function Live({ rest }) {
   const now = moment.value ?? Date.now(), candidates = [...events, ...list];
   const plotted = chosen ?? candidates.find((each) => now - latest(each) < PLOTTED * 1000)
     ?? candidates.find(latest);
-  return html`<main class="page fill"><div class="live">
+  const hasMap = !status.value || shown.value.tracks.size > 0 || streams.value.some(place);
+  return html`<main class="page fill"><div class=${`live ${hasMap ? "" : "flat"}`}>
     <${Requests} chosen=${chosen} />
     <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
-    <section class="panel map" aria-label="map"><div class="sheet">
+    ${hasMap ? html`<section class="panel map" aria-label="map"><div class="sheet">
       ${shown.value.tracks.size ? html`<${TrackMap} selected=${object} select=${select} isWanted=${isWanted} />`
-        : html`<${Empty} title="No positions."><span>Annotate a stream that has latitude and longitude; its objects appear here.</span>
-          <code>dyknow annotate 'stream gps contains latitude(Car) = lat, longitude(Car) = lon for every Car = id'</code><//>`}
-      <${Playback} /></div></section>
+        : status.value && html`<${Empty} title="No positions yet."><span>The objects of streams with latitude and longitude appear here.</span><//>`}
+      <${Playback} /></div></section>` : html`<${NoMap} />`}
     <${LivePlot} request=${plotted} object=${object} />
   </div></main>`;
 }

@@ -11,12 +11,13 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
-from chromium import Page
+from chromium import Browser, Page
 from pydantic import SecretStr
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
+from dyknow.service.runtime.warm_up import WarmUp
 from dyknow.service.server import running
 from dyknow.service.turns.window_turns import WindowTurns
 
@@ -223,6 +224,46 @@ def test_streams_that_ended_are_no_lost_connection(open_page: OPEN) -> None:
         page.wait(f"{SEEN}.then((each) => each.length === 30)")
         assert page.run(SEEN) == list(range(30))
         assert page.run(FEED_STATE) == "open"
+
+
+def test_a_start_is_no_problem(open_page: OPEN) -> None:
+    settings, go_on = Settings(port=0, sse_ping=0), threading.Event()
+    app = create_app(Engine(epoch="e1", turns=WindowTurns(5, 60)), settings, time.time_ns)
+    app.state.service.warming = WarmUp()
+    app.state.service.warming.begin("loops", "being compiled", lambda: go_on.wait(60) and None)
+    with running(app, settings) as url:
+        page = open_page(f"{url}/#system")
+        page.wait_text("starting")
+        page.wait_text("loops: being compiled")
+        page.wait_text("Nothing is wrong")
+        assert page.run("document.querySelector('.badge')") is None
+        go_on.set()
+        page.wait_text("connected")
+        page.wait("!document.body.innerText.includes('being compiled')")
+
+
+HELD = """window.own = window.fetch;
+window.fetch = async (path, ...rest) => {
+  while (!window.go) await new Promise((done) => setTimeout(done, 20));
+  return window.own(path, ...rest);
+};"""
+
+
+def test_a_page_does_not_say_what_it_does_not_know_yet(browser: Browser) -> None:
+    with service() as url:
+        page = browser.page()
+        page.call("Page.addScriptToEvaluateOnNewDocument", source=HELD)
+        for name, text in (("live", "No requests run"), ("graph", "No streams yet")):
+            page.open("about:blank")
+            page.open(f"{url}/#{name}")
+            page.wait_text("connecting")
+            page.wait("document.querySelector('main section') !== null")
+            shown = page.run("document.body.innerText")
+            assert text not in shown
+            assert "No stream has positions" not in shown
+            page.run("window.go = true")
+            page.wait_text(text)
+        page.close()
 
 
 def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> None:
