@@ -28,6 +28,8 @@ from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..ontology.shipped_files import is_shipped
 from ..rdf.namespaces import DYKNOW
+from ..reasoning.mtl.explanation import Explanation as VerdictExplanation
+from ..reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.stream_rules import INSTANTS
@@ -445,6 +447,18 @@ class Engine:
     def event(self, id: str) -> EventView:
         """The view of a running request. Raises `UnknownRequest`."""
         return self._parts.requests.view(id)
+
+    def event_why(
+        self, id: str, objects: Sequence[str], start: int
+    ) -> Callable[[], VerdictExplanation | tuple[ExplainedMatch, ...]]:
+        """Return the work that explains a verdict or match of a requested event, for another
+        thread (`reasoning_answers.why`). Raises `UnknownRequest`."""
+        return self._parts.requests.why(id, objects, start)
+
+    def event_partial(self, id: str, objects: Sequence[str], limit: int) -> PartialMatches:
+        """The partial matches of a requested pattern (`reasoning_answers.partial`). Raises
+        `UnknownRequest`."""
+        return self._parts.requests.partial(id, objects, limit)
 
     def cancel_event(self, id: str) -> None:
         """Cancel a request; units without users stop. Raises `UnknownRequest`."""

@@ -155,7 +155,8 @@ class PlanView:
 
 @dataclass(frozen=True, slots=True)
 class EventView:
-    """A running request for an event; ``created`` counts requests, 1 being the first.
+    """A running request for an event; ``created`` counts requests, 1 being the first. ``kind`` is
+    QUERY, MONITOR or PATTERN, as its template.
 
     ``since`` is the text of its `Beginning`. ``position`` is the number of the last sample of
     ``stream`` before the request. ``waits_for`` are the input streams without samples that are not
@@ -177,6 +178,7 @@ class EventView:
     late: int
     plan: PlanView
     created: int
+    kind: str
     failure: str | None = None
     empty: str | None = None
 

@@ -22,6 +22,8 @@ from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import XSD, shorten
+from ...reasoning.mtl.explanation import Explanation
+from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ...streams.past_queries import Moment
 from ...templates.instantiate import ArgumentError
 from ...templates.library import TemplateLibrary
@@ -46,9 +48,12 @@ from ..planning.stream_binding import (
     mean_the_same,
     supplies_of,
 )
+from ..units.monitor import MonitorUnit
+from ..units.pattern import PatternUnit
 from ..units.query import QueryUnit
-from ..units.sharing.shared_pattern import SharedPatternUnit
+from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
+from . import reasoning_answers
 from .empty_reasons import why_empty
 
 _SHORT = {
@@ -232,6 +237,7 @@ class EventRequests:
             late=running.unit.late,
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
+            kind=_kind(running.unit),
             failure=self._configuration.failure_of(running.unit),
             empty=why_empty(self._configuration, running.unit, self._ontology),
         )
@@ -249,6 +255,18 @@ class EventRequests:
         view = explanations.plan_view(self._configuration, unit)
         stages = ("units", view.text.rstrip()), ("evaluation", unit.explain())
         return explanations.Explanation("\n\n".join(text for _, text in stages), stages)
+
+    def why(
+        self, id: str, objects: Sequence[str], start: int
+    ) -> Callable[[], Explanation | tuple[ExplainedMatch, ...]]:
+        """Return the work that explains a verdict or a match, for another thread: see
+        `reasoning_answers.why`. Raises `UnknownRequest`."""
+        return reasoning_answers.why(id, self._request(id).running.unit, objects, start)
+
+    def partial(self, id: str, objects: Sequence[str], limit: int) -> PartialMatches:
+        """The partial matches of a pattern: see `reasoning_answers.partial`. Raises
+        `UnknownRequest`."""
+        return reasoning_answers.partial(id, self._request(id).running.unit, objects, limit)
 
     def explanation(
         self, template: AnyTemplate, request: EventRequest, strategy: str
@@ -365,6 +383,12 @@ class EventRequests:
                     annotation=running.annotation,
                 )
             )
+
+
+def _kind(unit: QueryUnit | QueryInstance | ReasoningUnit) -> str:
+    if isinstance(unit, MonitorUnit):
+        return "MONITOR"
+    return "PATTERN" if isinstance(unit, PatternUnit | PatternInstance) else "QUERY"
 
 
 def _key(

@@ -15,15 +15,18 @@ from ..model.errors import BadArguments, NoResult, Refused
 from ..units.base import ComputationalUnit
 from ..units.monitor import MonitorUnit, RecalledSamples
 from ..units.pattern import PatternUnit, RecalledEvents
+from ..units.sharing.shared_pattern import PatternInstance
 
 
 def why(
     name: str, unit: ComputationalUnit, objects: Sequence[str], start: int
 ) -> Callable[[], Explanation | tuple[ExplainedMatch, ...]]:
     """Return the work that explains one verdict of a monitor, or the matches of a pattern, for
-    another thread: see `RecalledSamples.explain`, `RecalledEvents.explain`. Raises `BadArguments`;
-    the work raises `NoResult`, `Refused` and `Forgotten`."""
-    if isinstance(unit, PatternUnit):
+    another thread: see `RecalledSamples.explain`, `RecalledEvents.explain`. ``name`` is that of the
+    query, or the id of the request. Raises `BadArguments`; the work raises `NoResult`, `Refused`
+    and `Forgotten`."""
+    stream = unit.output.name
+    if isinstance(unit, PatternUnit | PatternInstance):
         names = [each.name for each in unit.query.results if each.kind is Kind.OBJECT]
         if len(objects) > len(names):
             raise BadArguments(
@@ -31,12 +34,12 @@ def why(
                 f"give `object` for {', '.join(names)}" if names else "give none",
             )
         recalled_events = unit.recall()
-        return lambda: _matches(name, recalled_events, objects, start)
+        return lambda: _matches(name, stream, recalled_events, objects, start)
     if not isinstance(unit, MonitorUnit):
         raise BadArguments(
             f"{name!r} is a query, and only verdicts of monitors and matches of patterns are "
             "explained",
-            f"GET /queries/{name}?explain=true shows its stages",
+            f"GET /explain?id={name} shows its stages",
         )
     names = [f"?{parameter}" for parameter, _ in unit.monitoring.monitor.parameters]
     if len(names) != len(objects):
@@ -45,7 +48,7 @@ def why(
             f"give `object` once for each of {', '.join(names)}" if names else "give none",
         )
     recalled = unit.recall()
-    return lambda: _verdict(name, recalled, objects, start)
+    return lambda: _verdict(name, stream, recalled, objects, start)
 
 
 def partial(
@@ -53,10 +56,16 @@ def partial(
 ) -> PartialMatches:
     """Return the partial matches of a pattern that have all these ``objects``, at most ``limit``.
     Raises `BadArguments`."""
+    if isinstance(unit, PatternInstance):
+        raise BadArguments(
+            f"{name!r} shares its evaluation with other requests, and only of a pattern that has "
+            "one of its own the partial matches are known",
+            "register the pattern as a query (POST /queries)",
+        )
     if not isinstance(unit, PatternUnit):
         raise BadArguments(
             f"{name!r} is no pattern, and only patterns have partial matches",
-            f"GET /queries/{name} shows what it is",
+            f"GET /explain?id={name} shows what it is",
         )
     try:
         return unit.partial(objects, limit)
@@ -65,20 +74,20 @@ def partial(
 
 
 def _matches(
-    name: str, recalled: RecalledEvents, objects: Sequence[str], start: int
+    name: str, stream: str, recalled: RecalledEvents, objects: Sequence[str], start: int
 ) -> tuple[ExplainedMatch, ...]:
     found = recalled.explain(objects, start)
     if not found:
         raise NoResult(
             f"{name!r} has no match of these objects that starts at {format_time(start)}, or is "
             "valid then",
-            f"GET /streams/{name}/samples lists the matches",
+            f"GET /streams/{stream}/samples lists the matches",
         )
     return found
 
 
 def _verdict(
-    name: str, recalled: RecalledSamples, objects: Sequence[str], start: int
+    name: str, stream: str, recalled: RecalledSamples, objects: Sequence[str], start: int
 ) -> Explanation:
     try:
         return recalled.explain(objects, start)
@@ -88,7 +97,7 @@ def _verdict(
             f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
             f"there are states at {around}"
             if around
-            else f"GET /streams/{name}/samples lists the verdicts that it reported",
+            else f"GET /streams/{stream}/samples lists the verdicts that it reported",
         ) from error
     except (TooManyStates, TooManyDue) as error:
         raise Refused(

@@ -174,7 +174,8 @@ class RecalledEvents:
 
     It shares nothing with the unit that changes, so another thread may explain matches. ``past``:
     the samples of a stream, with its place and itself; ``evicting``: streams that have evicted
-    some; ``end``: the available time (ns) at which all have ended.
+    some; ``end``: the available time (ns) at which all have ended; ``background``: the static
+    triples of a pattern that may have some.
     """
 
     query: PatternQuery
@@ -182,7 +183,7 @@ class RecalledEvents:
     lateness: tuple[int, ...]
     past: tuple[tuple[int, StreamGenerator, SampleBatch], ...]
     evicting: tuple[FluentStream, ...]
-    background: Background
+    background: Background | None
     watermark: int | None
     end: int | None
 
@@ -201,7 +202,9 @@ class RecalledEvents:
             keys,
             lateness=self.lateness,
             keeps_places=True,
-            static=StaticTables(self.background, keys, self.query.graphs[1]),
+            static=None
+            if self.background is None
+            else StaticTables(self.background, keys, self.query.graphs[1]),
         )
         readers = row_readers(self.inputs, TermDictionary(), keys)
         for place, source, batch in self.past:

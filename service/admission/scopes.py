@@ -49,6 +49,8 @@ READ = (
     "GET /templates/{name:path}",
     "GET /events",
     "GET /events/{id}",
+    "GET /events/{id}/partial",
+    "GET /events/{id}/why",
     "GET /subscriptions",
     "GET /subscriptions/{id}",
     "GET /subscriptions/{id}/rematches",

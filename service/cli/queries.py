@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -34,12 +34,18 @@ from .parameters import (
 )
 from .streams import text_or_file
 
+if TYPE_CHECKING:
+    from ..client.client import Client
+
 query = typer.Typer(
     help="Queries, monitors and patterns: add, list, show, results, why, partial, remove.",
     no_args_is_help=True,
 )
 
 Name = Annotated[str, typer.Argument(help="The query's name.")]
+NameOrId = Annotated[
+    str, typer.Argument(help="The name of a monitor or pattern, or the id of a requested event.")
+]
 
 
 @query.command()
@@ -178,7 +184,7 @@ def remove(name: Name, url: Url = DEFAULT_URL, as_json: Json = False) -> None:
 
 @query.command()
 def why(
-    name: Annotated[str, typer.Argument(help="The name of a monitor or pattern.")],
+    name: NameOrId,
     start: Annotated[str, typer.Argument(help="The result's valid time, as `follow` shows it.")],
     object: Annotated[
         list[str] | None,
@@ -192,7 +198,8 @@ def why(
     from ..http.verdict_tables import why_table
 
     with connect(url) as client:
-        found = client.why(name, start, object or [])
+        ask = client.event_why if _is_request(client, name) else client.why
+        found = ask(name, start, object or [])
     if as_json:
         show_json(found)
     else:
@@ -201,7 +208,7 @@ def why(
 
 @query.command()
 def partial(
-    name: Annotated[str, typer.Argument(help="The pattern's name.")],
+    name: NameOrId,
     object: Annotated[
         list[str] | None, typer.Option(help="An object of the match. May be repeated.")
     ] = None,
@@ -213,11 +220,19 @@ def partial(
     from ..http.match_tables import partial_table
 
     with connect(url) as client:
-        found = client.partial_matches(name, object or [], limit)
+        is_request = _is_request(client, name)
+        ask = client.event_partial_matches if is_request else client.partial_matches
+        found = ask(name, object or [], limit)
     if as_json:
         show_json(found)
     else:
         show_text(partial_table(found))
+
+
+def _is_request(client: Client, name: str) -> bool:
+    """Whether this is the id of a request; a query of the same name goes before it."""
+    queries = {each["name"] for each in client.queries()}
+    return name not in queries and name in {each["id"] for each in client.requests()}
 
 
 def _state(found: dict[str, Any]) -> str:

@@ -625,6 +625,23 @@ class Routes:
         return read_object("GET", f"/queries/{_part(name)}/why", params=parameters)
 
     @verb
+    def event_why(
+        self, id: str, start: str | int, objects: Sequence[str] = ()
+    ) -> Flow[dict[str, Any]]:
+        """Return the same for a request whose template is a formula or a pattern."""
+        parameters = {"start": str(start), "object": list(objects)}
+        return read_object("GET", f"/events/{_part(id)}/why", params=parameters)
+
+    @verb
+    def event_partial_matches(
+        self, id: str, objects: Sequence[str] = (), limit: int = 20
+    ) -> Flow[dict[str, Any]]:
+        """Return the partial matches of a request whose template is a pattern: see
+        `partial_matches`."""
+        parameters = {"object": list(objects), "limit": limit}
+        return read_object("GET", f"/events/{_part(id)}/partial", params=parameters)
+
+    @verb
     def partial_matches(
         self, name: str, objects: Sequence[str] = (), limit: int = 20
     ) -> Flow[dict[str, Any]]:

@@ -1,7 +1,7 @@
 // The frame: pages, keys, theme, what is wrong. A page is loaded when it is first opened.
 import { effect, html, render, signal, useEffect, useRef } from "./vendor/preact.js";
-import { connection, held, history, requests, session, start, streams, wrong } from "./state.js";
-import { plural, rate } from "./format.js";
+import { connection, held, history, requests, session, start, stateOf, status, streams, wrong } from "./state.js";
+import { count, plural, rate } from "./format.js";
 import { ask } from "./http.js";
 import { say, theme, toast } from "./widgets.js";
 import { Login } from "./login.js";
@@ -59,16 +59,18 @@ function Help() {
 }
 
 function Connection() {
-  const state = connection.value;
-  const dot = { open: "on", waiting: "bad" }[state] ?? "";
-  return html`<span class="row small muted" role="status"><i class=${`dot ${dot}`}></i>
+  const isStarting = connection.value === "open" && status.value.starting.length > 0;
+  const state = isStarting ? "starting" : connection.value, dot = { open: "on", waiting: "bad" }[state] ?? "";
+  return html`<span class="row small muted" role="status" title=${isStarting ? status.value.starting.join("; ") : null}><i class=${`dot ${dot}`}></i>
     <span class="wide">${state === "open" ? "connected" : state}</span></span>`;
 }
 
 function Counts() {
-  const now = history.value.at(-1);
+  const now = history.value.at(-1), states = Map.groupBy(requests.value, stateOf);
+  const number = (state) => states.get(state)?.length ?? 0;
+  const apart = ["failed", "ended"].filter(number).map((state) => `, ${count(number(state))} ${state}`);
   return html`<span class="row counts small muted num wide">
-    <span>${plural(streams.value.length, "stream")}</span><span>${plural(requests.value.length, "request")}</span>
+    <span>${plural(streams.value.length, "stream")}</span><span>${plural(requests.value.length - number("failed") - number("ended"), "request")}${apart}</span>
     <span>${rate(now?.in)} in</span><span>${rate(now?.out)} out</span></span>`;
 }
 

@@ -2,11 +2,11 @@
 // at them four times a second, however many arrive.
 import { effect, signal } from "./vendor/preact.js";
 import { address, ask, follow } from "./http.js";
-import { byName, held, moment, objectField, place, requests, streams } from "./state.js";
+import { byName, held, moment, objectField, pace, place, requests, streams } from "./state.js";
 
 const EVENTS = 2_000, POINTS = 600, OBJECTS = 200, TRACKS = 5_000, TRACK_POINTS = 120;
 const TICK = 250, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
-const PLAYED_PAST = 120_000, FAST = 5_000;
+const PLAYED_PAST = 120_000, FAST = 5_000, LEAST = 0.05;
 
 /** The newest samples in the shapes that pages draw. */
 export class Rings {
@@ -66,16 +66,19 @@ export const extra = signal(null);
 /** The rings that are shown, live or played back; a new `tick` says that they have changed. */
 export const shown = signal(live);
 export const tick = signal(0);
+/** connecting; open, waiting or failed; ended, as the followed streams have. */
 export const feedState = signal("connecting");
 /** Samples a second that have arrived, and all so far. */
-export const pace = signal({ rate: 0, total: 0 });
+export const arrivals = signal({ rate: 0, total: 0 });
 
-let dirty = false, before = 0;
+let dirty = false, before = 0, rate = 0;
 setInterval(() => {
-  const rate = 0.7 * pace.value.rate + (0.3 * (live.total - before) * 1000) / TICK;
+  rate = 0.7 * rate + (0.3 * (live.total - before) * 1000) / TICK;
+  if (rate < LEAST) rate = 0;
   before = live.total;
   if (document.hidden) return;
-  if (Math.abs(rate - pace.value.rate) > 0.05 || held.value) pace.value = { rate, total: live.total };
+  const isOther = Math.abs(rate - arrivals.value.rate) > LEAST || (!rate && arrivals.value.rate);
+  if (isOther || held.value) arrivals.value = { rate, total: live.total };
   if (dirty && !held.value && moment.value === null) {
     dirty = false;
     tick.value++;
@@ -155,11 +158,15 @@ async function begin(names, isNewest) {
 /** The streams whose samples are shown from their past on. */
 export const following = signal([]);
 
+const STATES = ["failed", "waiting", "connecting", "open", "ended"];
+
 /** A connection that follows streams. Nothing here shows their RDF. */
 class Connection {
   names = [];
   /** The streams whose past has been read. */
   ready = [];
+  /** One of `STATES`; null if it follows none. */
+  state = null;
   #number = 0;
   #stop = null;
 
@@ -168,16 +175,18 @@ class Connection {
   }
 
   follow(names) {
-    if (names.join() === this.names.join()) return;
+    const goesOn = this.state === "ended" && names.some((name) => !byName.value.get(name).ended);
+    if (names.join() === this.names.join() && !goesOn) return;
     this.names = names;
     this.#stop?.();
     this.#stop = null;
     this.#number++;
     this.ready = this.ready.filter((name) => names.includes(name));
+    this.#tell(names.length ? "connecting" : null);
     if (!names.length) return;
     const path = address("/follow", { stream: names, ...this.parameters });
     this.#stop = follow(path, take, (state, position) => {
-      feedState.value = state;
+      this.#tell(state);
       if (!position) return;
       noteEpoch(position);
       // What comes from here on is sent; what came before is read.
@@ -188,7 +197,14 @@ class Connection {
         this.ready = names;
         following.value = [events, positions].flatMap((each) => each.ready);
       });
-    });
+    }, names.length);
+  }
+
+  /** Show the state that most needs attention. */
+  #tell(state) {
+    this.state = state;
+    const states = [events.state, positions.state];
+    feedState.value = STATES.find((each) => states.includes(each)) ?? "connecting";
   }
 }
 
@@ -200,7 +216,7 @@ effect(() => {
   const all = new Set([...requests.value.map((request) => request.stream), extra.value]);
   const newest = new Set();
   for (const stream of streams.value) {
-    if (stream.producer || stream.rate >= FAST || !place(stream) || all.has(stream.name)) continue;
+    if (stream.producer || pace(stream) >= FAST || !place(stream) || all.has(stream.name)) continue;
     (hasObjects(stream) ? newest : all).add(stream.name);
   }
   const wanted = (names) =>

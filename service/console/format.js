@@ -10,6 +10,13 @@ export function duration(seconds) {
   return `${Math.round(seconds / 86400)} days`;
 }
 
+/** How long ago, or in how long: 5 s ago, now, in 4 h. */
+export function ago(seconds) {
+  if (seconds == null || Number.isNaN(seconds)) return "–";
+  if (Math.abs(seconds) < 2) return "now";
+  return seconds < 0 ? `in ${duration(-seconds)}` : `${duration(seconds)} ago`;
+}
+
 export const count = (value) => (value == null ? "–" : Math.round(value).toLocaleString("en-US"));
 
 export function rate(value) {
@@ -54,8 +61,9 @@ export function words(name) {
   return text.slice(0, 1).toUpperCase() + text.slice(1);
 }
 
-/** A unit of SSL as people write it: km.h-1 → km/h, m.s-2 → m/s². */
+/** A unit of SSL as people write it: km.h-1 → km/h, m.s-2 → m/s²; nothing for what has none. */
 export function unit(text) {
+  if (text === "no_unit") return "";
   const powers = { 1: "", 2: "²", 3: "³" };
   let above = "", below = "";
   for (const part of (text ?? "").split(".")) {

@@ -62,13 +62,14 @@ const FIRST_WAIT = 500, LONGEST_WAIT = 15_000;
 
 /** Follow an event stream until the returned function is called; resume it after a lost connection.
 
-    `take` gets an array of messages for each chunk that arrives. `state` gets open, waiting or
-    failed. Not EventSource: that hides status and problem, cannot send Last-Event-ID first, and
-    calls once a message. */
-export function follow(path, take, state = () => {}) {
+    `take` gets an array of messages for each chunk that arrives. `state` gets open, waiting, failed,
+    or ended: all `number` streams of the address have ended, and nothing follows. Not EventSource:
+    that hides status and problem, cannot send Last-Event-ID first, and calls once a message. */
+export function follow(path, take, state = () => {}, number = 1) {
   const stop = new AbortController();
   let last = null, wait = FIRST_WAIT;
 
+  /** Whether the connection has ended because its streams have. */
   async function connect() {
     const headers = last ? { "Last-Event-ID": last } : {};
     const answer = await fetch(path, { signal: stop.signal, headers });
@@ -78,16 +79,22 @@ export function follow(path, take, state = () => {}) {
     state("open", isNew ? last : null);
     wait = FIRST_WAIT;
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+    const ended = new Set();
     let rest = "";
     for (;;) {
       const { value, done } = await reader.read();
-      if (done) return;
+      if (done) return ended.size >= number;
       rest += value;
       const end = rest.lastIndexOf("\n\n");
       if (end < 0) continue;
       const [found, id] = messages(rest.slice(0, end));
       rest = rest.slice(end + 2);
       last = id ?? last;
+      for (const { event, stream, reason } of found) {
+        // A stream that has ended may go on; a removed one may be declared again.
+        if (event === "end" && reason !== "removed") ended.add(stream);
+        else ended.delete(stream);
+      }
       if (found.length) take(found);
     }
   }
@@ -95,7 +102,7 @@ export function follow(path, take, state = () => {}) {
   async function run() {
     while (!stop.signal.aborted) {
       try {
-        await connect();
+        if (await connect()) return stop.signal.aborted || state("ended");
       } catch (error) {
         if (stop.signal.aborted) return;
         if (error.status >= 400 && error.status < 500 && error.status !== 429) {

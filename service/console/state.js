@@ -7,6 +7,8 @@ import { local, unit, words } from "./format.js";
 export const status = signal(null), streams = signal([]), units = signal([]), problems = signal([]);
 export const requests = signal([]), templates = signal([]), transformations = signal([]);
 export const vocabulary = signal({ sorts: [], features: [], events: [], prefixes: {} });
+/** Whether requests, templates and the vocabulary have been read once: until then none is known. */
+export const isKnown = signal(false);
 export const session = signal({ required: false, scopes: [] });
 /** connecting, open, waiting (no answer) or login. */
 export const connection = signal("connecting");
@@ -23,6 +25,14 @@ export const byName = computed(() => new Map(streams.value.map((each) => [each.n
 export const makers = computed(() => new Map(units.value.map((each) => [each.output, each])));
 export const featureOf = computed(
   () => new Map(vocabulary.value.features.map((each) => [local(each.name), each])));
+/** Stream → the request that it answers. Where there are several, a query before a subscription. */
+export const asked = computed(
+  () => new Map(requests.value.toReversed().map((each) => [each.stream, each])));
+/** What a request gives: verdicts of a MONITOR, matches of a PATTERN, or results of a query. */
+export const MONITOR = "MONITOR", PATTERN = "PATTERN";
+/** The fields that say what a verdict or a match is; none names an object. */
+const TOLD = { [MONITOR]: ["verdict", "decided", "witness", "last"], [PATTERN]: ["start", "end"] };
+export const told = (stream) => TOLD[asked.value.get(stream)?.gives] ?? [];
 export const may = (scope) => !session.value.required || session.value.scopes.includes(scope)
   || session.value.scopes.includes("admin");
 
@@ -44,7 +54,8 @@ export function title(stream) {
 /** The field that names the object of a sample. */
 export function objectField(stream) {
   const named = stream.ports.flatMap((port) => port.of).find((each) => each.id);
-  return named?.id ?? stream.fields.find((field) => field.type === "string")?.name;
+  const isName = (field) => field.type === "string" && !told(stream.name).includes(field.name);
+  return named?.id ?? stream.fields.find(isName)?.name;
 }
 
 /** The unit of a field, from its annotation; in a query's results that of the feature it is
@@ -67,14 +78,24 @@ export function place(stream) {
 export const numbers = (stream) =>
   stream.fields.filter((each) => ["float", "integer"].includes(each.type)).map((each) => each.name);
 
-/** Seconds since the last sample. A stream's own `lag` is how late that sample came. */
+/** Seconds since the last sample; negative for one in the future. A stream's own `lag` is how late
+    that sample came. */
 export const silence = (stream) => stream.last_available && status.value
-  ? Math.max(0, (Date.parse(status.value.now) - Date.parse(stream.last_available)) / 1000) : null;
+  ? (Date.parse(status.value.now) - Date.parse(stream.last_available)) / 1000 : null;
+
+/** Samples a second; a stream that has ended still knows the rate that it had. */
+export const pace = (stream) => (stream?.ended ? 0 : stream?.rate);
+
+/** running, failed, ended as its stream has, or what else the service says. */
+export function stateOf(request) {
+  if (!["running", "ended"].includes(request.state)) return request.state;
+  return byName.value.get(request.stream)?.ended ? "ended" : "running";
+}
 
 // -- polling -----------------------------------------------------------------------------------------
 
 function rateOf(list) {
-  return list.reduce((sum, stream) => sum + (stream?.rate ?? 0), 0);
+  return list.reduce((sum, stream) => sum + (pace(stream) ?? 0), 0);
 }
 
 async function look() {
@@ -104,7 +125,7 @@ function eventRequest(one) {
   const terms = one.arguments.map((each) => (each.startsWith("?") ? "any" : local(each)));
   return request("event", words(one.event), {
     id: one.id, stream: one.stream, state: one.state, problem: one.failure, chips: terms,
-    empty: one.empty, event: one.event, plan: one.plan, address: `/events/${one.id}`,
+    empty: one.empty, event: one.event, gives: one.kind, plan: one.plan, address: `/events/${one.id}`,
     again: { event: one.event, arguments: one.arguments, strategy: one.strategy },
   });
 }
@@ -113,7 +134,7 @@ function queryRequest(one) {
   return request("query", one.name, {
     id: one.name, stream: one.stream, state: one.state, problem: one.failure, empty: one.empty,
     chips: [one.form || one.dialect], source: one.source, plan: one.plan, dialect: one.dialect,
-    form: one.form, address: `/queries/${encodeURIComponent(one.name)}`,
+    form: one.form, gives: one.kind, address: `/queries/${encodeURIComponent(one.name)}`,
   });
 }
 
@@ -138,6 +159,7 @@ export async function refresh() {
     templates.value = known;
     transformations.value = made;
     vocabulary.value = names;
+    isKnown.value = true;
   });
 }
 

@@ -1,7 +1,7 @@
 // Small parts that all pages use.
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "./vendor/preact.js";
 import uPlot from "./vendor/uplot.js";
-import { clock } from "./format.js";
+import { clock, value } from "./format.js";
 
 const dark = matchMedia("(prefers-color-scheme: dark)").matches;
 export const theme = signal(localStorage.theme ?? (dark ? "dark" : "light"));
@@ -53,9 +53,12 @@ export function Spark({ points, width = 120, height = 18 }) {
 }
 
 /** Lines over time. `data()` returns [times in s, ...lines]; line number `focus` has the accent, all
-    others are grey. A changed `tick` draws it again. */
-export function Plot({ data, focus = 1, tick, label, zero = false, name = "plot" }) {
-  const box = useRef(), plot = useRef(), lines = useRef(0);
+    others are grey. `names` of the lines stand at their ends, and the nearest one's under the pointer.
+    A changed `tick` draws it again. */
+export function Plot({ data, focus = 1, tick, label, names = [], zero = false, name = "plot" }) {
+  const box = useRef(), plot = useRef(), lines = useRef(0), named = useRef();
+  const [pointed, setPointed] = useState(null);
+  named.current = names;
   const size = () => ({ width: box.current.clientWidth, height: box.current.clientHeight });
   const build = () => {
     plot.current?.destroy();
@@ -63,7 +66,11 @@ export function Plot({ data, focus = 1, tick, label, zero = false, name = "plot"
     const found = data();
     if (!box.current?.clientWidth || !found[0].length) return;
     lines.current = found.length;
-    plot.current = new uPlot({ ...size(), ...options(found.length, focus, zero) }, found, box.current);
+    const hooks = {
+      draw: [(drawn) => nameEnds(drawn, named.current, focus)],
+      setCursor: [(drawn) => setPointed(nearest(drawn, named.current))],
+    };
+    plot.current = new uPlot({ ...size(), ...options(found.length, focus, zero), hooks }, found, box.current);
   };
   useEffect(() => {
     build();
@@ -84,8 +91,43 @@ export function Plot({ data, focus = 1, tick, label, zero = false, name = "plot"
     else plot.current.setData(found);
   }, [tick]);
   const save = () => plot.current?.ctx.canvas.toBlob((blob) => download(`${name}.png`, blob));
-  return html`<div class="plotted"><div ref=${box} class="plotbox" role="img" aria-label=${label} />
+  return html`<div class="plotted"><div ref=${box} class="plotbox" role="img" aria-label=${names.length ? `${label}: ${names.join(", ")}` : label} />
+    ${pointed && html`<div class="pointed small num" aria-hidden="true">${pointed}</div>`}
     <button class="plain save" onClick=${save} aria-label="save the plot as PNG" title="save as PNG">PNG</button></div>`;
+}
+
+/** Write the names of lines at their ends, the focused one first; none over another. */
+function nameEnds(plot, names, focus) {
+  const { ctx, bbox, data } = plot, ratio = devicePixelRatio, taken = [];
+  const order = names.map((_, i) => i + 1).sort((a, b) => (b === focus) - (a === focus));
+  ctx.save();
+  ctx.font = `${11 * ratio}px ${style("--sans")}`;
+  ctx.textAlign = "right";
+  ctx.lineWidth = 3 * ratio;
+  ctx.strokeStyle = style("--surface");
+  for (const i of order) {
+    const last = data[i].findLastIndex((value) => value != null);
+    if (last < 0) continue;
+    const wide = ctx.measureText(names[i - 1]).width, gap = 4 * ratio;
+    const x = Math.max(bbox.left + wide, plot.valToPos(data[0][last], "x", true));
+    const above = plot.valToPos(data[i][last], "y", true) - gap;
+    const y = Math.max(bbox.top + 10 * ratio, above);
+    if (taken.some((other) => Math.abs(other.y - y) < 12 * ratio && Math.abs(other.x - x) < wide + other.wide)) continue;
+    taken.push({ x, y, wide });
+    ctx.strokeText(names[i - 1], x, y);
+    ctx.fillStyle = style(i === focus ? "--accent" : "--muted");
+    ctx.fillText(names[i - 1], x, y);
+  }
+  ctx.restore();
+}
+
+/** The name, value and time of the line that is nearest to the pointer. */
+function nearest(plot, names) {
+  const { top, idxs } = plot.cursor;
+  if (top < 0 || !idxs) return null;
+  const away = (i) => Math.abs(plot.valToPos(plot.data[i][idxs[i]], "y") - top);
+  const [i] = names.map((_, at) => at + 1).filter((at) => plot.data[at]?.[idxs[at]] != null).sort((a, b) => away(a) - away(b));
+  return i === undefined ? null : `${names[i - 1]} ${value(plot.data[i][idxs[i]])} at ${clock(1000 * plot.data[0][idxs[i]])}`;
 }
 
 function options(number, focus, zero) {

@@ -173,6 +173,10 @@ class EventModel(BaseModel):
     event: str
     arguments: list[str]
     strategy: str
+    kind: Literal["QUERY", "MONITOR", "PATTERN"] | None = Field(
+        description="what its template is: a MONITOR gives verdicts, a PATTERN matches; null: it "
+        "waits"
+    )
     since: str = Field(description="as requested; a duration as the time that it stands for")
     state: Literal["running", "failed", "waiting"] = Field(
         description="failed: the unit that answers it was stopped, and no more samples come; "
@@ -205,6 +209,7 @@ class EventModel(BaseModel):
             event=command.event if command.text is None else command.text,
             arguments=list(command.arguments),
             strategy=command.strategy,
+            kind=None,
             since=command.since,
             state="waiting",
             failure=waiting.reason,
@@ -225,6 +230,7 @@ class EventModel(BaseModel):
             event=view.event,
             arguments=list(view.arguments),
             strategy=view.strategy,
+            kind=view.kind,  # type: ignore[arg-type]
             since=view.since,
             state="running" if view.failure is None else "failed",
             failure=view.failure,

@@ -11,6 +11,7 @@ from ...reasoning.mtl.explanation import Explanation, Shown
 from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ...streams.time import TIME_MIN, format_time
 
+ASKED = "the name of the query, or the id of the request"
 Values: TypeAlias = dict[str, float | int | bool | str | None]
 
 
@@ -28,7 +29,7 @@ class WhyModel(BaseModel):
     """Why a verdict is what it is: the states from the first that the formula looks at to the one
     that decides it, in order of valid time."""
 
-    query: str
+    query: str = Field(description=ASKED)
     objects: dict[str, str]
     start: str
     verdict: Literal["true", "false", "unknown", "open"]
@@ -80,7 +81,7 @@ class MatchesWhyModel(BaseModel):
     """Why a pattern was recognized: the samples of each match that starts at a time, or is valid
     then."""
 
-    query: str
+    query: str = Field(description=ASKED)
     matches: list[ExplainedMatchModel]
 
     @classmethod
@@ -136,7 +137,7 @@ class PartialModel(BaseModel):
 class PartialMatchesModel(BaseModel):
     """The partial matches of a pattern, the newest first. ``more``: there are or may be others."""
 
-    query: str
+    query: str = Field(description=ASKED)
     watermark: str | None = Field(description="no sample that is valid before it comes any more")
     partial: list[PartialModel]
     more: bool

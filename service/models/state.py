@@ -67,6 +67,9 @@ class StatusModel(BaseModel):
     clients: int = Field(description="number of event-stream clients")
     accepted: int = Field(description="samples accepted since the start")
     load: LoadModel
+    starting: list[str] = Field(
+        description="what the start still does, with how far it is; until then it is not ready"
+    )
     waiting: list[WaitingModel] = Field(
         description="commands that an earlier run accepted and this one cannot execute now; their "
         "own lists have waiting requests, subscriptions and queries"

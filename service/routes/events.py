@@ -17,12 +17,16 @@ from ..models import (
     BEGINNING,
     EventIn,
     EventModel,
+    MatchesWhyModel,
+    PartialMatchesModel,
     Since,
     Strategy,
+    WhyModel,
     schema_of,
     text_schema,
 )
 from ..runtime.context import Context
+from .reasoning import TABLE, Limit, Objects, ObjectsOfMatch, Start, partial_answer, why_answer
 
 router = APIRouter(tags=["events"])
 
@@ -98,6 +102,43 @@ async def read_event(id: str, service: Context) -> EventModel:
     if (waiting := service.commands.deferred_by_name(REQUEST).get(id)) is not None:
         return EventModel.waiting(waiting)
     return EventModel.of(service.engine.event(id), service.engine.epoch)
+
+
+@router.get(
+    "/events/{id}/why",
+    response_model=WhyModel | MatchesWhyModel,
+    responses=TABLE | responses(404, 406, 410),
+)
+async def explain_event(
+    id: str, request: Request, service: Context, start: Start, object: Objects = None
+) -> Response:
+    """Explain one verdict or the matches of a requested event whose template is a formula or a
+    pattern, as `GET /queries/{name}/why` does for a registered one. As JSON, or a table for
+    ``Accept: text/plain``.
+
+    400: the template is a query. 404: no such request, no state at this time, or no match; 410:
+    the streams no longer have the samples.
+    """
+    engine = service.engine
+    stream = engine.event(id).stream
+    return await why_answer(request, service, engine.event_why, id, stream, object or [], start)
+
+
+@router.get(
+    "/events/{id}/partial",
+    response_model=PartialMatchesModel,
+    responses=TABLE | responses(404, 406),
+)
+async def list_partial_events(
+    id: str,
+    request: Request,
+    service: Context,
+    object: ObjectsOfMatch = None,
+    limit: Limit = 20,
+) -> Response:
+    """List the partial matches of a requested event whose template is a pattern, as
+    `GET /queries/{name}/partial` does for a registered one."""
+    return partial_answer(request, id, service.engine.event_partial(id, object or [], limit))
 
 
 @router.delete("/events/{id}", status_code=204, responses=responses(404))

@@ -18,13 +18,11 @@ from ...rdf.namespaces import DYKNOW
 from ...streams.time import format_time
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
 from ..http.json_lists import listed
-from ..http.match_tables import matches_table, partial_table
 from ..http.negotiation import accepted, text_body
 from ..http.problems import responses
 from ..http.sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..http.text_limits import parse_aside, parse_continuous
 from ..http.time_parameters import Time, time_of
-from ..http.verdict_tables import why_table
 from ..models import (
     BEGINNING,
     MatchesWhyModel,
@@ -38,6 +36,7 @@ from ..models import (
 from ..runtime.context import Context
 from ..sse.window_results import result_stream
 from .follow import EVENTS, SINCE
+from .reasoning import TABLE, Limit, Objects, ObjectsOfMatch, Start, partial_answer, why_answer
 
 router = APIRouter(tags=["queries"])
 
@@ -231,18 +230,14 @@ async def follow_results(
 @router.get(
     "/queries/{name}/why",
     response_model=WhyModel | MatchesWhyModel,
-    responses=TEXT_RESPONSE | responses(404, 406, 410),
+    responses=TABLE | responses(404, 406, 410),
 )
 async def explain_result(
     name: Name,
     request: Request,
     service: Context,
-    start: Annotated[
-        str, Query(description="the valid time of the verdict or match, ISO-8601 or ns")
-    ],
-    object: Annotated[
-        list[str] | None, Query(description="the object of each parameter, in order")
-    ] = None,
+    start: Start,
+    object: Objects = None,
 ) -> Response:
     """Explain one verdict of a monitor, or the matches of a pattern. As JSON, or a table for
     ``Accept: text/plain``.
@@ -254,37 +249,21 @@ async def explain_result(
     Both are made again of the samples that the streams retain. 404: no state is at this time, the
     object is not there, or there is no match; 410: the streams no longer have the samples.
     """
-    kind = accepted(request, (JSON, TEXT))
-    moment = time_of(start, "start")
-    assert moment is not None
-    engine, objects = service.engine, object or []
-    found = await anyio.to_thread.run_sync(engine.queries.why(name, objects, moment))
-    if isinstance(found, tuple):
-        model: WhyModel | MatchesWhyModel = MatchesWhyModel.of(name, found)
-        table = matches_table
-    else:
-        # The fields of a verdict begin with the objects.
-        names = engine.generator(name).schema.names
-        model = WhyModel.of(name, dict(zip(names, objects, strict=False)), found)
-        table = why_table
-    if kind == TEXT:
-        return PlainTextResponse(table(model.model_dump()))
-    return JSONResponse(model.model_dump(mode="json"))
+    why = service.engine.queries.why
+    return await why_answer(request, service, why, name, name, object or [], start)
 
 
 @router.get(
     "/queries/{name}/partial",
     response_model=PartialMatchesModel,
-    responses=TEXT_RESPONSE | responses(404, 406),
+    responses=TABLE | responses(404, 406),
 )
 async def list_partial_matches(
     name: Name,
     request: Request,
     service: Context,
-    object: Annotated[
-        list[str] | None, Query(description="an object of the match; may be repeated")
-    ] = None,
-    limit: Annotated[int, Query(ge=1, le=1000, description="at most so many")] = 20,
+    object: ObjectsOfMatch = None,
+    limit: Limit = 20,
 ) -> Response:
     """List the partial matches of a pattern, the newest first: which of its events have come, and
     between which times each of the others may still come. As JSON, or a table for
@@ -292,9 +271,5 @@ async def list_partial_matches(
 
     Under skip_till_any_match these are all sets of events that can still become a match.
     """
-    kind = accepted(request, (JSON, TEXT))
     found = service.engine.queries.partial(name, object or [], limit)
-    model = PartialMatchesModel.of(name, found)
-    if kind == TEXT:
-        return PlainTextResponse(partial_table(model.model_dump()))
-    return JSONResponse(model.model_dump(mode="json"))
+    return partial_answer(request, name, found)

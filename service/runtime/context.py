@@ -40,6 +40,7 @@ from .warm_up import WarmUp
 
 LATE = 5.0
 """Seconds without a tick after which the service is not ready: its event loop is blocked."""
+NO_TICK = "starting: the engine has had no tick yet"
 BEGUN = 8
 """Histories that are looked up at a time."""
 
@@ -97,12 +98,17 @@ class Service:
         if self.warming is not None:
             found += self.warming.reasons()
         if self.ticked is None:
-            found.append("starting: the engine has had no tick yet")
+            found.append(NO_TICK)
         else:
             late = time.monotonic() - self.ticked
             if late > max(LATE, 10 * self.settings.tick):
                 found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
         return found
+
+    def starting(self) -> list[str]:
+        """Those of the reasons that the start brings, and its end takes away."""
+        unfinished = [] if self.warming is None else self.warming.unfinished()
+        return unfinished + ([NO_TICK] if self.ticked is None else [])
 
     def failed(self) -> list[str]:
         """The number of failed units, by the kind of failure. Without names, since /readyz needs no

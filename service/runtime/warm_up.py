@@ -34,11 +34,17 @@ class WarmUp:
 
     def __init__(self) -> None:
         self._doing: dict[str, str] = {}
+        self._failed: dict[str, str] = {}
         self._threads: list[threading.Thread] = []
         self._is_over = False
 
     def reasons(self) -> list[str]:
         """The tasks that are unfinished or have failed."""
+        failed = [f"{name}: failed: {error}" for name, error in tuple(self._failed.items())]
+        return self.unfinished() + failed
+
+    def unfinished(self) -> list[str]:
+        """The tasks that are under way."""
         return [f"{name}: {doing}" for name, doing in tuple(self._doing.items())]
 
     def begin(self, name: str, doing: str, work: Callable[[], None]) -> threading.Thread:
@@ -58,9 +64,8 @@ class WarmUp:
             return
         except Exception as error:  # noqa: BLE001 - the log and /readyz report it
             log().exception("warm-up failed", what=name)
-            self._doing[name] = f"failed: {error}"
-        else:
-            del self._doing[name]
+            self._failed[name] = str(error)
+        del self._doing[name]
 
     def loops(self) -> None:
         """Compile the loops, or read them from the cache."""

@@ -18,6 +18,7 @@ from ....streams.sample import SampleBatch
 from ....streams.time import TIME_MAX, TIME_MIN
 from ..match_samples import MatchWriter
 from ..merge import ObjectCodes, ObjectName
+from ..pattern import RecalledEvents
 from ..row_readers import SourceInput, row_readers
 from ..sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
 from .instances import InstanceUnit, SharingUnit
@@ -75,12 +76,14 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
     ) -> None:
         super().__init__(*args, newest=newest)
         self.pattern = pattern
+        self._inputs_of_sources = tuple(inputs_of_sources)
+        self._lateness = tuple(lateness(each) for each in self.sources)
         self.keys = Keys()
         self.recognition = PartRecognition(
             pattern,
             len(self.sources),
             self.keys,
-            lateness=[lateness(each) for each in self.sources],
+            lateness=self._lateness,
         )
         self.matches = 0
         """Matches found by now."""
@@ -143,6 +146,26 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         return object not in self._parts and all(
             source.is_idle or self._watermarks.get(source, TIME_MIN) <= _watermark_of(source)
             for source in self.sources
+        )
+
+    def recall(self, number: int, since: Mapping[StreamGenerator, int]) -> RecalledEvents:
+        """Return the retained samples of an instance's object, for explanations; of each stream
+        those after the available time (ns) ``since``."""
+        past, evicting = self._past()
+        own = []
+        for place, source, batch in past:
+            parts, asked = self._asked_for(source, batch)
+            rows = (parts == number) & (asked.available > since.get(source, TIME_MIN))
+            own.append((place, source, asked.take(rows)))
+        return RecalledEvents(
+            self.pattern.query,
+            self._inputs_of_sources,
+            self._lateness,
+            tuple(own),
+            evicting,
+            None,
+            self._end + 1 if self.all_ended else self.least_watermark,
+            self._end if self.all_ended else None,
         )
 
     def _refresh_objects(self) -> None:
@@ -250,6 +273,8 @@ class PatternInstance(InstanceUnit):
             evaluation=template.explain,
         )
         self.query = query
+        self._since: dict[StreamGenerator, int] = {}
+        """The last available time (ns) of each stream whose samples it has not read."""
         self.key = template.keys.number(object_key(object))
         """The number of its object."""
         self.matches = 0
@@ -261,6 +286,17 @@ class PatternInstance(InstanceUnit):
         """The unit that evaluates this pattern together with others."""
         assert isinstance(self._template, SharedPatternUnit)
         return self._template
+
+    def connect(self, source: StreamGenerator) -> None:
+        super().connect(source)
+        for each in self.template.sources:
+            if each.stream.last_available is not None:
+                self._since[each] = each.stream.last_available
+
+    def recall(self) -> RecalledEvents:
+        """Return the retained samples that it has read, for explanations."""
+        assert self.number is not None
+        return self.template.recall(self.number, self._since)
 
     @property
     def samples(self) -> int:

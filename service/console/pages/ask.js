@@ -1,10 +1,11 @@
 // Say what you want to know: a template, its arguments, the plan that would answer it, and why.
 // Nothing starts before Start.
 import { html, useEffect, useState } from "../vendor/preact.js";
-import { byName, may, refresh, requests, templates, vocabulary } from "../state.js";
+import { byName, isKnown, may, pace, refresh, requests, templates, vocabulary } from "../state.js";
 import { shown, tick } from "../feed.js";
 import { local, plural, rate, unit, value, words } from "../format.js";
 import { ask, explain } from "../http.js";
+import { eventText, initial, prefixed, sorts, term, usual } from "../terms.js";
 import { PlanTree } from "../plan.js";
 import { Chips, Empty, Trouble, say } from "../widgets.js";
 
@@ -18,20 +19,6 @@ const AGGREGATES = { AVG: "mean", MAX: "greatest", MIN: "least", SUM: "sum of", 
 const LABELS = { object: "object", sort: "of sort", feature: "feature", number: "number", text: "text",
   duration: "duration" };
 const SINCE = { now: "now", start: "with what is kept" };
-
-const prefixed = (name) => (name.includes(":") || name.startsWith("<") ? name : `dyknow:${name}`);
-const sorts = () => vocabulary.value.sorts.map((each) => local(each.name));
-/** A sort that streams are about, so that the first plan is one. */
-const usual = () => [...byName.value.values()].flatMap((each) => each.ports).flatMap((port) => port.of)
-  .filter((each) => each.every).map((each) => local(each.name))[0] ?? sorts()[0] ?? "Thing";
-const initial = (use) => ({ sort: usual(), number: "100", feature: "speed", duration: "10s" })[use.role] ?? "";
-
-/** The term for an argument, as a request has it. */
-function term(use, text) {
-  if (use.role === "object") return text ? prefixed(text) : use.name;
-  if (use.role === "sort" || use.role === "feature") return prefixed(text);
-  return use.role === "number" ? text || "0" : JSON.stringify(text);
-}
 
 const Choice = ({ id, current, options, choose }) => html`<select id=${id} value=${current}
   onChange=${(event) => choose(event.target.value)}>${Object.entries(options).map(([key, text]) =>
@@ -70,8 +57,8 @@ function Gallery({ chosen, choose }) {
   return html`<section class="panel" aria-label="templates"><header><h2>What do you want to know?</h2></header>
     ${templates.value.map((each) => html`<button class="card" key=${each.name} aria-pressed=${each.name === chosen} onClick=${() => choose(each.name)}>
       <b>${words(each.name)}</b><span>${each.doc}</span></button>`)}
-    ${!templates.value.length && html`<${Empty} title="No event templates."><span>A template names an event and says how to detect it.</span>
-      <code>dyknow template add templates/library/high_speed.rq</code><//>`}
+    ${isKnown.value && !templates.value.length && html`<${Empty} title="No event templates."><span>A template names an event and says how to detect it.</span>
+      <code>dyknow template add --library high_speed</code><//>`}
     <button class="card" aria-pressed=${chosen === "feature"} onClick=${() => choose("feature")}><b>A feature, whatever streams have it</b>
       <span>The best stream now; another one when it falls silent or a better one comes.</span></button>
     <a class="card" href="#query/continuous"><b>Something else</b><span>Write a continuous query.</span></a></section>`;
@@ -100,7 +87,7 @@ function Started({ made }) {
   const numbers = event ? Object.entries(event.values).filter(([, each]) => typeof each === "number") : [];
   return html`<div class="note" role="status"><b>It runs as ${made.id}.</b>
     ${event ? html` Last: <span class="mono">${event.object}</span> ${numbers.map(([name, each]) => `${name} ${value(each)}`).join(", ")}.` : " It waits for the first event."}
-    ${stream && ` ${rate(stream.rate)}`} <a href=${`#live/${encodeURIComponent(made.stream)}`}>Follow it</a> ·
+    ${stream && ` ${rate(pace(stream))}`} <a href=${`#live/${encodeURIComponent(made.stream)}`}>Follow it</a> ·
     <a href=${`#graph/${encodeURIComponent(made.stream)}`}>Where it comes from</a></div>`;
 }
 
@@ -109,7 +96,7 @@ function Same({ list }) {
   return html`<div class="same"><h3 class="group">${plural(list.length, "request")} of this kind; an equal one shares its stream</h3>
     ${list.map((each) => html`<a class="item row" key=${each.id} href=${`#live/${encodeURIComponent(each.stream)}`}>
       <span class="mono faint">${each.id}</span><span class="grow"><${Chips} of=${each.chips.length ? each.chips : [each.name]} /></span>
-      <span class="faint num">${rate(byName.value.get(each.stream)?.rate)}</span></a>`)}</div>`;
+      <span class="faint num">${rate(pace(byName.value.get(each.stream)))}</span></a>`)}</div>`;
 }
 
 export default function Ask() {
@@ -123,7 +110,7 @@ export default function Ask() {
   const template = isFeature ? null : templates.value.find((each) => each.name === chosen) ?? templates.value[0];
   const text = (use) => texts[use.name] ?? initial(use);
   const terms = template?.uses.map((use) => term(use, text(use)));
-  const event = template && `${prefixed(template.local_name)}(${terms.join(", ")})`;
+  const event = template && eventText(template, terms);
   const match = {
     feature: prefixed(want.feature), strategy: options.strategy,
     ...(want.object ? { objects: [prefixed(want.object)] } : { sort: prefixed(want.sort) }),

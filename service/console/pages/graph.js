@@ -1,11 +1,11 @@
 // Streams and the units that make them, from left to right. Choose one: what it is, what feeds it,
 // and what breaks without it.
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
-import { byName, held, numbers, objectField, problems, requests, silence, streams, title, transformations, unitOf, units } from "../state.js";
+import { byName, held, numbers, objectField, pace, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
 import { chain, model, reached } from "../graph.js";
 import { curve, layout } from "../layout.js";
 import { address, ask, follow } from "../http.js";
-import { clock, count, duration, rate, value } from "../format.js";
+import { ago, clock, count, duration, rate, value } from "../format.js";
 import { Chips, Empty, Plot, Trouble, aligned, theme } from "../widgets.js";
 
 const MANY = 150, SILENT = 15, FIELDS = 6, LINES = 12, KEPT = 600, TAIL = 30, FAR = 0.45;
@@ -29,7 +29,7 @@ function lines(node, apart) {
   if (!stream) return [node.stream, ""];
   const asked = node.requests[0], more = node.requests.length > 1 ? ` × ${node.requests.length}` : "";
   const quiet = silence(stream);
-  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(stream.rate);
+  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(pace(stream));
   const by = node.unit && !apart ? node.unit.transformation : stream.name;
   return [asked ? asked.name + more : title(stream), `${state} · ${by}`];
 }
@@ -134,17 +134,17 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
   const isDim = (id) => (hits ? !hits.has(id) : lit !== null && !lit.has(id));
   const levels = new Map(problems.value.map((each) => [each.stream, each.level]));
   const edgeClass = ([from, to]) => (lit?.has(from) && lit.has(to) ? "edge on" : isDim(from) || isDim(to) ? "edge dim" : "edge");
-  const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (byName.value.get(stream)?.rate ?? 0)));
+  const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (pace(byName.value.get(stream)) ?? 0)));
   return html`<div class="sheet"><svg class="net" ref=${svg} role="group" aria-label="stream graph"><g>
     ${graph.edges.map((edge, i) => drawn.paths[i].length > 1 && html`<path key=${edge.join()} class=${edgeClass(edge)} d=${curve(drawn.paths[i])} stroke-width=${thick(edge[2])} />`)}
     ${graph.nodes.map((node) => html`<${Node} key=${node.id} node=${node} at=${drawn.places.get(node.id)} isChosen=${node.id === chosen}
       isDim=${isDim(node.id)} level=${levels.get(node.stream)} apart=${apart} pick=${pick} keys=${keys} />`)}</g></svg>
-    ${!graph.nodes.length && html`<${Empty} title="No streams yet."><span>Publish one:</span><code>dyknow replay flights.csv --stream flights</code><//>`}
+    ${status.value && !graph.nodes.length && html`<${Empty} title="No streams yet."><span>Publish one:</span><code>dyknow replay flights.csv --stream flights</code><//>`}
     <div class="over"><button onClick=${() => { view.current.auto = true; whole(); }}>Fit</button></div></div>`;
 }
 
 /** The last samples of a stream, and those that arrive. */
-function useTail(name) {
+function useTail({ name, ended }) {
   const [rows, setRows] = useState([]), [trouble, setTrouble] = useState(null);
   useEffect(() => {
     const kept = [];
@@ -163,22 +163,21 @@ function useTail(name) {
       stop();
       clearTimeout(due);
     };
-  }, [name]);
+  }, [name, ended]);
   return [rows, trouble];
 }
 
 function Tail({ stream }) {
-  const [rows, trouble] = useTail(stream.name), [wished, setField] = useState(null);
+  const [rows, trouble] = useTail(stream), [wished, setField] = useState(null);
   const id = objectField(stream), plottable = numbers(stream), field = plottable.includes(wished) ? wished : plottable[0];
-  const data = () => {
-    const groups = [...Map.groupBy(rows, (row) => row[id]).values()].sort((a, b) => b.length - a.length).slice(0, LINES);
-    return aligned(groups.map((group) => group.map((row) => [Date.parse(row.valid) / 1000, row[field]])));
-  };
+  const groups = [...Map.groupBy(rows, (row) => row[id])].sort((a, b) => b[1].length - a[1].length).slice(0, LINES);
+  const data = () => aligned(groups.map(([, group]) => group.map((row) => [Date.parse(row.valid) / 1000, row[field]])));
+  const names = id ? groups.map(([name]) => String(name)) : [];
   const shown = stream.fields.slice(0, FIELDS), isNumber = (each) => plottable.includes(each.name);
   return html`<${Trouble} of=${trouble} />
     ${plottable.length > 0 && html`<div class="body"><div class="row"><h3 class="grow">Last samples</h3>
       <select aria-label="field" value=${field} onChange=${(event) => setField(event.target.value)}>${plottable.map((each) => html`<option value=${each}>${each} ${unitOf(stream, each)}</option>`)}</select></div>
-      <div class="smallplot"><${Plot} data=${data} tick=${`${rows.length}${rows.at(-1)?.valid}${field}`} label=${`${field} over time`} name=${`${stream.name}-${field}`} /></div></div>`}
+      <div class="smallplot"><${Plot} data=${data} tick=${`${rows.length}${rows.at(-1)?.valid}${field}`} label=${`${field} over time`} names=${names} name=${`${stream.name}-${field}`} /></div></div>`}
     <table><thead><tr><th>valid</th>${shown.map((each) => html`<th class=${isNumber(each) ? "num" : ""}>${each.name}</th>`)}</tr></thead>
       <tbody>${rows.slice(-TAIL).reverse().map((row) => html`<tr><td class="faint num">${clock(row.valid)}</td>
         ${shown.map((each) => html`<td class=${isNumber(each) ? "num" : "mono cut"}>${value(row[each.name])}</td>`)}</tr>`)}</tbody></table>`;
@@ -219,8 +218,8 @@ function Details({ node, graph, pick }) {
         ${parameters.map(([name, text]) => html`<dt>${name}</dt><dd class="mono">${text}</dd>`)}
         ${unit && html`<dt>work</dt><dd>${duration(unit.busy)}${unit.windows ? `, ${count(unit.windows)} windows` : ""}${unit.lag ? `, ${duration(unit.lag)} behind` : ""}</dd>`}
         ${unit && (unit.errors > 0 || unit.overruns > 0 || unit.late > 0) && html`<dt>lost</dt><dd class="warn">${count(unit.errors)} errors, ${count(unit.overruns)} windows, ${count(unit.late)} late</dd>`}
-        ${stream && html`<dt>rate</dt><dd>${rate(stream.rate)}, ${count(stream.counters.accepted)} in all</dd>
-          <dt>last sample</dt><dd>${silence(stream) === null ? "none yet" : `${duration(silence(stream))} ago`}</dd>
+        ${stream && html`<dt>rate</dt><dd>${stream.ended ? "ended" : rate(stream.rate)}, ${count(stream.counters.accepted)} in all</dd>
+          <dt>last sample</dt><dd>${silence(stream) === null ? "none yet" : ago(silence(stream))}</dd>
           <dt>late, twice</dt><dd>${count(stream.counters.late)}, ${count(stream.counters.duplicate)}</dd>
           <dt>kept</dt><dd>${count(stream.kept)} of ${count(stream.retention.samples)}</dd><dt>readers</dt><dd>${stream.subscribers}</dd>`}
         <dt>comes from</dt><dd>${near(0, "outside")}</dd><dt>feeds</dt><dd>${near(1, "no other stream")}</dd></dl>

@@ -1,40 +1,32 @@
 // What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
-import { byName, held, may, moment, numbers, objectField, requests, refresh, unitOf } from "../state.js";
-import { feedState, oldest, pace, play, shown, tick } from "../feed.js";
-import { clock, count, duration, rate, value } from "../format.js";
+import { byName, held, isKnown, may, moment, numbers, pace, place, requests, refresh, stateOf, status, streams, templates, unitOf } from "../state.js";
+import { arrivals, feedState, oldest, play, shown, tick } from "../feed.js";
+import { ago, clock, count, rate, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
+import { eventText } from "../terms.js";
+import { Values } from "../results.js";
 import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
-const SHOWN_FIELDS = 4, LINES = 24, PLOTTED = 90, RECENT = 10;
+const STATES = ["failed", "running", "ended"];
+const LINES = 24, PLOTTED = 90, RECENT = 10;
 const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
-
-/** The values of an event beside its object, with their units. */
-function Values({ of }) {
-  const stream = byName.value.get(of.name), id = stream && objectField(stream);
-  const fields = Object.entries(of.values).filter(([name, each]) => name !== id && each != null);
-  return fields.slice(0, SHOWN_FIELDS).map(([name, each]) => {
-    const unit = stream && unitOf(stream, name);
-    return html`<span class="faint">${name} </span><span class="num">${value(each)}</span>
-      ${unit && html`<span class="faint"> ${unit}</span>`} `;
-  });
-}
 
 function Request({ request, isChosen, choose }) {
   const event = shown.value.last.get(request.stream), stream = byName.value.get(request.stream);
   const now = moment.value ?? Date.now(), age = event ? (now - event.time) / 1000 : null;
-  const isBad = request.state === "failed", isRunning = request.state === "running";
-  const dot = isBad ? "bad" : !isRunning ? "warn" : age !== null && age < RECENT ? "on" : "";
+  const state = stateOf(request), isBad = state === "failed";
+  const dot = { failed: "bad", ended: "", running: age !== null && Math.abs(age) < RECENT ? "on" : "" }[state] ?? "warn";
   return html`<button class="ask-row" aria-pressed=${isChosen} onClick=${choose}>
-    <span class="row"><i class=${`dot ${dot}`} title=${request.state}></i>
-      <span class="name cut grow">${request.name}</span><span class="faint small num">${rate(stream?.rate)}</span></span>
+    <span class="row"><i class=${`dot ${dot}`} title=${state}></i>
+      <span class="name cut grow">${request.name}</span><span class="faint small num">${state === "ended" ? state : rate(pace(stream))}</span></span>
     ${request.chips.length > 0 && html`<${Chips} of=${request.chips} />`}
     <span class="said cut">${request.problem ? html`<span class=${isBad ? "bad" : "warn"}>${request.problem}</span>`
       : event ? html`<span class="mono">${event.object}</span> <${Values} of=${event} />
-        <span class="faint">· ${age < 2 ? "now" : `${duration(age)} ago`}</span>`
+        <span class="faint">· ${ago(age)}</span>`
       : html`<span class="faint" title=${request.empty}>${request.empty ?? "no event yet"}</span>`}</span></button>`;
 }
 
@@ -52,20 +44,36 @@ async function end(request) {
   });
 }
 
-function Running({ chosen }) {
+/** The states that requests are listed by, each with those that have it. */
+function groups() {
+  const states = Map.groupBy(requests.value, stateOf);
+  const others = [...states.keys()].filter((each) => !STATES.includes(each));
+  return [...others, ...STATES].filter((each) => states.has(each)).map((each) => [each, states.get(each)]);
+}
+
+/** A request that this service can answer, or how to get a template first. */
+function Proposal() {
+  const [template] = templates.value;
+  if (template) return html`<code>dyknow events '${eventText(template)}'</code>`;
+  return html`<span>There is no event template yet. Add one of the library:</span>
+    <code>dyknow template add --library high_speed</code>`;
+}
+
+function Requests({ chosen }) {
   const [trouble, setTrouble] = useState(null);
-  const list = requests.value;
   const go = (request) => {
     location.hash = request === chosen ? "live" : `live/${encodeURIComponent(request.stream)}`;
   };
-  return html`<section class="panel asks" aria-label="requests"><header><h2 class="grow">Running</h2>
+  return html`<section class="panel asks" aria-label="requests"><header><h2 class="grow">Requests</h2>
     <a class="small" href="#ask">Ask for more</a></header>
-    <div class="scroll">${list.map((request) => html`<${Request} key=${request.kind + request.id} request=${request}
-        isChosen=${request === chosen} choose=${() => go(request)} />`)}
-      ${!list.length && html`<${Empty} title="No requests run.">
+    <div class="scroll">${groups().map(([state, list]) => html`<section key=${state} aria-label=${`${state} requests`}>
+        <h3 class="group">${words(state)} <span class="faint num">${count(list.length)}</span></h3>
+        ${list.map((request) => html`<${Request} key=${request.kind + request.id} request=${request}
+          isChosen=${request === chosen} choose=${() => go(request)} />`)}</section>`)}
+      ${isKnown.value && !requests.value.length && html`<${Empty} title="No requests run.">
         <span>Say what you want to know; DyKnow finds or builds the streams that answer it.</span>
         <a href="#ask">Ask for an event</a>
-        <code>dyknow events 'dyknow:HighSpeedEvent(?o, dyknow:Aircraft, 800)'</code><//>`}</div>
+        <${Proposal} /><//>`}</div>
     <${Trouble} of=${trouble} />
     ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>
       ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
@@ -76,7 +84,7 @@ const isOfAll = (event) => event.gap && !event.name;
 
 function Feed({ chosen, object, select, all, setAll, isWanted }) {
   const [find, setFind] = useState(""), [asked, setAsked] = useState(null), frozen = useRef(null), byScroll = useRef(false);
-  if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: pace.value.total };
+  if (held.value) frozen.current ??= { events: shown.value.events.slice(), total: arrivals.value.total };
   else frozen.current = null;
   const text = find.toLowerCase();
   const fits = (event) => isOfAll(event) || isWanted(event.name) && (!object || event.object === object)
@@ -93,7 +101,7 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     : html`<div class=${`line ${object && event.object === object ? "on" : ""}`} key=${event.number} style=${at}>
         <time>${clock(event.time)}</time><span class="cut of muted">${names.get(event.name) ?? event.name}</span>
         <button class="cut who" onClick=${() => select(event.object)}>${event.object ?? "–"}</button>
-        <span class="cut">${question(event) && html`<button class="chip" onClick=${() => setAsked(question(event))}>why?</button> `}<${Values} of=${event} /></span></div>`;
+        <span class="cut">${question(event) && html`<button class="chip" onClick=${() => setAsked(question(event))}>why?</button> `}<${Values} of=${event} brief=${true} /></span></div>`;
   return html`<section class="panel feed" aria-label="events"><header>
     ${chosen ? html`<h2>Events</h2><a class="chip on" href="#live" title="show all">${chosen.name} ✕</a>`
       : html`<div class="tabs" role="group" aria-label="which">
@@ -101,9 +109,10 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
           <button aria-pressed=${all} onClick=${() => setAll(true)}>All results</button></div>`}
     ${object && html`<button class="chip on" onClick=${() => select(null)} title="show all objects">${object} ✕</button>`}
     <span class="grow"></span>
-    ${held.value && html`<span class="small accent num">held, +${count(pace.value.total - frozen.current.total)}</span>`}
+    ${held.value && html`<span class="small accent num">held, +${count(arrivals.value.total - frozen.current.total)}</span>`}
     ${feedState.value === "waiting" && html`<span class="small warn">reconnecting</span>`}
-    <span class="small faint num wide">${rate(pace.value.rate)}</span>
+    ${feedState.value === "ended" && html`<span class="small faint" title="all streams of the requests have ended">ended</span>`}
+    <span class="small faint num wide">${rate(arrivals.value.rate)}</span>
     <input type="search" class="short" placeholder="object" aria-label="filter by object" value=${find}
       onInput=${(event) => setFind(event.target.value)} /></header>
     ${events.length ? html`<${Rows} items=${events} draw=${row} label="events" scrolled=${scrolled} />`
@@ -130,7 +139,7 @@ function LivePlot({ request, object }) {
     <h2 class="cut grow">${field} <span class="faint">${unitOf(stream, field)} · ${request.name}</span></h2>
     <span class="small accent mono">${lines[focus]?.[0]}</span></header>
     ${lines.length ? html`<${Plot} data=${data} focus=${focus + 1} tick=${`${tick.value}${request.stream}`}
-        label=${`${field} over time`} name=${`${request.name}-${field}`} />`
+        label=${`${field} over time`} names=${lines.map(([name]) => String(name))} name=${`${request.name}-${field}`} />`
       : html`<${Empty}><span>No values in the last ${PLOTTED} s.</span><//>`}</section>`;
 }
 
@@ -165,6 +174,13 @@ function Playback() {
     <time class="num small">${clock(time)}</time><button onClick=${stop}>Now</button></div>`;
 }
 
+/** A line in place of the map, where no stream has positions. */
+const NoMap = () => html`<section class="panel map" aria-label="map"><header>
+  <details class="grow"><summary>No stream has positions</summary><div class="stack small muted">
+    <span>Annotate one that has latitude and longitude; its objects appear on a map here.</span>
+    <code>dyknow annotate 'stream gps contains latitude(Car) = lat, longitude(Car) = lon for every Car = id'</code></div></details>
+  <${Playback} /></header></section>`;
+
 export default function Live({ rest }) {
   const [object, select] = useState(null), [all, setAll] = useState(false);
   tick.value;
@@ -178,14 +194,14 @@ export default function Live({ rest }) {
   const now = moment.value ?? Date.now(), candidates = [...events, ...list];
   const plotted = chosen ?? candidates.find((each) => now - latest(each) < PLOTTED * 1000)
     ?? candidates.find(latest);
-  return html`<main class="page fill"><div class="live">
-    <${Running} chosen=${chosen} />
+  const hasMap = !status.value || shown.value.tracks.size > 0 || streams.value.some(place);
+  return html`<main class="page fill"><div class=${`live ${hasMap ? "" : "flat"}`}>
+    <${Requests} chosen=${chosen} />
     <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
-    <section class="panel map" aria-label="map"><div class="sheet">
+    ${hasMap ? html`<section class="panel map" aria-label="map"><div class="sheet">
       ${shown.value.tracks.size ? html`<${TrackMap} selected=${object} select=${select} isWanted=${isWanted} />`
-        : html`<${Empty} title="No positions."><span>Annotate a stream that has latitude and longitude; its objects appear here.</span>
-          <code>dyknow annotate 'stream gps contains latitude(Car) = lat, longitude(Car) = lon for every Car = id'</code><//>`}
-      <${Playback} /></div></section>
+        : status.value && html`<${Empty} title="No positions yet."><span>The objects of streams with latitude and longitude appear here.</span><//>`}
+      <${Playback} /></div></section>` : html`<${NoMap} />`}
     <${LivePlot} request=${plotted} object=${object} />
   </div></main>`;
 }

@@ -1,13 +1,13 @@
 // Is it well? The problems first, then load, streams by rate, and the changes.
 import { html, useEffect, useState } from "../vendor/preact.js";
-import { changes, connection, history, may, silence, status, streams, title, transformations, units, wrong } from "../state.js";
-import { bytes, clock, count, duration, plural, rate } from "../format.js";
+import { changes, connection, history, may, pace, silence, status, streams, title, transformations, units, wrong } from "../state.js";
+import { ago, bytes, clock, count, duration, plural, rate } from "../format.js";
 import { ask } from "../http.js";
 import { Empty, Plot, Spark, theme } from "../widgets.js";
 
 const SPARKS = 60, LISTED = 200, SMOOTHED = 6, POLL = 10_000, REFUSED = 400, FAILED = 500;
 const COLUMNS = {
-  name: ["stream", (each) => each.name], rate: ["rate", (each) => -each.rate],
+  name: ["stream", (each) => each.name], rate: ["rate", (each) => -pace(each)],
   last: ["last", (each) => -(silence(each) ?? Infinity)], late: ["late", (each) => -each.counters.late],
   kept: ["kept", (each) => -each.kept],
 };
@@ -22,10 +22,12 @@ function Tiles() {
   const before = past.at(-SMOOTHED);
   const busy = before ? (load.processor - before.processor) / (load.time - before.time) : null;
   const isReady = connection.value === "open" && !wrong.value.some((each) => each.kind === "service" && each.level === "bad");
+  const starting = now?.starting ?? [];
+  const ready = connection.value === "open" && starting.length ? "Starting" : isReady ? "Yes" : "No";
   const used = load?.memory_limit ? (100 * load.memory) / load.memory_limit : null;
   return html`<div class="tiles">
-    <${Tile} name="Ready" shown=${isReady ? "Yes" : "No"} small=${now && `for ${duration((Date.parse(now.now) - Date.parse(now.started)) / 1000)}`}>
-      ${now && `version ${now.version}`}<//>
+    <${Tile} name="Ready" shown=${ready} small=${now && `for ${duration((Date.parse(now.now) - Date.parse(now.started)) / 1000)}`}>
+      ${starting[0] ?? (now && `version ${now.version}`)}<//>
     <${Tile} name="Samples in" shown=${rate(load?.in)} small=${now && `${count(now.accepted)} in all`}>${sparks("in")}<//>
     <${Tile} name="Results out" shown=${rate(load?.out)} small=${now && `${plural(now.clients, "follower")}`}>${sparks("out")}<//>
     <${Tile} name="Memory" shown=${bytes(load?.memory)} small=${load?.memory_limit ? `of ${bytes(load.memory_limit)}` : ""}>
@@ -65,7 +67,7 @@ function Streams() {
     <tbody>${list.slice(0, LISTED).map((each) => html`<tr key=${each.name}>
       <td><a class="mono" href=${`#graph/${encodeURIComponent(each.name)}`}>${each.name}</a></td>
       <td class="muted cut wide meaning">${each.ports.length ? title(each) : html`<span class="faint">–</span>`}</td>
-      <td class="num">${rate(each.rate)}</td><td class="num">${duration(silence(each))}</td>
+      <td class="num">${each.ended ? html`<span class="faint">ended</span>` : rate(each.rate)}</td><td class="num">${ago(silence(each))}</td>
       <td class=${`num ${each.counters.late ? "warn" : "faint"}`}>${count(each.counters.late)}</td>
       <td class="num">${count(each.kept)}</td></tr>`)}</tbody></table></div></section>`;
 }

@@ -49,6 +49,7 @@ async def read_status(service: Context) -> StatusModel:
         clients=service.feeds.clients,
         accepted=sum(stream.counters.accepted for stream in streams),
         load=_load(service),
+        starting=service.starting(),
         waiting=[
             WaitingModel(kind=each.key.kind, name=each.key.name, reason=each.reason)
             for each in service.commands.deferred()

@@ -8,6 +8,7 @@ from feeding import feed, samples
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.durable_engine import RecordedEngine
+from dyknow.engine.model.errors import BadArguments, NoResult
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.journal.durability import Durability
 from dyknow.streams.sample import Field, FieldType
@@ -77,6 +78,28 @@ def test_what_is_shared_is_explained(flying):
     assert "for each object at its own time" in explained
     assert "shared by    2 requests" in explained
     assert "2 by now" in explained
+
+
+def test_a_match_is_explained_as_one_of_a_request_by_itself(flying):
+    """By the samples that the request has read: an earlier match is none of it."""
+    alone, first = (ask(flying, f"dyknow:uav{i}", "30") for i in (1, 2))
+    climb(flying)
+    later = ask(flying, "dyknow:uav3", "30")
+    climb(flying, 10)
+
+    def why(view, second):
+        (match,) = flying.event_why(view.id, (), int(second * SECOND))()
+        return [(each.event, each.valid // SECOND) for each in match.events]
+
+    wanted = [("t1", 1), ("t2", 3)]
+    assert why(alone, 3) == why(first, 3.1) == wanted
+    assert why(later, 13.2) == [("t1", 11), ("t2", 13)]
+    (match,) = flying.event_why(first.id, ("uav2",), 31 * SECOND // 10)()
+    assert match.values["x"] == "uav2"
+    with pytest.raises(NoResult):
+        flying.event_why(later.id, (), 32 * SECOND // 10)()
+    with pytest.raises(BadArguments, match="shares its evaluation"):
+        flying.event_partial(later.id, (), 10)
 
 
 def test_why_there_is_no_match_is_said_of_the_own_object(flying):

@@ -11,12 +11,13 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
-from chromium import Page
+from chromium import Browser, Page
 from pydantic import SecretStr
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
+from dyknow.service.runtime.warm_up import WarmUp
 from dyknow.service.server import running
 from dyknow.service.turns.window_turns import WindowTurns
 
@@ -104,6 +105,9 @@ class CuttingProxy:
 
 
 OPEN_FEED = "import('/console/feed.js').then((m) => m.following.value.includes('numbers'))"
+FEED_STATE = "import('/console/feed.js').then((m) => m.feedState.value)"
+ALL_ENDED = """import('/console/state.js').then(({ streams }) =>
+  streams.value.every((each) => each.ended || each.name === 'status'))"""
 SEEN = """(async () => { const { shown } = await import('/console/feed.js');
   return shown.value.events.filter((each) => !each.gap).map((each) => each.values.v); })()"""
 
@@ -226,6 +230,79 @@ def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN, is_l
             time.sleep(0.2)
 
 
+FOLLOWED = """window.own = window.fetch; window.asked = 0;
+window.fetch = (path, ...rest) => {
+  if (String(path).includes('/follow')) window.asked += 1;
+  return window.own(path, ...rest);
+}; true"""
+
+
+def test_streams_that_ended_are_no_lost_connection(open_page: OPEN) -> None:
+    with service() as url, httpx.Client(base_url=url, trust_env=False) as http:
+        declare(http)
+        assert http.put("/streams/others", json={"fields": {"v": "integer"}}).status_code == 201
+        assert http.post("/subscriptions", json={"stream": "others"}).status_code == 201
+        page = open_page(f"{url}/#live")
+        page.wait(OPEN_FEED)
+        publish(http, 0, 10)
+        page.wait(f"{SEEN}.then((each) => each.length === 10)")
+        page.run(FOLLOWED)
+        assert http.post("/streams/others/end").is_success
+        publish(http, 10, 10)  # one has ended, and the other goes on
+        page.wait(f"{SEEN}.then((each) => each.length === 20)")
+        assert page.run(FEED_STATE) == "open"
+        assert http.post("/streams/numbers/end").is_success
+        page.wait(f"{FEED_STATE}.then((each) => each === 'ended')")
+        page.wait_text("ended")
+        page.wait(ALL_ENDED)
+        assert page.run("window.asked") <= 1  # once more if a look at the streams came in between
+        assert "reconnecting" not in page.run("document.body.innerText")
+        publish(http, 20, 10)  # it goes on
+        page.wait(f"{SEEN}.then((each) => each.length === 30)")
+        assert page.run(SEEN) == list(range(30))
+        assert page.run(FEED_STATE) == "open"
+
+
+def test_a_start_is_no_problem(open_page: OPEN) -> None:
+    settings, go_on = Settings(port=0, sse_ping=0), threading.Event()
+    app = create_app(Engine(epoch="e1", turns=WindowTurns(5, 60)), settings, time.time_ns)
+    app.state.service.warming = WarmUp()
+    app.state.service.warming.begin("loops", "being compiled", lambda: go_on.wait(60) and None)
+    with running(app, settings) as url:
+        page = open_page(f"{url}/#system")
+        page.wait_text("starting")
+        page.wait_text("loops: being compiled")
+        page.wait_text("Nothing is wrong")
+        assert page.run("document.querySelector('.badge')") is None
+        go_on.set()
+        page.wait_text("connected")
+        page.wait("!document.body.innerText.includes('being compiled')")
+
+
+HELD = """window.own = window.fetch;
+window.fetch = async (path, ...rest) => {
+  while (!window.go) await new Promise((done) => setTimeout(done, 20));
+  return window.own(path, ...rest);
+};"""
+
+
+def test_a_page_does_not_say_what_it_does_not_know_yet(browser: Browser) -> None:
+    with service() as url:
+        page = browser.page()
+        page.call("Page.addScriptToEvaluateOnNewDocument", source=HELD)
+        for name, text in (("live", "No requests run"), ("graph", "No streams yet")):
+            page.open("about:blank")
+            page.open(f"{url}/#{name}")
+            page.wait_text("connecting")
+            page.wait("document.querySelector('main section') !== null")
+            shown = page.run("document.body.innerText")
+            assert text not in shown
+            assert "No stream has positions" not in shown
+            page.run("window.go = true")
+            page.wait_text(text)
+        page.close()
+
+
 def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> None:
     with service(tokens=f"read r {READ};admin a {ADMIN}") as url:
         page = open_page(f"{url}/#ask")
@@ -271,7 +348,7 @@ def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) 
               requestAnimationFrame(step); })"""
         )
         shown = page.run("document.querySelectorAll('.line').length")
-        total = page.run("import('/console/feed.js').then((m) => m.pace.value.total)")
+        total = page.run("import('/console/feed.js').then((m) => m.arrivals.value.total)")
         stopped.set()
         sender.join()
         assert total > rate  # they have arrived

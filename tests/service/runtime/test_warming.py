@@ -42,6 +42,8 @@ def test_what_goes_on_is_a_reason_until_it_is_over(
     with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
         until(lambda: http.get("/readyz").json()["reasons"] == ["loops: being compiled"])
         assert http.get("/readyz").status_code == 503
+        assert http.get("/status").json()["starting"] == ["loops: being compiled"]
+        assert http.get("/problems").json() == []
         gate.set()
         until(lambda: http.get("/readyz").status_code == 200)
 

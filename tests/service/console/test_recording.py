@@ -1,0 +1,259 @@
+"""The console after a recording has been played: verdicts and matches in words, what has ended."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+
+import httpx
+import pytest
+from axe import violations
+from chromium import Page
+
+from dyknow.engine.engine import Engine
+from dyknow.service.app import create_app
+from dyknow.service.config.settings import Settings
+from dyknow.service.server import running
+from dyknow.service.turns.window_turns import WindowTurns
+
+OPEN = Callable[..., Page]
+TEXT = {"Content-Type": "text/plain"}
+LINES = {"Content-Type": "application/x-ndjson"}
+SECOND = 1_000_000_000
+BEGIN = 1_777_885_200 * SECOND
+"""2026-05-04T09:00:00Z"""
+SSL = "stream cars contains speed(Car) = v [km.h-1] for every Car = id"
+CALM = """REGISTER TEMPLATE dyknow:Calm(?x in Car, ?limit) AS
+always [0s, 2s] speed(?x) < ?limit [km.h-1]
+with sample every 1s, max delay 0s, report violations"""
+FASTER = """REGISTER TEMPLATE dyknow:Faster(?limit) AS PATTERN SEQ(speed a, speed b)
+WHERE [id] AND b.v > ?limit AND a.v < 60 WITHIN 1 second RETURN a.id AS id, b.v AS reached"""
+MONITOR = "monitor slow(?x in Car) = speed(?x) < 100 with sample every 1s, max delay 0s"
+SPEEDS = {"c1": (50.0, 55.0, 120.0, 70.0, 70.0), "c2": (80.0, 80.0, 80.0, 80.0, 80.0)}
+
+
+def publish(http: httpx.Client, stream: str, *rows: dict[str, object]) -> None:
+    body = "\n".join(map(json.dumps, rows))
+    answer = http.post(f"/streams/{stream}/samples", content=body, headers=LINES)
+    assert answer.status_code == 202, answer.text
+
+
+def declare(http: httpx.Client) -> None:
+    """The stream of cars, and the templates."""
+    assert http.put("/streams/cars", json={"fields": {"id": "string", "v": "float"}}).is_success
+    for path, text in (("annotations", SSL), ("templates", CALM), ("templates", FASTER)):
+        answer = http.post(f"/{path}", content=text, headers=TEXT)
+        assert answer.status_code == 201, answer.text
+
+
+def play(http: httpx.Client) -> None:
+    """Five seconds of two cars, and the end of the stream."""
+    for second in range(5):
+        at = BEGIN + second * SECOND
+        for name, speeds in SPEEDS.items():
+            publish(http, "cars", {"valid": at, "available": at, "id": name, "v": speeds[second]})
+    assert http.post("/streams/cars/end").is_success
+
+
+@pytest.fixture
+def service() -> Iterator[httpx.Client]:
+    settings = Settings(port=0, sse_ping=0)
+    engine = Engine(epoch="e1", turns=WindowTurns(5, 60))
+    app = create_app(engine, settings, time.time_ns)
+    with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
+        yield http
+
+
+@pytest.fixture
+def asked(service: httpx.Client) -> httpx.Client:
+    """A formula and a pattern are requested, and a monitor is registered."""
+    declare(service)
+    for text in ("dyknow:Calm(?x, 100)", "dyknow:Faster(100)"):
+        assert service.post("/events", content=text, headers=TEXT).status_code == 201
+    assert service.post("/queries", content=MONITOR, headers=TEXT).status_code == 201
+    return service
+
+
+@pytest.fixture
+def recorded(asked: httpx.Client) -> httpx.Client:
+    play(asked)
+    return asked
+
+
+def opened(open_page: OPEN, http: httpx.Client, name: str, **how: str | int) -> Page:
+    return open_page(f"{str(http.base_url).rstrip('/')}/#{name}", **how)
+
+
+def answer(http: httpx.Client, event: str) -> str:
+    """The stream that answers the request of a template."""
+    found = http.get("/events").json()
+    stream: str = next(each["stream"] for each in found if each["event"].endswith(event))
+    return stream
+
+
+FIRST = "document.querySelector('.line')?.innerText ?? ''"
+
+
+def test_a_verdict_says_that_the_rule_is_broken_and_when(
+    recorded: httpx.Client, open_page: OPEN
+) -> None:
+    page = opened(open_page, recorded, f"live/{answer(recorded, 'Calm')}")
+    page.wait(f"({FIRST}).includes('violated')")
+    rows = page.run("[...document.querySelectorAll('.line')].map((each) => each.innerText)")
+    assert len(rows) == 3
+    for word in ("no_unit", "verdict", "false", "decided", "2026"):
+        assert not any(word in row for row in rows)
+    assert [" at " in row for row in rows] == [False, True, True]  # the witness comes later
+    page.wait(
+        "document.querySelector('.ask-row[aria-pressed=true]').innerText.includes('violated at')"
+    )
+
+
+def test_a_decision_after_the_witness_is_said(service: httpx.Client, open_page: OPEN) -> None:
+    declare(service)
+    rule = "monitor m(?x in Car) = speed(?x) > 100 -> eventually [0s, 2s] speed(?x) < 60"
+    text = f"{rule} with sample every 1s, max delay 0s"
+    assert service.post("/queries", content=text, headers=TEXT).status_code == 201
+    play(service)
+    page = opened(open_page, service, "live/m")
+    page.wait(f"({FIRST}).includes('violated decided ')")
+    row = page.run(FIRST).split()
+    assert row[0].endswith(":02")
+    assert row[-1].endswith(":04")
+
+
+def test_a_match_says_from_when_to_when(recorded: httpx.Client, open_page: OPEN) -> None:
+    page = opened(open_page, recorded, f"live/{answer(recorded, 'Faster')}")
+    page.wait(f"({FIRST}).includes('matched from')")
+    row = page.run(FIRST)
+    assert "c1" in row
+    assert "reached 120" in row
+    assert " to " not in row  # the row's own time
+    listed = "document.querySelector('.ask-row[aria-pressed=true]').innerText"
+    page.wait(f"({listed}).includes(' to ')")
+    assert "2026" not in row
+
+
+def test_events_of_formulas_and_patterns_are_explained(
+    recorded: httpx.Client, open_page: OPEN
+) -> None:
+    page = opened(open_page, recorded, f"live/{answer(recorded, 'Calm')}")
+    page.click(".line button.chip", "why?")
+    page.wait("document.querySelector('dialog.why tbody') !== null")
+    shown = page.run("document.querySelector('dialog.why').innerText")
+    assert "c1: violated" in shown
+    assert "event1" in shown
+    page.click("dialog.why button", "Close")
+    page.run(f"location.hash = 'live/{answer(recorded, 'Faster')}'")
+    page.wait(f"({FIRST}).includes('matched')")
+    page.click(".line button.chip", "why?")
+    page.wait("document.querySelectorAll('dialog.why tbody tr').length === 2")
+    shown = page.run("document.querySelector('dialog.why').innerText")
+    assert "1 match" in shown
+    assert "v 120" in shown
+    assert page.complaints == []
+
+
+def test_what_has_ended_looks_ended(recorded: httpx.Client, open_page: OPEN) -> None:
+    page = opened(open_page, recorded, "live")
+    page.wait_text("0 requests, 3 ended")
+    page.wait_text("0.0/s in")
+    page.wait_text("0.0/s out")
+    groups = "[...document.querySelectorAll('.asks section')].map((each) => each.ariaLabel)"
+    page.wait(f"({groups}).length === 1")
+    assert page.run(groups) == ["ended requests"]
+    requests = page.run("document.querySelector('.asks').innerText")
+    assert "/s" not in requests
+    page.run("location.hash = 'system'")
+    rates = """[...document.querySelectorAll('[aria-label=streams] tbody tr')]
+      .filter((each) => !each.innerText.startsWith('status'))
+      .map((each) => each.children[2].innerText)"""
+    page.wait(f"({rates}).length === 4")
+    assert set(page.run(rates)) == {"ended"}
+
+
+def test_what_failed_is_listed_and_counted_apart(asked: httpx.Client, open_page: OPEN) -> None:
+    page = opened(open_page, asked, "live")
+    page.wait_text("3 requests")
+    play(asked)
+    page.wait_text("0 requests, 3 ended")
+    at = BEGIN + 9 * SECOND
+    # A formula has said all when its stream has ended, so it fails when that goes on.
+    publish(asked, "cars", {"valid": at, "available": at, "id": "c1", "v": 10.0})
+    failed = [each for each in asked.get("/events").json() if each["state"] == "failed"]
+    failed += [each for each in asked.get("/queries").json() if each["state"] == "failed"]
+    assert failed
+    page.wait_text(f"{len(failed)} failed")
+    page.wait("document.querySelector('[aria-label=\"failed requests\"] .dot.bad') !== null")
+    listed = "document.querySelectorAll('[aria-label=\"failed requests\"] .ask-row').length"
+    assert page.run(listed) == len(failed)
+
+
+def test_a_sample_of_the_future_is_said_to_be_one(service: httpx.Client, open_page: OPEN) -> None:
+    fields = {"fields": {"id": "string", "v": "float"}, "ahead": "oo"}
+    assert service.put("/streams/early", json=fields).is_success
+    at = time.time_ns() + 14_430 * SECOND
+    publish(service, "early", {"valid": at, "available": at, "id": "c1", "v": 1.0})
+    page = opened(open_page, service, "graph/early")
+    page.wait_text("in 4.0 h")
+    page.run("location.hash = 'system'")
+    page.wait_text("in 4.0 h")
+    assert "0 ms" not in page.run("document.querySelector('[aria-label=streams]').innerText")
+
+
+def test_a_plot_names_its_lines(recorded: httpx.Client, open_page: OPEN) -> None:
+    page = opened(open_page, recorded, "graph/cars")
+    page.wait("document.querySelector('.smallplot canvas') !== null")
+    label = "document.querySelector('.smallplot .plotbox').ariaLabel"
+    page.wait(f"({label}).includes('c1') && ({label}).includes('c2')")
+    box = page.run(
+        """(() => { const box = document.querySelector('.smallplot .u-over');
+          box.scrollIntoView(); const { x, y, width, height } = box.getBoundingClientRect();
+          return [x + width / 2, y + height * 0.1]; })()"""
+    )
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=box[0], y=box[1])
+    page.wait("document.querySelector('.pointed')?.innerText.startsWith('c1 120 at ')")
+
+
+def test_a_service_without_positions_has_a_line_for_the_map(
+    recorded: httpx.Client, open_page: OPEN
+) -> None:
+    page = opened(open_page, recorded, "live")
+    page.wait_text("No stream has positions")
+    assert page.run("document.querySelector('.map').offsetHeight") < 60
+    page.click(".map summary")
+    page.wait_text("latitude(Car)")
+    page.click("button", "Playback")
+    page.wait("document.querySelector('.map input[type=range]') !== null")
+    assert page.complaints == []
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing_after_a_recording(
+    recorded: httpx.Client, open_page: OPEN, theme: str, width: int
+) -> None:
+    page = opened(open_page, recorded, "live", theme=theme, width=width)
+    page.wait_text("ended")
+    page.wait(f"({FIRST}).includes('violated')")
+    page.click(".map summary")
+    assert violations(page) == []
+    assert page.run("document.documentElement.scrollWidth") <= width
+    page.click(".line button.chip", "why?")
+    page.wait("document.querySelector('dialog.why tbody') !== null")
+    assert violations(page) == []
+    page.click("dialog.why button", "Close")
+    page.run("location.hash = 'graph/cars'")
+    page.wait("document.querySelector('.smallplot canvas') !== null")
+    assert violations(page) == []
+
+
+def test_an_empty_page_proposes_what_works(service: httpx.Client, open_page: OPEN) -> None:
+    page = opened(open_page, service, "live")
+    page.wait_text("dyknow template add --library high_speed")
+    declare(service)
+    page.wait_text("dyknow events 'dyknow:")
+    command = page.run("document.querySelector('.asks code').innerText")
+    event = command.removeprefix("dyknow events '").removesuffix("'")
+    assert service.post("/events", content=event, headers=TEXT).status_code == 201
