@@ -18,10 +18,13 @@ serve: $(VENV)/installed ## leave the service running with the same flights repl
 # One more at work than there are cores: many tests wait. Whoever is done takes tests from the others.
 PYTEST := $(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist worksteal
 
+# How much of each law's examples: CI has a quarter of an hour. `make soak` draws all, several times.
+SHARE ?= 0.6
+
 # The loops are compiled once, before workers and services would each compile their own.
 test: $(VENV)/installed-dev ## everything that CI runs
 	$(MAKE) --no-print-directory -j3 lint image-check kernels
-	$(PYTEST) --hypothesis-profile=ci
+	$(PYTEST) --share=$(SHARE) --hypothesis-profile=ci
 	for way in reused retired; do $(PYTEST) $(SWEPT) --sweeps=$$way --share=0.01 --hypothesis-profile=ci || exit 1; done
 # Laws that hold as well where terms are forgotten at every chance (tests/conftest.py).
 SWEPT := $(addprefix tests/laws/,$(addprefix continuous/test_,continuous.py algebra.py patterns.py) streams/test_event_time.py $(addprefix engine/test_,shared_requests.py engine.py) converters/test_ntriples.py)

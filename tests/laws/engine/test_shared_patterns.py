@@ -149,7 +149,7 @@ def seen(engine, id, stream):
     return rows, view.late, empty, failed, generator.is_ended, generator.is_idle
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=100)
 @given(st.integers(0, 2**32))
 # A stream that ends while another goes on; one that was silent and goes on before a request comes;
 # a request that comes when a stream has ended; a stream that goes on behind what was reached.
