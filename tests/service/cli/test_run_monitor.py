@@ -211,7 +211,7 @@ def test_wrong_usage(low: Path, heights: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "ssl", "part"),
     [
-        ("monitor low(?x in UAV) = depth(?x) < 1", SSL, "hint: add it to the ontology first: dyknow ontology add-feature"),
+        ("monitor low(?x in UAV) = depth(?x) < 1", SSL, "hint: add it to the ontology first"),
         (f"{LOW} [s]", SSL, "do not fit together"),
         (f"{LOW} with frobnicate", SSL, "line 1"),
         (LOW, SSL.replace("heights", "h"), "no annotation of stream 'heights' (it annotates h)"),
