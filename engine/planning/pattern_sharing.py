@@ -61,7 +61,7 @@ class PatternSharing:
         if pattern is None:
             return None
         all_objects = self._plans.expand_supplies(
-            self._plans.match(free.needs.wants, strategy, self._plans.unusable_streams(Since.NOW))
+            self._plans.match_from(free.needs.wants, strategy, Since.NOW)
         )
         if not _select_from(own, all_objects, free, pattern.column):
             return None

@@ -334,3 +334,17 @@ def test_a_data_directory_that_is_opened_again_goes_on(tmp_path, writes_checkpoi
 
 def opened(path):
     return RecordedEngine(path, now=0, durability=Durability.WRITE)
+
+
+def test_a_recording_that_has_ended_keeps_no_request_from_sharing(engine):
+    """Requests read the stream that goes on, and so does the evaluation that they share."""
+    engine.annotate(STREAM.replace("stream a", "stream recorded"))
+    engine.register_template(CLIMB)
+    feed(engine, "recorded", [(t, {"id": "uav1", "v": 1.0, "w": 1.0}) for t in (1, 2)])
+    engine.end("recorded")
+    engine.annotate(STREAM)
+    views = [ask(engine, f"dyknow:uav{i}", "30") for i in (1, 2)]
+    assert made_by(views[1]) == ["pattern", "selectInstance"]
+    assert views[1].plan.streams == ("a",)
+    climb(engine)
+    assert [objects(engine, view) for view in views] == [["uav1"], ["uav2"]]
