@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Sequence
 
+from ...languages.hints import did_you_mean
 from .problems import Problem
 
 _SHOWN = 20
@@ -24,15 +24,13 @@ def chosen_fields(
     names = [name for item in items for name in ([item] if item in known else item.split(","))]
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=3)
             there = [*known][:_SHOWN]
             raise Problem(
                 400,
                 "unknown field",
                 f"fields: {what} has no field {name!r}",
-                hint=f"did you mean {' or '.join(near)}?"
-                if near
-                else f"there are: {', '.join(there)}{', …' if len(known) > _SHOWN else ''}",
+                hint=did_you_mean(name, known)
+                or f"there are: {', '.join(there)}{', …' if len(known) > _SHOWN else ''}",
                 field=name,
             )
     return tuple(dict.fromkeys(names))

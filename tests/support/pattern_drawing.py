@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from random import Random
 
 import numpy as np
@@ -184,4 +185,16 @@ def rows_of(steps: list[Row]) -> Rows:
             )
             for column in COLUMNS
         },
+    )
+
+
+def parted(plan: PatternPlan, column: str, output: str) -> PatternPlan:
+    """The plan with ``column`` equal in all elements and probes, and as ``output``."""
+    linked = tuple(Same(0, column, each, column) for each in range(1, len(plan.elements)))
+    return replace(
+        plan,
+        columns=(*plan.columns, Column(column, ColumnType.KEY)),
+        same=(*plan.same, *linked),
+        probes=tuple(replace(p, same=(*p.same, Same(OWN, column, 0, column))) for p in plan.probes),
+        outputs=(*plan.outputs, Output(output, Value(0, column))),
     )

@@ -13,7 +13,7 @@ from ...states.part_departures import PartDepartures, PartSteps
 from ..evaluation.part_rows import PartRows
 from ..plans.by_object import PART, PatternByObject
 from ..plans.limits import DEFAULT_LIMITS, Limits
-from ..plans.query import END, Keys
+from ..plans.query import Keys
 from ..plans.rows import Values, concatenated
 from .combined import CombinedRows, StaticSolutions
 from .recognition import Batch, Recognition, Recognized, joined
@@ -89,8 +89,7 @@ class PartRecognition(Recognition):
 
     def came_in_parts(self, stream: int, available: Times, valid: Times, part: Parts) -> None:
         """Take the times of samples in a batch of a stream, with their parts; see `came`."""
-        self._begun[stream] = self._samples[stream]
-        self._samples[stream] += len(available)
+        self._begin(stream, len(available))
         np.add.at(self.samples_of, part, 1)
         self._part_departures.add(stream, available, valid, part)
 
@@ -106,37 +105,21 @@ class PartRecognition(Recognition):
 
     def advance(self, watermark: int, *, by_clock: bool = False) -> Recognized:
         steps = self._part_departures.advance(watermark, by_clock=by_clock)
-        new = joined([self._new, *self._parts])
-        self._parts = []
-        self._new, new = new.split(new.available >= watermark)
+        new = self._before(watermark)
         late, new = new.split(new.end < steps.reached_before(self._part_of(new), new.available))
         self.late += len(late)
         np.add.at(self.late_of, self._part_of(late), 1)
-        return (
-            self._parts_in_order(new, steps)
-            if self.is_ordered
-            else self._parts_as_they_come(new, steps)
-        )
-
-    def _parts_as_they_come(self, new: Batch, steps: PartSteps) -> Recognized:
-        if len(new) > 1:
-            new = new.take(new.order(new.available))
-        first = self._number
-        found = self._pushed(new)
-        self.evaluator.advance_parts(steps.latest)
-        return self._results(found, new.available[found.last - first])
+        if self.is_ordered:
+            return self._parts_in_order(new, steps)
+        return self._as_they_come(new, lambda: self.evaluator.advance_parts(steps.latest))
 
     def _parts_in_order(self, new: Batch, steps: PartSteps) -> Recognized:
         rows = joined([self._waiting, new]).in_order()
         self._waiting, rows = rows.split(rows.end > steps.latest[self._part_of(rows)])
         first = self._number
         found = concatenated([self._pushed(rows), self.evaluator.advance_parts(steps.latest)])
-        # As in `Recognition`, by the time of the match's own part.
-        available = steps.reaching(found.outputs[PART], found.decided)
-        by_row = found.decided <= found.outputs[END]
-        came = rows.available[found.last[by_row] - first]
-        available[by_row] = np.maximum(available[by_row], came)
-        return self._results(found, available)
+        reached = steps.reaching(found.outputs[PART], found.decided)
+        return self._decided(found, reached, rows, first)
 
     def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> PartRows | CombinedRows:
         (plan,) = self.plans

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -193,8 +193,7 @@ class Recognition:
 
     def came(self, stream: int, available: Times, valid: Times) -> None:
         """Take the times of all samples in a batch of a stream, in order of available time."""
-        self._begun[stream] = self._samples[stream]
-        self._samples[stream] += len(available)
+        self._begin(stream, len(available))
         self._departures.add(stream, available, valid)
 
     def ended(self, stream: int, moment: int) -> None:
@@ -209,12 +208,12 @@ class Recognition:
         """Return what the samples available before ``watermark`` decide. Contract: all of them were
         added. ``by_clock``: the clock, and no sample, has brought the watermark."""
         steps = self._departures.advance(watermark, by_clock=by_clock)
-        new = joined([self._new, *self._parts])
-        self._parts = []
-        self._new, new = new.split(new.available >= watermark)
+        new = self._before(watermark)
         late, new = new.split(new.end < steps.reached_before(new.available))
         self.late += len(late)
-        return self._in_order(new, steps) if self.is_ordered else self._as_they_come(new, steps)
+        if self.is_ordered:
+            return self._in_order(new, steps)
+        return self._as_they_come(new, lambda: self.evaluator.advance(steps.latest))
 
     def finish(self, moment: int) -> Recognized:
         """Return what is decided at the end of all streams, which is at ``moment``."""
@@ -236,12 +235,26 @@ class Recognition:
         (plan,) = self.plans
         return evaluator_of(plan, is_ordered=self.is_ordered, limits=limits)
 
-    def _as_they_come(self, new: Batch, steps: Steps) -> Recognized:
+    def _begin(self, stream: int, count: int) -> None:
+        """Begin a batch of ``count`` samples of a stream."""
+        self._begun[stream] = self._samples[stream]
+        self._samples[stream] += count
+
+    def _before(self, watermark: int) -> Batch:
+        """Take the new rows that are available before the watermark."""
+        new = joined([self._new, *self._parts])
+        self._parts = []
+        self._new, new = new.split(new.available >= watermark)
+        return new
+
+    def _as_they_come(self, new: Batch, reach: Callable[[], object]) -> Recognized:
+        """The results of rows that need no order. ``reach`` lets the evaluator reach the time that
+        the streams have reached."""
         if len(new) > 1:
             new = new.take(new.order(new.available))
         first = self._number
         found = self._pushed(new)
-        self.evaluator.advance(steps.latest)
+        reach()
         return self._results(found, new.available[found.last - first])
 
     def _in_order(self, new: Batch, steps: Steps) -> Recognized:
@@ -251,16 +264,21 @@ class Recognition:
         self._waiting = rows.take(slice(leave, None))
         rows, first = rows.take(slice(0, leave)), self._number
         found = concatenated([self._pushed(rows), self.evaluator.advance(steps.latest)])
-        # A match that had to wait is decided when its time is reached, another one by its last row,
-        # which leaves when its time is reached, or later, when it comes.
-        by_row = found.decided <= found.outputs[END]
         if steps.delay is not None:
             # One that had to wait is decided by what did not come up to the time before.
-            return self._results(found, later(found.decided - ~by_row, steps.delay))
-        available = steps.reaching(found.decided)
+            waited = ~_is_by_row(found)
+            return self._results(found, later(found.decided - waited, steps.delay))
+        return self._decided(found, steps.reaching(found.decided), rows, first)
+
+    def _decided(self, found: Matches, reached: Times, rows: Batch, first: int) -> Recognized:
+        """The results of matches whose times are ``reached`` then. ``first``: the number of the
+        first of the ``rows`` that have been pushed last."""
+        # A match that had to wait is decided when its time is reached, another one by its last row,
+        # which leaves when its time is reached, or later, when it comes.
+        by_row = _is_by_row(found)
         came = rows.available[found.last[by_row] - first]
-        available[by_row] = np.maximum(available[by_row], came)
-        return self._results(found, available)
+        reached[by_row] = np.maximum(reached[by_row], came)
+        return self._results(found, reached)
 
     def _pushed(self, batch: Batch) -> Matches:
         if not len(batch):
@@ -275,6 +293,12 @@ class Recognition:
 
     def _results(self, found: Matches, available: Times) -> Recognized:
         return Recognized(available, found.outputs[self.query.valid], found.outputs, found.rows)
+
+
+def _is_by_row(found: Matches) -> NDArray[np.bool_]:
+    """Which matches their last row decides; the others had to wait."""
+    by_row: NDArray[np.bool_] = found.decided <= found.outputs[END]
+    return by_row
 
 
 def needs_order(query: PatternQuery) -> bool:

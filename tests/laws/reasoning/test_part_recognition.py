@@ -12,20 +12,15 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pattern_definition import Row
-from pattern_drawing import KINDS, PatternDrawing, rows_of
+from pattern_drawing import KINDS, PatternDrawing, parted, rows_of
 
 from dyknow.reasoning.patterns.plans.by_object import PART, PatternByObject
 from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
 from dyknow.reasoning.patterns.plans.plan import (
     NO_VALUE,
-    OWN,
-    Column,
-    ColumnType,
     Output,
     PatternPlan,
-    Same,
     Time,
-    Value,
 )
 from dyknow.reasoning.patterns.plans.query import Argument, Keys, PatternQuery, Source
 from dyknow.reasoning.patterns.recognition.part_recognition import PartRecognition
@@ -42,17 +37,6 @@ def query_of(plan: PatternPlan) -> PatternQuery:
     return PatternQuery("", sources, (replace(plan, outputs=(*plan.outputs, *times)),), ())
 
 
-def parted(plan: PatternPlan) -> PatternPlan:
-    linked = tuple(Same(0, COLUMN, each, COLUMN) for each in range(1, len(plan.elements)))
-    return replace(
-        plan,
-        columns=(*plan.columns, Column(COLUMN, ColumnType.KEY)),
-        same=(*plan.same, *linked),
-        probes=tuple(replace(p, same=(*p.same, Same(OWN, COLUMN, 0, COLUMN))) for p in plan.probes),
-        outputs=(*plan.outputs, Output(PART, Value(0, COLUMN))),
-    )
-
-
 def told(found: Recognized) -> list[tuple[Any, ...]]:
     outputs = {name: column for name, column in found.outputs.items() if name != PART}
     columns = [found.available, found.valid, *outputs.values()]
@@ -66,7 +50,7 @@ def test_each_object_has_its_own_results(seed: int, is_ordered: bool) -> None:
     case = PatternDrawing(seed, is_ordered=is_ordered, most_elements=3)
     draw = Random(seed)
     lateness = [draw.choice([0, 0, 3]) for _ in range(STREAMS)]
-    pattern = PatternByObject(query_of(parted(case.plan)), COLUMN, ())
+    pattern = PatternByObject(query_of(parted(case.plan, COLUMN, PART)), COLUMN, ())
     keys = Keys()
     try:
         shared = PartRecognition(pattern, STREAMS, keys, lateness=lateness)

@@ -11,36 +11,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pattern_cuts import found_in
 from pattern_definition import Row, Watermark
-from pattern_drawing import PatternDrawing, rows_of
+from pattern_drawing import PatternDrawing, parted, rows_of
 
 from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
 from dyknow.reasoning.patterns.evaluation.part_rows import PartRows
 from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
-from dyknow.reasoning.patterns.plans.plan import (
-    OWN,
-    Column,
-    ColumnType,
-    Output,
-    PatternPlan,
-    Same,
-    Value,
-)
 from dyknow.reasoning.patterns.plans.rows import Matches, Rows
 
 PARTS = 3
 PART = "part"
-
-
-def parted(plan: PatternPlan) -> PatternPlan:
-    """The plan with the part among the equal keys of all elements and probes, and as an output."""
-    linked = tuple(Same(0, PART, each, PART) for each in range(1, len(plan.elements)))
-    return replace(
-        plan,
-        columns=(*plan.columns, Column(PART, ColumnType.KEY)),
-        same=(*plan.same, *linked),
-        probes=tuple(replace(p, same=(*p.same, Same(OWN, PART, 0, PART))) for p in plan.probes),
-        outputs=(*plan.outputs, Output(PART, Value(0, PART))),
-    )
 
 
 def rows_with_parts(rows: list[tuple[int, Row]]) -> Rows:
@@ -57,7 +36,7 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
         plan = replace(plan, within=4)
     try:
         alone = [AllRows(plan, is_ordered=is_ordered, capacity=8) for _ in range(PARTS)]
-        running = PartRows(parted(plan), PART, is_ordered=is_ordered, capacity=8)
+        running = PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8)
     except (UnboundedRetention, ContradictoryTimes):
         assume(False)
     wanted: list[list] = [[] for _ in range(PARTS)]
@@ -96,7 +75,7 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
                 batch = []
         if draw.random() < 0.1:
             state = running.state()
-            running = PartRows(parted(plan), PART, is_ordered=is_ordered, capacity=8)
+            running = PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8)
             running.restore(state)
     take(running.push(rows_with_parts(batch)))
     assert running.pending == sum(each.pending for each in alone)
