@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -22,8 +22,10 @@ TALLY = Schema(
 """The output of a shared evaluation: for each window, or for each instant of a pattern's matches,
 the number of instances, and of those with a result."""
 
+Instance = TypeVar("Instance", bound="InstanceUnit")
 
-class SharingUnit(ComputationalUnit):
+
+class SharingUnit(ComputationalUnit, Generic[Instance]):
     """What shared evaluations have in common: their instances, by number.
 
     Only instances with followers get watermarks. The others are as far as this unit.
@@ -31,11 +33,11 @@ class SharingUnit(ComputationalUnit):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._instances: dict[int, InstanceUnit] = {}
-        self._followed: set[InstanceUnit] = set()
-        self._late_of_instances: dict[StreamGenerator, dict[InstanceUnit, StreamGenerator]] = {}
+        self._instances: dict[int, Instance] = {}
+        self._followed: set[Instance] = set()
+        self._late_of_instances: dict[StreamGenerator, dict[Instance, StreamGenerator]] = {}
 
-    def add(self, instance: InstanceUnit, number: int) -> None:
+    def add(self, instance: Instance, number: int) -> None:
         """Add an instance by its number in the evaluation, which evaluates it from now on."""
         self._instances[number] = instance
 
@@ -56,13 +58,13 @@ class SharingUnit(ComputationalUnit):
         return change()
 
     def pass_late_of(
-        self, instance: InstanceUnit, source: StreamGenerator, side: StreamGenerator
+        self, instance: Instance, source: StreamGenerator, side: StreamGenerator
     ) -> None:
         """Emit the samples of ``source`` that are late for ``instance`` to ``side`` from now on."""
         self._late_of_instances.setdefault(source, {})[instance] = side
         self.start_late(source, side)
 
-    def drop_late_of(self, instance: InstanceUnit, source: StreamGenerator) -> None:
+    def drop_late_of(self, instance: Instance, source: StreamGenerator) -> None:
         """Only count the samples that are late for ``instance`` from now on."""
         self._late_of_instances[source].pop(instance, None)
 
@@ -70,7 +72,7 @@ class SharingUnit(ComputationalUnit):
         own = super().late_streams_of(source)
         return (*own, *self._late_of_instances.get(source, {}).values())
 
-    def follow(self, instance: InstanceUnit, is_followed: bool) -> None:
+    def follow(self, instance: Instance, is_followed: bool) -> None:
         """Send watermarks to the stream of an instance while it has readers, which need them."""
         if not is_followed:
             self._followed.discard(instance)
@@ -78,7 +80,7 @@ class SharingUnit(ComputationalUnit):
         self._followed.add(instance)
         self.promise_to(instance)
 
-    def promise_to(self, instance: InstanceUnit) -> None:
+    def promise_to(self, instance: Instance) -> None:
         """Promise of an instance's output what was promised of this one."""
         if self.output.watermark is not None:
             instance.output.advance(self.output.watermark)
@@ -130,7 +132,7 @@ class InstanceUnit(ComputationalUnit):
     def __init__(
         self,
         *args: Any,
-        template: SharingUnit,
+        template: SharingUnit[Any],
         enter: Callable[[], int],
         evaluation: Callable[[], str],
     ) -> None:

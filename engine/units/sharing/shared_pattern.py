@@ -48,7 +48,7 @@ class ObjectParts:
         return self._parts[iri]
 
 
-class SharedPatternUnit(SharingUnit, SampleReasoner):
+class SharedPatternUnit(SharingUnit["PatternInstance"], SampleReasoner):
     """Evaluates a pattern for each of the objects that its instances ask for.
 
     Law (tests/laws/engine/test_shared_patterns.py): the samples of an instance, and their available
@@ -94,7 +94,6 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
             source: ObjectCodes(name, dictionary, self._parts.part, self._parts.__contains__)
             for source, name in objects.items()
         }
-        self._of_parts: dict[int, PatternInstance] = {}
 
     def explain(self) -> str:
         """Describe the evaluation: the plan, and what has been done by now."""
@@ -102,7 +101,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         return "\n".join(
             [
                 run.explain(),
-                f"shared by    {len(self._of_parts):,} requests, each for an object of its own",
+                f"shared by    {len(self._instances):,} requests, each for an object of its own",
                 f"read         {self.samples:,} samples of their objects",
                 f"matches      {self.matches:,} by now; {run.evaluator.pending:,} wait for what "
                 "may still come",
@@ -124,15 +123,6 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         self._parts.add(object, part)
         self._refresh_objects()
         return part
-
-    def add(self, instance: InstanceUnit, number: int) -> None:
-        super().add(instance, number)
-        assert isinstance(instance, PatternInstance)
-        self._of_parts[number] = instance
-
-    def remove(self, number: int) -> None:
-        del self._of_parts[number]
-        super().remove(number)
 
     def forget(self, number: int) -> None:
         self._parts.remove(number)
@@ -221,7 +211,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
     def _count_late(self, late_of: NDArray[np.int64]) -> None:
         """Count the late samples of each part."""
         for part in np.flatnonzero(late_of).tolist():
-            instance = self._of_parts.get(part)
+            instance = self._instances.get(part)
             if instance is not None:
                 instance.late += int(late_of[part])
 
@@ -244,7 +234,7 @@ class SharedPatternUnit(SharingUnit, SampleReasoner):
         order = np.argsort(parts, kind="stable")
         numbers, starts = np.unique(parts[order], return_index=True)
         for number, rows in zip(numbers.tolist(), np.split(order, starts[1:]), strict=True):
-            instance = self._of_parts[number]
+            instance = self._instances[number]
             self.promise_to(instance)
             instance.emit(self._of_instance(found, rows, instance))
         (available,) = self.output.stamps_at(found.available.max(keepdims=True))

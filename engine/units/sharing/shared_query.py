@@ -19,7 +19,7 @@ from ..windowed import WindowUnit
 from .instances import InstanceUnit, SharingUnit
 
 
-class TemplateUnit(SharingUnit, WindowUnit):
+class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
     """Evaluates the instances of one template (`TemplateEvaluator`), or queries that differ in
     constants (`SimilarQueriesEvaluator`), over the same streams as one query.
 
@@ -40,21 +40,17 @@ class TemplateUnit(SharingUnit, WindowUnit):
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: SharedWindows = evaluator
-        self._queries: dict[int, QueryInstance] = {}
         self._on_result: dict[int, Callable[[WindowResult], None]] = {}
         """Callbacks for all results of an instance, by its number, the empty ones included."""
         self._last_available = TIME_MIN
         """The available time (ns) of the last sample."""
 
-    def add(self, instance: InstanceUnit, number: int) -> None:
+    def add(self, instance: QueryInstance, number: int) -> None:
         super().add(instance, number)
-        assert isinstance(instance, QueryInstance)
-        self._queries[number] = instance
         if instance.on_result is not None:
             self._on_result[number] = instance.on_result
 
     def remove(self, number: int) -> None:
-        self._queries.pop(number)
         self._on_result.pop(number, None)
         super().remove(number)
 
@@ -79,7 +75,7 @@ class TemplateUnit(SharingUnit, WindowUnit):
         late = self.late
         timely = super().in_time(source, batch, decided)
         if self.late > late:
-            for instance in self._queries.values():
+            for instance in self._instances.values():
                 instance.late += self.late - late
         return timely
 
@@ -92,7 +88,7 @@ class TemplateUnit(SharingUnit, WindowUnit):
         for window in results:
             answered = window.answered.tolist()
             for number in answered:
-                instance = self._queries.get(number)
+                instance = self._instances.get(number)
                 result = window.of(number)
                 if instance is not None and result is not None:
                     instance.emit(result)
