@@ -71,7 +71,7 @@ MUTANTS = (
     # -0 equals 0, and each event has the key of its own value.
     ("patterns/plans/query.py", "numbers = values + 0.0", "numbers = values", SASE),
     # With a max delay a time is over that long after it, and absence is known of the time before.
-    ("patterns/recognition/recognition.py", "later(found.decided - ~by_row, steps.delay)", "later(found.decided, steps.delay)", RECOGNITION),
+    ("patterns/recognition/recognition.py", "later(found.decided - waited, steps.delay)", "later(found.decided, steps.delay)", RECOGNITION),
     ("patterns/recognition/recognition.py", '"right" if steps.delay is None else "left"', '"right"', RECOGNITION),
     # A repeated part that goes on moves the bounds that begin with its last row.
     ("patterns/recognition/partial.py", "if v != low_only}", "}", PARTIAL),
