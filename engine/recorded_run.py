@@ -37,8 +37,8 @@ from .engine import Engine
 from .model.errors import NoPlan, NotAnnotated
 from .model.views import StreamDeclaration
 from .planning.registrations import max_delay_of, parse_registered
-from .units.monitor import MonitorUnit
-from .units.pattern import PatternUnit
+from .units.reasoning.monitor import MonitorUnit
+from .units.reasoning.pattern import PatternUnit
 from .units.sharing.shared_query import QueryInstance
 
 Recorded: TypeAlias = Path | str | Iterable[Mapping[str, Any]]

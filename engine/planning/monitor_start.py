@@ -22,8 +22,8 @@ from ...streams.time import format_duration
 from ...templates.formulas import BoundFormula
 from ..configuration.configuration import MTL, Configuration
 from ..model.beginning import Beginning
-from ..units.monitor import MonitorUnit, verdict_schema
-from ..units.term_readers import TermInput
+from ..units.reasoning.monitor import MonitorUnit, verdict_schema
+from ..units.reasoning.term_readers import TermInput
 from .supply_inputs import merge_inputs
 
 

@@ -25,10 +25,10 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments
 from ..model.status_changes import ChangeKind
 from ..model.views import Since
-from ..units.match_samples import match_schema
 from ..units.merge import MergeInput
-from ..units.pattern import PatternUnit
-from ..units.row_readers import SourceInput, kind_of
+from ..units.reasoning.match_samples import match_schema
+from ..units.reasoning.pattern import PatternUnit
+from ..units.reasoning.row_readers import SourceInput, kind_of
 from ..units.sharing.instances import TALLY
 from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from .static_side import closed_ontology

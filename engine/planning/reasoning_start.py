@@ -16,8 +16,8 @@ from ...templates.reasoning import Bound, Reasoned, bound_text
 from ..configuration.configuration import Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments
-from ..units.monitor import MonitorUnit
-from ..units.pattern import PatternUnit
+from ..units.reasoning.monitor import MonitorUnit
+from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_pattern import PatternInstance
 from .monitor_start import MonitorStarter, explain_monitor, verdict_annotation
 from .pattern_start import PatternStarter, explain_pattern, match_annotation

@@ -59,8 +59,8 @@ from ..planning.registrations import (
     parse_registered,
     registration_of,
 )
-from ..units.monitor import MonitorUnit
-from ..units.pattern import PatternUnit
+from ..units.reasoning.monitor import MonitorUnit
+from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers
 from .empty_reasons import NO_WINDOW, why_empty

@@ -20,9 +20,9 @@ from ...streams.policies.policy import PolicyCounters
 from ...templates.needs import NeedsError, is_static_in, needs, unknown_terms
 from ..configuration.configuration import Configuration
 from ..units.base import ComputationalUnit
-from ..units.monitor import MonitorUnit
-from ..units.pattern import PatternUnit
 from ..units.policy import AdaptationUnit
+from ..units.reasoning.monitor import MonitorUnit
+from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_pattern import PatternInstance
 from ..units.sharing.shared_query import QueryInstance
 from ..units.windowed import WindowUnit

@@ -48,9 +48,9 @@ from ..planning.stream_binding import (
     mean_the_same,
     supplies_of,
 )
-from ..units.monitor import MonitorUnit
-from ..units.pattern import PatternUnit
 from ..units.query import QueryUnit
+from ..units.reasoning.monitor import MonitorUnit
+from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers

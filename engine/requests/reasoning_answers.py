@@ -13,8 +13,8 @@ from ...reasoning.states.state_maker import TooManyDue
 from ...streams.time import format_time
 from ..model.errors import BadArguments, NoResult, Refused
 from ..units.base import ComputationalUnit
-from ..units.monitor import MonitorUnit, RecalledSamples
-from ..units.pattern import PatternUnit, RecalledEvents
+from ..units.reasoning.monitor import MonitorUnit, RecalledSamples
+from ..units.reasoning.pattern import PatternUnit, RecalledEvents
 from ..units.sharing.shared_pattern import PatternInstance
 
 

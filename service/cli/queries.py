@@ -194,8 +194,8 @@ def why(
     as_json: Json = False,
 ) -> None:
     """Explain a verdict by its states and the parts of the formula, or a match by its samples."""
-    from ..http.match_tables import matches_table
-    from ..http.verdict_tables import why_table
+    from ..http.encodings.match_tables import matches_table
+    from ..http.encodings.verdict_tables import why_table
 
     with connect(url) as client:
         ask = client.event_why if _is_request(client, name) else client.why
@@ -217,7 +217,7 @@ def partial(
     as_json: Json = False,
 ) -> None:
     """Show the partial matches of a pattern: what has come, and when the rest may come."""
-    from ..http.match_tables import partial_table
+    from ..http.encodings.match_tables import partial_table
 
     with connect(url) as client:
         is_request = _is_request(client, name)

@@ -26,7 +26,7 @@ PIECE_BYTES = 64 * 1024
 """A longer answer is long; the size of its pieces."""
 STREAMED = 1024 * 1024
 """Bytes that count for an answer of unknown length: its pieces are encoded one by one
-(service/http/history_encoding)."""
+(service/http/encodings/history_encoding)."""
 HELD = "dyknow.answer.held"
 """In the scope of a request: further bytes that such an answer needs until its end."""
 PART = 8

@@ -19,7 +19,7 @@ from ...engine.durability.commands import Annotate, Describe
 from ...languages.ssl.ast import StreamDeclaration
 from ..config.media_types import JSON, TEXT, TURTLE
 from ..config.text_bounds import MOST_CONTENTS, MOST_DECLARATIONS
-from ..http.json_lists import listed
+from ..http.encodings.json_lists import listed
 from ..http.negotiation import accepted, content_type, json_value, utf8
 from ..http.problems import Problem, responses
 from ..http.text_limits import check_length, check_number, read_ssl, too_long

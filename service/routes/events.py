@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from ...engine.durability.accepted_commands import REQUEST
 from ...engine.durability.commands import CancelEvent, RequestEvent
 from ..config.media_types import JSON, TEXT
-from ..http.json_lists import listed
+from ..http.encodings.json_lists import listed
 from ..http.negotiation import content_type, json_value, utf8
 from ..http.problems import responses
 from ..models import (

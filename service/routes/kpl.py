@@ -9,7 +9,7 @@ from fastapi.responses import PlainTextResponse, Response
 
 from ...engine.durability.commands import AddKpl, RemoveKpl
 from ..config.media_types import JSON, TEXT
-from ..http.json_lists import listed
+from ..http.encodings.json_lists import listed
 from ..http.negotiation import accepted, text_body
 from ..http.problems import responses
 from ..http.text_limits import check_length, read_kpl

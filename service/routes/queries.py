@@ -17,10 +17,10 @@ from ...engine.model.errors import Conflict
 from ...rdf.namespaces import DYKNOW
 from ...streams.time import format_time
 from ..config.media_types import JSON, SPARQL_QUERY, TEXT
-from ..http.json_lists import listed
+from ..http.encodings.json_lists import listed
+from ..http.encodings.sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..http.negotiation import accepted, text_body
 from ..http.problems import responses
-from ..http.sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..http.text_limits import parse_aside, parse_continuous
 from ..http.time_parameters import Time, time_of
 from ..models import (

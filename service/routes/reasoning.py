@@ -13,10 +13,10 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from ...reasoning.mtl.explanation import Explanation
 from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ..config.media_types import JSON, TEXT
-from ..http.match_tables import matches_table, partial_table
+from ..http.encodings.match_tables import matches_table, partial_table
+from ..http.encodings.verdict_tables import why_table
 from ..http.negotiation import accepted
 from ..http.time_parameters import time_of
-from ..http.verdict_tables import why_table
 from ..models import MatchesWhyModel, PartialMatchesModel, WhyModel
 from ..runtime.context import Service
 

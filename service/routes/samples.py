@@ -21,8 +21,8 @@ from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import DAY, NANOSECOND, TIME_MAX
 from ..config.media_types import ARROW, CSV, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
+from ..http.encodings.history_encoding import RdfWriter, history_answer
 from ..http.field_lists import chosen_fields
-from ..http.history_encoding import RdfWriter, history_answer
 from ..http.negotiation import accepted
 from ..http.problems import Problem, responses
 from ..http.time_parameters import Time, duration_of, time_of

@@ -16,8 +16,8 @@ from ...engine.model.errors import UnknownStream
 from ...streams.history import Retention
 from ...streams.sample import LONGEST_NAME
 from ..config.media_types import JSON, POSITION
+from ..http.encodings.json_lists import listed
 from ..http.field_lists import chosen_fields
-from ..http.json_lists import listed
 from ..http.negotiation import content_type
 from ..http.problems import responses
 from ..models import EvaluationModel, QualityIn, StreamIn, StreamModel

@@ -15,7 +15,7 @@ from ...engine.durability.commands import (
 )
 from ...engine.engine import Engine
 from ..config.media_types import EVENT_STREAM
-from ..http.json_lists import listed
+from ..http.encodings.json_lists import listed
 from ..http.problems import Problem, responses
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..runtime.context import Context

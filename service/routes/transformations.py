@@ -18,7 +18,7 @@ from ...engine.durability.commands import (
 from ...engine.model.errors import UnknownTransformation
 from ...languages.ssl import parse_ssl
 from ..config.media_types import JSON, TURTLE
-from ..http.json_lists import listed
+from ..http.encodings.json_lists import listed
 from ..http.negotiation import content_type, json_value, utf8
 from ..http.problems import Problem, responses
 from ..http.text_limits import check_number, read_ssl

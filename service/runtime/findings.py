@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ...engine.model.stream_statistics import rate_of
-from ...engine.units.pattern import PatternUnit
+from ...engine.units.reasoning.pattern import PatternUnit
 from ...engine.units.sharing.shared_pattern import SharedPatternUnit
 from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND, format_duration

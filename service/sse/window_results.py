@@ -15,8 +15,8 @@ from fastapi.responses import Response
 
 from ...continuous.operators.results import WindowResult
 from ...streams.time import format_time
+from ..http.encodings.sparql_results import result_json
 from ..http.problems import Problem
-from ..http.sparql_results import result_json
 from .cursor import Cursor, Start, message
 from .delivery import Delivery
 from .feed import Feed

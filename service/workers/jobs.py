@@ -36,7 +36,7 @@ from ...ontology.deep_hierarchies import MARKERS
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.query_guard import Dataset, check_user_query
 from ...ontology.reading import TextFormat, nquads_of_json_ld, read_triples
-from ..http.sparql_formats import TABLES, write_graph
+from ..http.encodings.sparql_formats import TABLES, write_graph
 from .messages import (
     Answer,
     Ask,

@@ -16,11 +16,11 @@ from ....reasoning.patterns.recognition.recognition import Recognized
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch
 from ....streams.time import TIME_MAX, TIME_MIN
-from ..match_samples import MatchWriter
 from ..merge import ObjectCodes, ObjectName
-from ..pattern import RecalledEvents
-from ..row_readers import SourceInput, row_readers
-from ..sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
+from ..reasoning.match_samples import MatchWriter
+from ..reasoning.pattern import RecalledEvents
+from ..reasoning.row_readers import SourceInput, row_readers
+from ..reasoning.sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
 from .instances import InstanceUnit, SharingUnit
 
 Parts = NDArray[np.int64]

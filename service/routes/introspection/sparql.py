@@ -19,10 +19,8 @@ from ....ontology.errors import QueryRefused
 from ....ontology.query_guard import LONGEST_TEXT, query_form
 from ...admission.gate import client_key
 from ...config.media_types import FORM, SPARQL_QUERY
-from ...http.negotiation import accepted, content_type, utf8
-from ...http.problems import Problem, responses
-from ...http.service_description import KINDS, PREFIXES, describe
-from ...http.sparql_results import (
+from ...http.encodings.service_description import KINDS, PREFIXES, describe
+from ...http.encodings.sparql_results import (
     BOOLEANS,
     GRAPHS,
     RESULTS,
@@ -30,6 +28,8 @@ from ...http.sparql_results import (
     graph_answer,
     result_too_large,
 )
+from ...http.negotiation import accepted, content_type, utf8
+from ...http.problems import Problem, responses
 from ...runtime.context import Context, Service
 from ...workers.messages import Failed, GraphNames, Refused, TooMuch, Truth, Written
 from ...workers.route_calls import while_connected

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Response
 
-from ...http.json_lists import listed
+from ...http.encodings.json_lists import listed
 from ...http.problems import Problem, responses
 from ...models import RunningUnitModel
 from ...runtime.context import Context

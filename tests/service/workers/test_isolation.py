@@ -27,7 +27,7 @@ from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.replicas import MOST
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
-from dyknow.service.http.sparql_formats import GRAPHS
+from dyknow.service.http.encodings.sparql_formats import GRAPHS
 from dyknow.service.server import running
 from dyknow.service.workers.messages import (
     Ask,

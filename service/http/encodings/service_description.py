@@ -12,9 +12,9 @@ from typing import Final
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ...ontology.graphs import CATALOG
-from ...rdf.namespaces import RDF_TYPE
-from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
+from ....ontology.graphs import CATALOG
+from ....rdf.namespaces import RDF_TYPE
+from ...config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
 from .sparql_formats import GRAPHS, TABLES
 
 KINDS: Final = (TURTLE, NTRIPLES, JSON_LD, RDF_XML)

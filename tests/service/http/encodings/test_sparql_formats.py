@@ -8,7 +8,7 @@ import pytest
 import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple, parse
 
-from dyknow.service.http.sparql_formats import GRAPHS, NotWritable, write_graph
+from dyknow.service.http.encodings.sparql_formats import GRAPHS, NotWritable, write_graph
 
 XSD = "http://www.w3.org/2001/XMLSchema#"
 S, P = NamedNode("http://e.org/s?a&b"), NamedNode("http://e.org/p")

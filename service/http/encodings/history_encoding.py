@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 from pyoxigraph import RdfFormat, parse, serialize
 from starlette.types import Receive, Scope, Send
 
-from ...converters.arrow.stream import ArrowWriter
-from ...converters.csv_table import encode_csv
-from ...converters.ndjson import encode_ndjson
-from ...converters.rdf.ntriples import GENERATED
-from ...converters.rdf.statements import GRAPH
-from ...rdf.namespaces import XSD
-from ...streams.instants import Places
-from ...streams.sample import Column, SampleBatch
-from ...streams.time import format_time
-from ..config.media_types import ARROW, CSV, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
-from .response_limit import HELD
+from ....converters.arrow.stream import ArrowWriter
+from ....converters.csv_table import encode_csv
+from ....converters.ndjson import encode_ndjson
+from ....converters.rdf.ntriples import GENERATED
+from ....converters.rdf.statements import GRAPH
+from ....rdf.namespaces import XSD
+from ....streams.instants import Places
+from ....streams.sample import Column, SampleBatch
+from ....streams.time import format_time
+from ...config.media_types import ARROW, CSV, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
+from ..response_limit import HELD
 
 PIECE_BYTES = 256 * 1024
 """The estimated size of a piece, at most, unless it is one sample."""

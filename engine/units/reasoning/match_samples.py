@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ...converters.objects import object_name
-from ...languages.mtl.checked import Kind
-from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plans.plan import NO_VALUE
-from ...reasoning.patterns.plans.query import END, START, Keys, PatternQuery, integers_of, lists_of
-from ...reasoning.patterns.recognition.explanation import Told
-from ...reasoning.patterns.recognition.recognition import Recognized
-from ...streams.sample import Column, Field, FieldType, Schema, column_from_values
-from ...streams.string_pool import StringPool
-from ...streams.time import format_time
+from ....converters.objects import object_name
+from ....languages.mtl.checked import Kind
+from ....rdf.namespaces import DYKNOW
+from ....reasoning.patterns.plans.plan import NO_VALUE
+from ....reasoning.patterns.plans.query import END, START, Keys, PatternQuery, integers_of, lists_of
+from ....reasoning.patterns.recognition.explanation import Told
+from ....reasoning.patterns.recognition.recognition import Recognized
+from ....streams.sample import Column, Field, FieldType, Schema, column_from_values
+from ....streams.string_pool import StringPool
+from ....streams.time import format_time
 
 _TYPES = {
     Kind.NUMBER: FieldType.FLOAT,

@@ -24,15 +24,15 @@ from pyoxigraph import (
     serialize,
 )
 
-from ...continuous.operators.results import WindowResult
-from ...converters.rdf.ntriples import GENERATED
-from ...rdf.dictionary import Term
-from ...rdf.namespaces import PREFIXES, XSD
-from ...streams.time import format_time
-from ..config.media_types import JSON, NQUADS, SPARQL_JSON, SPARQL_XML, TRIG
+from ....continuous.operators.results import WindowResult
+from ....converters.rdf.ntriples import GENERATED
+from ....rdf.dictionary import Term
+from ....rdf.namespaces import PREFIXES, XSD
+from ....streams.time import format_time
+from ...config.media_types import JSON, NQUADS, SPARQL_JSON, SPARQL_XML, TRIG
+from ..negotiation import accepted
+from ..problems import Problem
 from . import sparql_formats
-from .negotiation import accepted
-from .problems import Problem
 
 RESULTS = sparql_formats.TABLES
 GRAPHS = sparql_formats.GRAPHS

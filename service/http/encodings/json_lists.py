@@ -9,8 +9,8 @@ from typing import Final, TypeVar
 from fastapi import Response
 from pydantic import BaseModel
 
-from ...engine.model.errors import UNKNOWN
-from ..config.media_types import JSON
+from ....engine.model.errors import UNKNOWN
+from ...config.media_types import JSON
 
 T = TypeVar("T")
 

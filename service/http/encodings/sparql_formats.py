@@ -16,8 +16,8 @@ from pyoxigraph import (
     serialize,
 )
 
-from ...sparql.tokens import NAME_NEXT, NAME_START
-from ..config.media_types import (
+from ....sparql.tokens import NAME_NEXT, NAME_START
+from ...config.media_types import (
     CSV,
     JSON,
     JSON_LD,

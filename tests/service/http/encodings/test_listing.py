@@ -10,8 +10,8 @@ import pytest
 from pydantic import BaseModel
 
 from dyknow.engine.model.errors import UnknownStream
-from dyknow.service.http import json_lists
-from dyknow.service.http.json_lists import PIECE, listed
+from dyknow.service.http.encodings import json_lists
+from dyknow.service.http.encodings.json_lists import PIECE, listed
 
 TEXT = {"Content-Type": "text/plain"}
 

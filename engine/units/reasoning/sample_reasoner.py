@@ -6,12 +6,12 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
-from ...streams.generator import StreamGenerator
-from ...streams.history import FluentStream
-from ...streams.sample import SampleBatch, Times
-from ...streams.time import TIME_MAX
-from ..model.errors import Conflict
-from .base import ComputationalUnit
+from ....streams.generator import StreamGenerator
+from ....streams.history import FluentStream
+from ....streams.sample import SampleBatch, Times
+from ....streams.time import TIME_MAX
+from ...model.errors import Conflict
+from ..base import ComputationalUnit
 
 
 class Reasoning(Protocol):

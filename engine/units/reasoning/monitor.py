@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from ...converters.objects import object_iri, object_name
-from ...languages.mtl.ast import Monitor, Report
-from ...languages.mtl.checked import CheckedMonitor
-from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import DYKNOW
-from ...reasoning.mtl.explanation import Explanation, NoStart, explain_verdict
-from ...reasoning.mtl.formulas import bound_sorts
-from ...reasoning.mtl.monitoring import (
+from ....converters.objects import object_iri, object_name
+from ....languages.mtl.ast import Monitor, Report
+from ....languages.mtl.checked import CheckedMonitor
+from ....rdf.dictionary import TermDictionary
+from ....rdf.namespaces import DYKNOW
+from ....reasoning.mtl.explanation import Explanation, NoStart, explain_verdict
+from ....reasoning.mtl.formulas import bound_sorts
+from ....reasoning.mtl.monitoring import (
     DECIDED,
     LAST,
     ROBUSTNESS,
@@ -24,17 +24,17 @@ from ...reasoning.mtl.monitoring import (
     Monitoring,
     Reported,
 )
-from ...streams.generator import StreamGenerator
-from ...streams.history import FluentStream
-from ...streams.past_queries import Forgotten
-from ...streams.sample import (
+from ....streams.generator import StreamGenerator
+from ....streams.history import FluentStream
+from ....streams.past_queries import Forgotten
+from ....streams.sample import (
     Field,
     FieldType,
     SampleBatch,
     Schema,
     column_from_values,
 )
-from ...streams.time import TIME_MIN, format_time
+from ....streams.time import TIME_MIN, format_time
 from .sample_reasoner import SampleReasoner
 from .term_readers import TermInput, term_readers
 

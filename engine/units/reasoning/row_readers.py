@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...converters.objects import object_iri
-from ...languages.mtl.checked import Kind
-from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plans.plan import NO_VALUE
-from ...reasoning.patterns.plans.query import (
+from ....converters.objects import object_iri
+from ....languages.mtl.checked import Kind
+from ....rdf.dictionary import TermDictionary
+from ....rdf.namespaces import DYKNOW
+from ....reasoning.patterns.plans.plan import NO_VALUE
+from ....reasoning.patterns.plans.query import (
     END,
     START,
     Keys,
@@ -25,12 +25,12 @@ from ...reasoning.patterns.plans.query import (
     text_key,
     value_keys,
 )
-from ...reasoning.patterns.plans.rows import Values
-from ...reasoning.patterns.recognition.recognition import Recognition
-from ...streams.generator import StreamGenerator
-from ...streams.sample import Column, FieldType, SampleBatch
-from ...streams.time import parse_time
-from .merge import MergeInput, ObjectCodes
+from ....reasoning.patterns.plans.rows import Values
+from ....reasoning.patterns.recognition.recognition import Recognition
+from ....streams.generator import StreamGenerator
+from ....streams.sample import Column, FieldType, SampleBatch
+from ....streams.time import parse_time
+from ..merge import MergeInput, ObjectCodes
 
 _KINDS = {
     FieldType.FLOAT: Kind.NUMBER,

@@ -34,8 +34,8 @@ from dyknow.service.config.media_types import (
     TRIG,
 )
 from dyknow.service.config.settings import Settings
-from dyknow.service.http import history_encoding
-from dyknow.service.http.history_encoding import (
+from dyknow.service.http.encodings import history_encoding
+from dyknow.service.http.encodings.history_encoding import (
     PIECE_BYTES,
     PIECE_SAMPLES,
     RDF_KINDS,

@@ -9,16 +9,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...converters.objects import object_iri
-from ...languages.mtl.checked import Kind
-from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import DYKNOW
-from ...reasoning.mtl.monitoring import Monitoring
-from ...reasoning.states.states import Term
-from ...streams.generator import StreamGenerator
-from ...streams.sample import Column, FieldType, SampleBatch
-from ...streams.time import parse_time
-from .merge import MergeInput, ObjectCodes
+from ....converters.objects import object_iri
+from ....languages.mtl.checked import Kind
+from ....rdf.dictionary import TermDictionary
+from ....rdf.namespaces import DYKNOW
+from ....reasoning.mtl.monitoring import Monitoring
+from ....reasoning.states.states import Term
+from ....streams.generator import StreamGenerator
+from ....streams.sample import Column, FieldType, SampleBatch
+from ....streams.time import parse_time
+from ..merge import MergeInput, ObjectCodes
 
 _NUMBERS: Final = (FieldType.FLOAT, FieldType.INTEGER)
 

@@ -6,26 +6,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...continuous.operators.background import Background
-from ...converters.objects import object_iri
-from ...languages.mtl.checked import Kind
-from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import DYKNOW
-from ...reasoning.patterns.plans.query import END, START, Keys, Part, PatternQuery, object_key
-from ...reasoning.patterns.recognition.explanation import (
+from ....continuous.operators.background import Background
+from ....converters.objects import object_iri
+from ....languages.mtl.checked import Kind
+from ....rdf.dictionary import TermDictionary
+from ....rdf.namespaces import DYKNOW
+from ....reasoning.patterns.plans.query import END, START, Keys, Part, PatternQuery, object_key
+from ....reasoning.patterns.recognition.explanation import (
     ExplainedMatch,
     MatchedEvent,
     PartialMatch,
     PartialMatches,
     PendingEvent,
 )
-from ...reasoning.patterns.recognition.partial import Partial
-from ...reasoning.patterns.recognition.recognition import SAMPLE, STREAM, Recognition, Recognized
-from ...reasoning.patterns.recognition.static_tables import StaticTables
-from ...streams.generator import StreamGenerator
-from ...streams.history import FluentStream
-from ...streams.past_queries import Forgotten
-from ...streams.sample import SampleBatch
+from ....reasoning.patterns.recognition.partial import Partial
+from ....reasoning.patterns.recognition.recognition import SAMPLE, STREAM, Recognition, Recognized
+from ....reasoning.patterns.recognition.static_tables import StaticTables
+from ....streams.generator import StreamGenerator
+from ....streams.history import FluentStream
+from ....streams.past_queries import Forgotten
+from ....streams.sample import SampleBatch
 from .match_samples import MatchWriter
 from .row_readers import SourceInput, row_readers
 from .sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner

@@ -1,0 +1,1 @@
+"""Units of formulas and patterns: verdicts and matches of samples."""

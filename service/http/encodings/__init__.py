@@ -1,0 +1,1 @@
+"""How results, histories and explanations are written as answers."""
