@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from ..languages.hints import did_you_mean
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
 from .fast_search import FastSearch
@@ -52,9 +52,9 @@ class Explainer:
         """The reasons at the leaves of a tree without a plan, each once."""
         unknown = [name for name in want.streams if name not in self._index.space.streams]
         if unknown:
-            near = difflib.get_close_matches(unknown[0], self._index.space.streams, n=3)
-            hint = f": did you mean {' or '.join(near)}?" if near else ""
-            return (f"there is no stream {unknown[0]} with an annotation{hint}",)
+            hint = did_you_mean(unknown[0], self._index.space.streams)
+            text = f"there is no stream {unknown[0]} with an annotation"
+            return (f"{text}: {hint}" if hint else text,)
         if not tree:
             return (_nothing_gives(want.feature),)
         return tuple(dict.fromkeys(_leaves(tree)))[:LISTED]

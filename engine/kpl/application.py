@@ -8,10 +8,10 @@ with the kept history of its inputs, since Def. 5.33-5.35 are about whole stream
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Sequence
 from typing import assert_never
 
+from ...languages.hints import did_you_mean
 from ...languages.kpl import (
     CheckedDeclaration,
     CompunitDeclaration,
@@ -139,10 +139,9 @@ class Application:
         """A declaration by name, label or key. Raises `UnknownDeclaration`."""
         found = self.signature.find(name)
         if found is None:
-            near = difflib.get_close_matches(name, self.signature.by_key, n=3)
             raise UnknownDeclaration(
                 f"there is no KPL declaration called {name!r}",
-                f"did you mean {' or '.join(near)}?" if near else "GET /kpl lists all",
+                did_you_mean(name, self.signature.by_key) or "GET /kpl lists all",
             )
         return found
 

@@ -6,11 +6,11 @@ have a place in the text. It starts nothing; `specifications` starts the elabora
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ...languages.errors import LanguageError, Span
+from ...languages.hints import did_you_mean
 from ...languages.kpl import format_policy, parse_policy
 from ...languages.specification import (
     Input,
@@ -233,12 +233,11 @@ class Elaboration:
 
     def _unknown_transformation(self, element: UnitSpecification) -> LanguageError:
         names = (*self._transformations, *SYSTEM)
-        near = difflib.get_close_matches(element.type, names, n=3)
         return LanguageError(
             f"there is no transformation called `{element.type}`",
             self._source,
             element.span,
-            f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(names)}",
+            did_you_mean(element.type, names) or f"there are: {', '.join(names)}",
         )
 
     # -- parameters --------------------------------------------------------------------------
@@ -347,11 +346,10 @@ class Elaboration:
             return self._configuration.stream(reference.name)
         except UnknownStream:
             names = (*self._named, *self._configuration.streams, *self._configuration.aliases)
-            near = difflib.get_close_matches(reference.name, names, n=3)
             raise self._error(
                 reference.span,
                 f"there is no stream called `{reference.name}`, nor a `cu` of that name here",
-                f"did you mean {' or '.join(near)}?" if near else "GET /streams shows all",
+                did_you_mean(reference.name, names) or "GET /streams shows all",
             ) from None
 
     def _contents_of(self, generator: StreamGenerator) -> tuple[Content, ...]:
