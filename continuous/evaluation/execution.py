@@ -195,8 +195,17 @@ class Execution:
             return None
 
     def _rows(self, low: int, high: int) -> list[TripleRows]:
+        """Return the rows with ``low`` < τ ≤ ``high`` that some window contains."""
         buffers = self.windows.contents.buffers.values()
-        return [table for buffer in buffers for table in buffer.between(low, high)]
+        tables = [table for buffer in buffers for table in buffer.between(low, high)]
+        window = self.windows.schedule.windows[0]
+        assert window.grid is not None
+        assert window.range is not None
+        if window.range >= window.grid.step:
+            return tables
+        # `fold` skips what is between two windows: a group of such a row would be one too many.
+        step, origin = window.grid.step, window.grid.origin
+        return [table.take((origin - table.time) % step < window.range) for table in tables]
 
     def sources(self, rows: WindowRows, profile: Profile | None = None) -> Iterator[WindowSource]:
         """Yield the sources for an execution of the plan. The first uses the folded aggregate; the
