@@ -44,8 +44,8 @@ class BulkPlan:
         shape = execution.shape
         if isinstance(shape, str):
             return "they are not computed incrementally"
-        if execution.windows.differs:
-            return "each is compared with the one before"
+        if execution.windows.options.report != "non-empty":
+            return "windows without content are evaluated too"
         reason = not_in_bulk(shape, distinct=execution.distinct)
         if reason:
             return reason

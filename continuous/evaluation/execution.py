@@ -237,8 +237,6 @@ class Execution:
         schedule = self.windows.schedule
         if not schedule.uniform:
             return "the windows are several, or not of time alone"
-        if self.windows.differs or self.windows.options.report != "non-empty":
-            return "windows without content are evaluated too"
         if self.names_now:
             return "it asks for NOW()"
         if self.has_volatile:

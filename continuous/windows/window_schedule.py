@@ -244,8 +244,8 @@ class OpenWindows:
 
     def _evaluate_in_bulk(self, first: int, in_bulk: EvaluateWindows, most: int) -> int:
         """Evaluate windows that can close, from the end ``first`` on, in one pass; return how many,
-        0 if they must be evaluated one by one. Contract: the schedule is `uniform`, and only
-        windows with content are evaluated (`BulkPlan` checks that)."""
+        0 if they must be evaluated one by one. Contract: the schedule is `uniform`, and windows
+        with content are reported (`BulkPlan` checks that)."""
         tried, watermark = self._one_by_one_until, self._watermark()
         assert watermark is not None
         greatest = watermark - 1 + self.schedule.shift
@@ -254,7 +254,9 @@ class OpenWindows:
         is_few = first + (FEWEST - 1) * step > greatest
         if is_few or (tried is not None and first <= tried):
             return 0
-        ends = self.contents.ends_from(first, greatest, most)
+        ends = self.contents.ends_from(
+            first, greatest, most, leaves=self.differs, follows=self._had_content
+        )
         done = in_bulk(ends) if len(ends) >= FEWEST else None
         if done is None:
             self._one_by_one_until = ends[-1]
@@ -262,6 +264,8 @@ class OpenWindows:
         closed, retains = done
         self._last_end = ends[closed - 1]
         self.closed += closed
+        if self.differs:
+            self._had_content = self.contents.has_content(self._last_end)
         self.contents.select(DueEvaluation(self._last_end))
         self.contents.drop(self._last_end, raw=retains)
         return closed

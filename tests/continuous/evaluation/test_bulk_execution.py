@@ -35,8 +35,13 @@ def ends(count: int, values: list[object], query: str = QUERY, defers: bool = Fa
     return [tuple(each.ends) for each in results]
 
 
-def test_windows_that_are_due_at_once_share_a_pass() -> None:
-    assert ends(20, [1.5, 2.0]) == [tuple(range(1, 21))]
+@pytest.mark.parametrize("operator", ["", "ISTREAM ", "DSTREAM "])
+def test_windows_that_are_due_at_once_share_a_pass(operator: str) -> None:
+    query = QUERY.replace("SELECT ", f"SELECT {operator}")
+    assert ends(20, [1.5, 2.0], query) == [tuple(range(1, 21))]
+
+
+def test_windows_that_are_due_at_once_share_passes_of_bounded_size() -> None:
     most = window_schedule.MOST
     assert list(map(len, ends(most + 9, [1.5]))) == [most, 9]
 

@@ -62,14 +62,15 @@ def texts(draw: st.DrawFn) -> str:
         f"FROM STREAM <{one}> [RANGE {length}ns STEP {step}ns]"
         for one in INPUTS[: draw(st.integers(1, 2))]
     )
+    operator = draw(st.sampled_from(["", "", "ISTREAM ", "DSTREAM "]))
     if draw(st.booleans()):
         head = draw(st.sampled_from(CONSTRUCTED))
         head = head.format(s=SPEED.value, h=HEIGHT.value, u=UAV.value)
-        text = f"CONSTRUCT {{ {head} }} {windows} WHERE {{ "
+        text = f"CONSTRUCT {operator}{{ {head} }} {windows} WHERE {{ "
         return f"REGISTER QUERY q AS {text} SELECT ?o {calls} WHERE {{ {body} }} {group} }}"
-    head = draw(st.sampled_from(sorted(HEADS)))
+    head = draw(st.sampled_from(sorted(HEADS))).replace("SELECT ", f"SELECT {operator}", 1)
     shown = head.format(calls=calls, first=f"{functions[0]}(?v)")
-    order = HEADS[head]
+    order = HEADS[head.replace(operator, "", 1)]
     return f"REGISTER QUERY q AS {shown} {windows} WHERE {{ {body} }} {group} {order}"
 
 
