@@ -46,7 +46,7 @@ class BulkPlan:
             return "they are not computed incrementally"
         if execution.windows.options.report != "non-empty":
             return "windows without content are evaluated too"
-        reason = not_in_bulk(shape, distinct=execution.distinct)
+        reason = not_in_bulk(distinct=execution.distinct)
         if reason:
             return reason
         steps = execution.steps

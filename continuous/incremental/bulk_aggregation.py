@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ...streams.sample import Times
-from ..algebra.expressions import Const, Var
+from ..algebra.expressions import Var
 from ..columns.exact_sums import FloatTotals, IntegerTotals
 from ..columns.fold_kernels import mirror
 from ..columns.pane_runs import PaneRuns
-from ..columns.relation import Relation
+from ..columns.relation import Relation, concatenate
 from ..operators.partial_aggregates import (
     GREAT,
     SAFE,
@@ -32,7 +32,6 @@ from ..operators.partial_aggregates import (
 )
 from ..operators.result_forms import END
 from ..windows.grid import Grid
-from .aggregate_shape import Shape
 from .aggregation import IncrementalAggregate
 from .sliding_aggregates import Pane
 
@@ -43,61 +42,59 @@ CELLS_EACH: Final = 2**9
 _KINDS: Final = (Kind.INTEGER, Kind.FLOAT, Kind.DOUBLE)
 
 
-def not_in_bulk(shape: Shape, *, distinct: bool) -> str:
+def not_in_bulk(*, distinct: bool) -> str:
     """Return why windows that are due at once are aggregated one by one, or ""."""
-    if distinct:
-        return "equal triples count once"
-    if shape.rest or shape.later:
-        return "the aggregate is joined with other patterns"
-    subject = shape.scan.subject
-    keys = (subject.name,) if isinstance(subject, Var) else ()
-    if shape.aggregate.keys != keys or shape.aggregate.implicit:
-        return "the subjects are not the groups"
-    if shape.filters or any(each not in (None, shape.scan.object) for each, _ in shape.arguments):
-        return "rows are selected or computed before the fold"
-    return "" if isinstance(shape.scan.object, Var) else "the object is a constant"
+    return "equal triples count once" if distinct else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """Rows of the folded predicate: of one kind, in order within each pane and subject."""
+    """Rows of the folded predicate that the aggregate selects, in order within each pane and
+    subject, with a column for each of its arguments, of one kind of number each."""
 
     times: Times
     subjects: NDArray[np.int32]
-    objects: ObjectColumn
+    arguments: list[ObjectColumn]
 
     @classmethod
-    def of(cls, tables: Sequence[TripleRows], predicate: int, subject: int | None) -> _Rows | None:
-        """Return those of ``subject``, or all; None unless there are some, all of one kind of
-        number."""
-        times, subjects, values, kinds = [], [], [], set()
+    def of(cls, tables: Sequence[TripleRows], aggregate: IncrementalAggregate) -> _Rows | None:
+        """Return those in ``tables``; None if there are none to select from, or if a value is not
+        a number of its column's kind."""
+        predicate = aggregate.terms.dictionary.find(aggregate.shape.scan.predicate)
+        times, subjects, objects = [], [], []
         for table in tables:
             column = table.objects.get(predicate)
             if column is None:
                 continue
-            rows: slice | NDArray[np.int64] = slice(None)
-            if column.null is not None or subject is not None:
-                mine = column.present if subject is None else table.subject == subject
-                rows = np.flatnonzero(mine & column.present)
+            rows = slice(None) if column.null is None else np.flatnonzero(column.present)
             times.append(table.time[rows])
             subjects.append(table.subject[rows])
-            values.append(column.values[rows])
-            kinds.add(column.kind)
-        if len(kinds) != 1 or not sum(map(len, times)):
+            objects.append(ObjectColumn(column.kind, column.values[rows]))
+        if len({column.kind for column in objects}) != 1 or not sum(map(len, times)):
             return None
-        kind = kinds.pop()
-        if kind not in _KINDS:
+        time = np.concatenate(times)
+        pairs = (
+            ObjectColumn(Kind.TERM, np.concatenate(subjects)),
+            concatenate(objects, aggregate.terms.dictionary),
+        )
+        if not aggregate.shape.plain:
+            selected = aggregate.selected(pairs)
+            pairs = pairs[0].take(selected), pairs[1].take(selected)
+            time = time[selected]
+        arguments = aggregate.arguments(pairs)
+        if any(column.null is not None or column.kind not in _KINDS for column in arguments):
             return None
-        objects = ObjectColumn(kind, np.concatenate(values))
-        return cls(np.concatenate(times), np.concatenate(subjects), objects)
+        return cls(time, pairs[0].values, arguments)
 
     def are_safe(self) -> bool:
         """Whether no sum of them overflows or needs more than float64."""
-        values = self.objects.values
-        if self.objects.kind is Kind.INTEGER:
-            return magnitude(values) * len(values) < SAFE
-        # This is False if there is a NaN.
-        return bool(-GREAT < values.min() <= values.max() < GREAT)
+        return not len(self.times) or all(
+            magnitude(column.values) * len(column) < SAFE
+            if column.kind is Kind.INTEGER
+            # This is False if there is a NaN.
+            else -GREAT < column.values.min() <= column.values.max() < GREAT
+            for column in self.arguments
+        )
 
 
 def fitting(
@@ -141,22 +138,15 @@ class BulkAggregate:
         self._tables = tables
         self._numbers: list[_Numbers] = []
 
-    def relation(self) -> Relation | None:
+    def relation(self, rest: Sequence[Relation]) -> Relation | None:
         """Return the solutions of the aggregate for all windows, by window, then by group; None if
-        the windows must be evaluated one by one."""
-        aggregate = self._aggregate
-        predicate = aggregate.terms.dictionary.find(aggregate.shape.scan.predicate)
-        subject = aggregate.shape.scan.subject
-        id = None
-        if isinstance(subject, Const):
-            id = aggregate.terms.dictionary.find(subject.term)
-        rows = _Rows.of(self._tables, predicate, id)
+        the windows must be evaluated one by one. ``rest``: the relations that the aggregate joins,
+        each with the column `END` if it is not the same in all windows."""
+        aggregate, shape = self._aggregate, self._aggregate.shape
+        rows = _Rows.of(self._tables, aggregate)
         if rows is None or not rows.are_safe() or not aggregate.is_regular:
             return None
-        keys: list[Key] = [
-            (Kind.INTEGER if argument is None else rows.objects.kind, 0)
-            for argument, _ in aggregate.shape.arguments
-        ]
+        keys: list[Key] = [(column.kind, 0) for column in rows.arguments]
         folded = [self._folded(i, key) for i, key in enumerate(keys)]
         if any(panes is None for panes in folded) or not self._register(rows):
             return None
@@ -173,12 +163,10 @@ class BulkAggregate:
         cells = _Cells(runs, ends, column, groups)
         at = cells.of(self._pane_of(rows.times), aggregate.groups.group_of[rows.subjects])
         numbers = []
-        for (argument, extremes), key, panes in zip(
-            aggregate.shape.arguments, keys, folded, strict=True
-        ):
-            values = np.zeros(len(at), np.int64) if argument is None else rows.objects.values
-            numbers.append(_Numbers(key, cells, extremes))
-            numbers[-1].add(at, values)
+        extremes = [wanted for _, wanted in shape.arguments]
+        for values, wanted, key, panes in zip(rows.arguments, extremes, keys, folded, strict=True):
+            numbers.append(_Numbers(key, cells, wanted))
+            numbers[-1].add(at, values.values)
             numbers[-1].add_panes(panes or ())
         if not all(each.is_finite for each in numbers):
             return None
@@ -188,13 +176,13 @@ class BulkAggregate:
         windows, places = np.nonzero(alive)
         partials = [Partial({each.key: each.of_runs(windows, places)}) for each in numbers]
         columns = {END: ObjectColumn(Kind.INTEGER, windows)}
-        if isinstance(subject, Var):
+        if isinstance(shape.scan.subject, Var):
             members = aggregate.groups.members[groups[places]]
-            columns[subject.name] = ObjectColumn(Kind.TERM, members)
-        found = aggregate.finish(columns, partials, len(windows))
-        return Relation(
-            found.columns, found.rows, frozenset((END, *aggregate.shape.aggregate.keys))
-        )
+            columns[shape.scan.subject.name] = ObjectColumn(Kind.TERM, members)
+        if shape.direct:
+            return aggregate.finish(columns, partials, len(windows))
+        subjects = Relation(columns, len(windows))
+        return aggregate.grouped(subjects, partials, rest, len(self.ends))
 
     def hand_over(self) -> bool:
         """Give the aggregate those panes of the last window that it has not folded; call it after
