@@ -7,6 +7,7 @@ window's end are those of `IncrementalAggregate`, in the same order, to the last
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -35,10 +36,13 @@ from ..windows.grid import Grid
 from .aggregation import IncrementalAggregate
 from .sliding_aggregates import Pane
 
-CELLS: Final = 2**15
+CELLS: Final = 2**16
 """The number of cells of a table of panes: some milliseconds, at 50 to 100 bytes each."""
-CELLS_EACH: Final = 2**9
-"""With more cells a window than this, one pass over several windows saves nothing."""
+PASS: Final = 4_500
+WINDOW: Final = 650
+ROW: Final = 0.7
+"""What a pass costs, without its cells, and what a lone window and each of its rows cost, in cells
+of a table (`python bench/windows.py bulk`; a cell costs some 100 ns)."""
 _KINDS: Final = (Kind.INTEGER, Kind.FLOAT, Kind.DOUBLE)
 
 
@@ -106,11 +110,19 @@ def fitting(
 ) -> int:
     """Return how many of ``ends`` windows with rows in ``tables`` one pass covers; less than 2 if
     it would save nothing. ``panes``: the number of panes of a window; ``step``: of a step."""
-    subjects = [np.zeros(0, np.int32), *(table.subject for table in tables)]
+    seen = np.zeros(len(aggregate.terms.dictionary), np.bool_)
+    for table in tables:
+        seen[table.subject] = True
     folded = aggregate.partials[0].rows(slice(aggregate.groups.used))
-    groups = max(1, len(np.unique(np.concatenate(subjects))), int(np.count_nonzero(folded)))
-    count = min(ends, (CELLS // groups - panes) // step)
-    return count if (panes + step * count) * groups <= CELLS_EACH * count else 0
+    groups = max(1, int(np.count_nonzero(seen)), int(np.count_nonzero(folded)))
+    most = (CELLS // groups - panes) // step
+    if most < 2:
+        return 0
+    # Passes of equal size: the last one should not be left with windows that save nothing.
+    count = math.ceil(ends / math.ceil(ends / most))
+    rows = sum(map(len, tables)) * count / ends
+    cells = (panes + step * count) * groups
+    return count if PASS + cells <= WINDOW * count + ROW * rows else 0
 
 
 class BulkAggregate:
@@ -174,7 +186,7 @@ class BulkAggregate:
         alive = runs.sums(numbers[0].counts) > 0
         self._keep_sorts(alive, cells)
         windows, places = np.nonzero(alive)
-        partials = [Partial({each.key: each.of_runs(windows, places)}) for each in numbers]
+        partials = [Partial({each.key: each.of_runs(alive)}) for each in numbers]
         columns = {END: ObjectColumn(Kind.INTEGER, windows)}
         if isinstance(shape.scan.subject, Var):
             members = aggregate.groups.members[groups[places]]
@@ -197,8 +209,8 @@ class BulkAggregate:
             stated = list(facts.stated(self._tables, self._aggregate.static))
             if stated:
                 times, subjects = map(np.concatenate, zip(*stated, strict=True))
-                ends = self._pane_of(times)
-                facts.append(ends[ends > after], subjects[ends > after])
+                rows = np.flatnonzero(times > after)
+                facts.append(self._pane_of(times[rows]), subjects[rows])
         self._aggregate.sorts.forget()
         return True
 
@@ -246,7 +258,9 @@ class BulkAggregate:
         ends = {end for end, *_ in folded}
         for facts in self._aggregate.sorts.facts:
             ends.update(end for end, _ in facts.panes if end > low)
-        parts = [self._pane_of(table.time) for table in self._tables]
+        parts = [self._pane_of(table.time) for table in self._tables if len(table)]
+        # Most rows are in the pane of the row before.
+        parts = [each[np.append(True, each[1:] != each[:-1])] for each in parts]
         return np.unique(np.concatenate([np.array(sorted(ends), np.int64), *parts]))
 
     def _keep_sorts(self, alive: NDArray[np.bool_], cells: _Cells) -> None:
@@ -348,12 +362,13 @@ class _Numbers:
         columns = np.stack([self._sums[cells], self.counts[cells].astype(self._sums.dtype)])
         return self._cells.ends[panes], self._cells.groups[places].astype(np.int32), columns
 
-    def of_runs(self, windows: NDArray[np.int64], places: NDArray[np.int64]) -> Numbers:
-        """Return the values of the group at ``places[i]`` over window ``windows[i]``."""
+    def of_runs(self, alive: NDArray[np.bool_]) -> Numbers:
+        """Return the values of the groups over the windows where ``alive`` is set, of shape
+        ``(windows, groups)``, window by window."""
         runs = self._cells.runs
         totals = IntegerTotals() if self.key[0] is Kind.INTEGER else FloatTotals()
         totals.reserve(runs.cells)
         totals.add(None, self._sums, self.counts.astype(self._sums.dtype), 1)
-        found = totals.of_runs(runs, windows, places)
-        ends = None if self._ends is None else runs.least(self._ends, windows, places)
-        return Numbers(found.values(np.arange(len(windows))), found.counts, ends)
+        found = totals.of_runs(runs, alive)
+        ends = None if self._ends is None else runs.least(self._ends, *np.nonzero(alive))
+        return Numbers(found.values(np.arange(len(found.counts))), found.counts, ends)

@@ -30,7 +30,8 @@ them, from the first on, it has evaluated in one pass, and whether the rows of t
 needed again; None if these windows must be evaluated one by one."""
 _BLOCK = 2**15
 FEWEST, MOST = 8, 512
-"""The least and the greatest number of windows of a pass, which costs as much as seven or eight."""
+"""The least and the greatest number of windows of a pass, which costs as much as seven at least
+(`incremental.bulk_aggregation` knows its costs)."""
 
 
 class OpenWindows:

@@ -46,6 +46,12 @@ def test_windows_that_are_due_at_once_share_passes_of_bounded_size() -> None:
     assert list(map(len, ends(most + 9, [1.5]))) == [most, 9]
 
 
+def test_a_pass_must_save_more_than_it_costs() -> None:
+    long = QUERY.replace("RANGE 2ns", "RANGE 6000ns")
+    assert ends(9, [1.5], long) == [(end,) for end in range(1, 10)]
+    assert ends(60, [1.5], long) == [tuple(range(1, 61))]
+
+
 def test_a_caller_limits_the_windows_of_a_pass() -> None:
     assert list(map(len, ends(24, [1], defers=True))) == [10, 10] + [1] * 4
 
