@@ -38,6 +38,7 @@ from dyknow.streams.sample import Column, Field, FieldType, SampleBatch
 from dyknow.streams.string_pool import StringPool
 
 Shape: TypeAlias = tuple[str, dict[str, Any]]
+Asked: TypeAlias = tuple[str, Semantics]
 SECOND = 10**9
 PLACE = "http://bench.example/"
 STREAM = PLACE + "s"
@@ -158,6 +159,7 @@ BULK_QUERIES = {
     "AVG of some, FILTER": (FAST, {"body": f"{SPEEDS} FILTER(?v > 100)"}),
     "AVG of all objects": ("", {"keys": ""}),
     "AVG by VALUES": ("", {"body": f"{SPEEDS} VALUES (?o ?z) {{ {VALUES} }}", "keys": "?z"}),
+    "AVG, all, set": ("", {"semantics": "set"}),
     "AVG by ?type": ("", {"body": "?o a ?t . ?o dyknow:speed ?v", "keys": "?t"}),
 }
 """HAVING and what else of `query` is not its default, of queries in bulk."""
@@ -179,13 +181,13 @@ def _table(queries: Mapping[str, Shape], objects: int, sizes: Sequence[int], sec
     print(f"{'windows due at once':<22}{heads}   (one by one → in one pass)")
     most = window_schedule.MOST
     for name, (having, shape) in queries.items():
-        row, text = "", query(having, **shape)
+        row, one = "", query(having, **shape)
         for size in sizes:
             spent = []
             for windows in (1, most):
                 window_schedule.MOST = windows
-                hour(text, size, 240, objects)
-                spent.append(min(hour(text, size, seconds, objects) for _ in range(2)))
+                hour(one, size, 240, objects)
+                spent.append(min(hour(one, size, seconds, objects) for _ in range(2)))
             row += f"{f'{spent[0]:.0f} → {spent[1]:.0f}':>16}"
         print(f"{name:<22}{row}", flush=True)
     window_schedule.MOST = most
@@ -196,9 +198,9 @@ def alone() -> None:
     """Print what a window costs that is due alone, and what a live sample costs a query."""
     print("30 objects at 1 Hz, STEP 1s, one window a batch, through the engine; µs of CPU")
     for name, (having, shape) in BULK_QUERIES.items():
-        text = query(having, **shape)
-        hour(text, 1, 300)
-        spent = min(hour(text, 1, 1_500) for _ in range(4))
+        one = query(having, **shape)
+        hour(one, 1, 300)
+        spent = min(hour(one, 1, 1_500) for _ in range(4))
         print(f"{name:<22}{spent:>8.0f} a window", flush=True)
     live(1, 300)
     empty, open_, closed = (min(live(step) for _ in range(4)) for step in (None, 10**6, 1))
@@ -218,10 +220,10 @@ def live(step: int | None, samples: int = 3_000) -> float:
     return publish(1, times, step and query(FAST, length=max(5, step), step=step))
 
 
-def hour(text: str, size: int, seconds: int, objects: int = 30) -> float:
+def hour(asked: Asked, size: int, seconds: int, objects: int = 30) -> float:
     """Return µs of CPU time a window, with batches of ``size`` seconds."""
     times = np.repeat(np.arange(seconds), objects) * SECOND + 1
-    spent = [publish(objects * size, times, one, objects) for one in (None, text)]
+    spent = [publish(objects * size, times, one, objects) for one in (None, asked)]
     return (spent[1] - spent[0]) * objects
 
 
@@ -234,18 +236,19 @@ def query(
     operator: str = "",
     body: str = SPEEDS,
     keys: str = "?o",
-) -> str:
-    """Return the query of an aggregate of the speeds by ``keys``."""
+    semantics: Semantics = "bag",
+) -> Asked:
+    """Return the query of an aggregate of the speeds by ``keys``, and its semantics."""
     window = f"FROM STREAM <{DYKNOW}s.trdf> [RANGE {length}s STEP {step}s]"
     group = f"GROUP BY {keys} {having}" if keys else ""
     inner = f"SELECT {keys} ({function}(?v) AS ?a) WHERE {{ {body} }} {group}"
     if keys != "?o":
-        return f"REGISTER QUERY q AS SELECT {keys} ?a {window} WHERE {{ {inner} }}"
+        return f"REGISTER QUERY q AS SELECT {keys} ?a {window} WHERE {{ {inner} }}", semantics
     head = f"CONSTRUCT {operator}{{ ?o dyknow:speed ?a }}"
-    return f"REGISTER QUERY q AS {head} {window} WHERE {{ {inner} }}"
+    return f"REGISTER QUERY q AS {head} {window} WHERE {{ {inner} }}", semantics
 
 
-def publish(size: int, times: np.ndarray, text: str | None, objects: int = 30) -> float:
+def publish(size: int, times: np.ndarray, asked: Asked | None, objects: int = 30) -> float:
     """Return µs of CPU time a sample, in batches of ``size`` of objects in turn, with a query or
     without."""
     random, pool = np.random.default_rng(5), StringPool()
@@ -256,8 +259,9 @@ def publish(size: int, times: np.ndarray, text: str | None, objects: int = 30) -
     fields = Field("id", FieldType.STRING), Field("v", FieldType.FLOAT)
     engine.declare(StreamDeclaration("s", fields))
     engine.annotate("stream s contains speed(UAV) = v for every UAV = id")
-    if text is not None:
-        engine.queries.register(text)
+    if asked is not None:
+        text, semantics = asked
+        engine.queries.register(text, semantics=semantics)
     begin = time.process_time()
     for first in range(0, len(times), size):
         part = slice(first, first + size)

@@ -16,7 +16,6 @@ from ..algebra.expressions import Const, Var
 from ..algebra.plan import Ask, Blank, Construct, Head, Order, Project, Select, Slice
 from ..columns.budget import BudgetExceeded
 from ..columns.relation import NeedsOxigraph
-from ..incremental.bulk_aggregation import not_in_bulk
 from ..operators.executor import Step, run
 from ..operators.result_forms import END, finish_batch
 from ..operators.results import ResultBatch
@@ -46,9 +45,6 @@ class BulkPlan:
             return "they are not computed incrementally"
         if execution.windows.options.report != "non-empty":
             return "windows without content are evaluated too"
-        reason = not_in_bulk(distinct=execution.distinct)
-        if reason:
-            return reason
         steps = execution.steps
         if steps is None or any(isinstance(step, Slice) for step in steps):
             return "a step above the aggregate needs all solutions of one window"

@@ -77,7 +77,7 @@ class IncrementalAggregate:
         self.partials = [
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
-        self._distinct = DistinctPairs(terms) if distinct else None
+        self.distinct = DistinctPairs(terms) if distinct else None
         self._is_direct = shape.direct
         self._is_simple = (
             shape.plain and not distinct and [a for a, _ in shape.arguments] == [shape.scan.object]
@@ -136,8 +136,8 @@ class IncrementalAggregate:
         """Evict the panes that end at or before ``until``."""
         for partial in self.partials:
             partial.evict(until, self._touched)
-        if self._distinct is not None:
-            for pairs in self._distinct.leave(until):
+        if self.distinct is not None:
+            for pairs in self.distinct.leave(until):
                 self._count(pairs, -1)
         for changed in self.sorts.evict(until):
             self._touched.mark(changed)
@@ -315,8 +315,8 @@ class IncrementalAggregate:
         columns = self.arguments(pairs)
         for partial, column in zip(self.partials, columns, strict=True):
             partial.fold(pairs[0].values, column, skip, self.groups, self.terms)
-        if self._distinct is not None:
-            fresh = self._distinct.enter(end, pairs, skip)
+        if self.distinct is not None:
+            fresh = self.distinct.enter(end, pairs, skip)
             self._count((pairs[0].take(fresh), pairs[1].take(fresh)), 1)
 
     def selected(self, pairs: Pairs) -> NDArray[np.int64]:
@@ -361,7 +361,7 @@ class IncrementalAggregate:
                 self._count(_take(self._static_pairs, self._static_counted), -1)
                 self._static_pairs = None
             static = self.static.pairs(self.shape.scan)
-            if self._distinct is not None:
+            if self.distinct is not None:
                 static = distinct_pairs(static, self.terms)
             pairs = _take(static, self.selected(static))
             self.groups.reach(len(self.terms.dictionary))
@@ -374,8 +374,8 @@ class IncrementalAggregate:
             self._static_version = version
         assert self._static_pairs is not None
         count = np.ones(len(self._static_counted), np.bool_)
-        if self._distinct is not None and len(count):
-            count = ~self._distinct.holds(self._static_pairs)
+        if self.distinct is not None and len(count):
+            count = ~self.distinct.holds(self._static_pairs)
         if len(count) and not np.array_equal(count, self._static_counted):
             self._count(_take(self._static_pairs, count & ~self._static_counted), 1)
             self._count(_take(self._static_pairs, self._static_counted & ~count), -1)

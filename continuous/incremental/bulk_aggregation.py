@@ -21,7 +21,7 @@ from ..algebra.expressions import Var
 from ..columns.exact_sums import FloatTotals, IntegerTotals
 from ..columns.fold_kernels import mirror
 from ..columns.pane_runs import PaneRuns
-from ..columns.relation import Relation, concatenate
+from ..columns.relation import Pairs, Relation, bits, concatenate
 from ..operators.partial_aggregates import (
     GREAT,
     SAFE,
@@ -34,6 +34,7 @@ from ..operators.partial_aggregates import (
 from ..operators.result_forms import END
 from ..windows.grid import Grid
 from .aggregation import IncrementalAggregate
+from .distinct_pairs import DistinctPairs
 from .sliding_aggregates import Pane
 
 CELLS: Final = 2**16
@@ -46,11 +47,6 @@ of a table (`python bench/windows.py bulk`; a cell costs some 100 ns)."""
 _KINDS: Final = (Kind.INTEGER, Kind.FLOAT, Kind.DOUBLE)
 
 
-def not_in_bulk(*, distinct: bool) -> str:
-    """Return why windows that are due at once are aggregated one by one, or ""."""
-    return "equal triples count once" if distinct else ""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
     """Rows of the folded predicate that the aggregate selects, in order within each pane and
@@ -58,6 +54,7 @@ class _Rows:
 
     times: Times
     subjects: NDArray[np.int32]
+    objects: ObjectColumn
     arguments: list[ObjectColumn]
 
     @classmethod
@@ -85,10 +82,19 @@ class _Rows:
             selected = aggregate.selected(pairs)
             pairs = pairs[0].take(selected), pairs[1].take(selected)
             time = time[selected]
+        return cls.with_arguments(time, pairs, aggregate)
+
+    @classmethod
+    def with_arguments(
+        cls, times: Times, pairs: Pairs, aggregate: IncrementalAggregate
+    ) -> _Rows | None:
+        """Return these pairs with the arguments; None if a value is not a number of its column's
+        kind, or if sums might overflow."""
         arguments = aggregate.arguments(pairs)
         if any(column.null is not None or column.kind not in _KINDS for column in arguments):
             return None
-        return cls(time, pairs[0].values, arguments)
+        rows = cls(times, pairs[0].values, pairs[1], arguments)
+        return rows if rows.are_safe() else None
 
     def are_safe(self) -> bool:
         """Whether no sum of them overflows or needs more than float64."""
@@ -156,16 +162,22 @@ class BulkAggregate:
         each with the column `END` if it is not the same in all windows."""
         aggregate, shape = self._aggregate, self._aggregate.shape
         rows = _Rows.of(self._tables, aggregate)
-        if rows is None or not rows.are_safe() or not aggregate.is_regular:
+        if rows is None or not aggregate.is_regular:
             return None
+        spans = None
+        if aggregate.distinct is not None:
+            spans = self._spans(rows, aggregate.distinct)
+            if spans is None:
+                return None
         keys: list[Key] = [(column.kind, 0) for column in rows.arguments]
         folded = [self._folded(i, key) for i, key in enumerate(keys)]
         if any(panes is None for panes in folded) or not self._register(rows):
             return None
-        groups = self._groups(rows, folded[0] or ())
+        present = rows if spans is None else spans.rows
+        groups = self._groups(present, folded[0] or ())
         column = np.full(aggregate.groups.used + 1, -1, np.int64)
         column[groups] = np.arange(len(groups))
-        ends = self._pane_ends(folded[0] or ())
+        ends = self._pane_ends(folded[0] or (), spans)
         runs = PaneRuns(
             len(ends),
             len(groups),
@@ -177,9 +189,14 @@ class BulkAggregate:
         numbers = []
         extremes = [wanted for _, wanted in shape.arguments]
         for values, wanted, key, panes in zip(rows.arguments, extremes, keys, folded, strict=True):
-            numbers.append(_Numbers(key, cells, wanted))
+            if spans is None:
+                numbers.append(_Numbers(key, cells, wanted))
+                numbers[-1].add_panes(panes or ())
+            else:
+                known = aggregate.groups.group_of[spans.rows.subjects]
+                changes = spans, known, len(numbers)
+                numbers.append(_DistinctNumbers(key, cells, wanted, self._ends, *changes))
             numbers[-1].add(at, values.values)
-            numbers[-1].add_panes(panes or ())
         if not all(each.is_finite for each in numbers):
             return None
         self._numbers = numbers
@@ -198,9 +215,9 @@ class BulkAggregate:
 
     def hand_over(self) -> bool:
         """Give the aggregate those panes of the last window that it has not folded; call it after
-        `relation`. Return False, and do nothing, if it must fold their rows: extremes have a state
-        of their own. Law: the aggregate is then as if it had folded them."""
-        if self._aggregate.has_extremes:
+        `relation`. Return False, and do nothing, if it must fold their rows: extremes and distinct
+        pairs have a state of their own. Law: the aggregate is then as if it had folded them."""
+        if self._aggregate.has_extremes or self._aggregate.distinct is not None:
             return False
         after = max(self._until, int(self._ends[-1]) - self._window)
         for partial, numbers in zip(self._aggregate.partials, self._numbers, strict=True):
@@ -224,6 +241,35 @@ class BulkAggregate:
         low = int(self._ends[0]) - self._window
         kept = [pane for pane in panes if pane[0] > low]
         return kept if all(high is None for _, _, _, high in kept) else None
+
+    def _spans(self, rows: _Rows, distinct: DistinctPairs) -> _Spans | None:
+        """Return the distinct pairs of ``rows`` and of the folded panes; None if columns cannot add
+        them."""
+        aggregate, kind = self._aggregate, rows.objects.kind
+        known = None if kind is Kind.TERM else distinct.last_panes(kind)
+        if known is None:
+            return None
+        new = np.flatnonzero(rows.times > self._until)
+        new_pairs = ObjectColumn(Kind.TERM, rows.subjects[new]), rows.objects.take(new)
+        pairs = [
+            concatenate(both, aggregate.terms.dictionary)
+            for both in zip(known[0], new_pairs, strict=True)
+        ]
+        ends = np.concatenate([known[1], self._pane_of(rows.times[new])])
+        subjects, keys = pairs[0].values, bits(pairs[1].values)
+        order = np.lexsort((ends, keys, subjects))
+        subjects, keys, ends = subjects[order], keys[order], ends[order]
+        again = (subjects[1:] == subjects[:-1]) & (keys[1:] == keys[:-1])
+        once = np.append(True, ~(again & (ends[1:] == ends[:-1])))[: len(ends)]
+        again = again[once[1:]]
+        ends = ends[once]
+        subject, object = (column.take(order[once]) for column in pairs)
+        found = _Rows.with_arguments(ends, (subject, object), aggregate)
+        if found is None or [c.kind for c in found.arguments] != [c.kind for c in rows.arguments]:
+            return None
+        until = ends + self._window
+        until[:-1][again] = np.minimum(until[:-1], ends[1:])[again]
+        return _Spans(found, until)
 
     def _register(self, rows: _Rows) -> bool:
         """Make groups of new subjects, in the order in which one window after the other would.
@@ -252,10 +298,12 @@ class BulkAggregate:
         """Return the end of the pane of each time."""
         return times + (self._grid.origin - times) % self._grid.step
 
-    def _pane_ends(self, folded: Sequence[Pane]) -> Times:
+    def _pane_ends(self, folded: Sequence[Pane], spans: _Spans | None) -> Times:
         """Return the ends of the panes with rows or facts, ascending."""
         low = int(self._ends[0]) - self._window
         ends = {end for end, *_ in folded}
+        if spans is not None:
+            ends.update(np.unique(spans.rows.times).tolist())
         for facts in self._aggregate.sorts.facts:
             ends.update(end for end, _ in facts.panes if end > low)
         parts = [self._pane_of(table.time) for table in self._tables if len(table)]
@@ -291,6 +339,15 @@ class BulkAggregate:
             sizes = [len(subjects) for _, subjects in folded]
             ends = np.repeat(np.array([end for end, _ in folded], np.int64), sizes)
             yield ends, np.concatenate([subjects for _, subjects in folded])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spans:
+    """Distinct pairs: ``rows`` has each once a pane, at the pane's end. It counts in the windows
+    that end then or later, and before ``until``: when it leaves the window, or comes again."""
+
+    rows: _Rows
+    until: Times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,10 +422,51 @@ class _Numbers:
     def of_runs(self, alive: NDArray[np.bool_]) -> Numbers:
         """Return the values of the groups over the windows where ``alive`` is set, of shape
         ``(windows, groups)``, window by window."""
-        runs = self._cells.runs
-        totals = IntegerTotals() if self.key[0] is Kind.INTEGER else FloatTotals()
-        totals.reserve(runs.cells)
+        totals = self._new_totals(self._cells.runs.cells)
         totals.add(None, self._sums, self.counts.astype(self._sums.dtype), 1)
-        found = totals.of_runs(runs, alive)
-        ends = None if self._ends is None else runs.least(self._ends, *np.nonzero(alive))
+        return self._read(totals.of_runs(self._cells.runs, alive), alive)
+
+    def _new_totals(self, cells: int) -> IntegerTotals | FloatTotals:
+        totals = IntegerTotals() if self.key[0] is Kind.INTEGER else FloatTotals()
+        totals.reserve(cells)
+        return totals
+
+    def _read(self, found: IntegerTotals | FloatTotals, alive: NDArray[np.bool_]) -> Numbers:
+        """Return the values of ``found`` with the extremes of the same windows and groups."""
+        ends = None
+        if self._ends is not None:
+            ends = self._cells.runs.least(self._ends, *np.nonzero(alive))
         return Numbers(found.values(np.arange(len(found.counts))), found.counts, ends)
+
+
+class _DistinctNumbers(_Numbers):
+    """Sums, counts and extremes of one argument, where equal pairs of a window count once.
+
+    What counts changes from window to window: a table of windows has what comes and what goes, and
+    a window has the sum of all changes up to it.
+    """
+
+    def __init__(
+        self,
+        key: Key,
+        cells: _Cells,
+        extremes: bool,
+        windows: Times,
+        spans: _Spans,
+        groups: NDArray[np.int32],
+        argument: int,
+    ) -> None:
+        super().__init__(key, cells, extremes)
+        rows, count, width = spans.rows, len(windows), cells.runs.groups
+        # A pair is there from its pane on: so it counts among the rows of that pane.
+        self.counts += np.bincount(cells.of(rows.times, groups), minlength=len(self.counts))
+        self._spans = PaneRuns(count, width, np.zeros(count, np.int64), np.arange(1, count + 1))
+        self._changes = self._new_totals(self._spans.cells)
+        first, after = (np.searchsorted(windows, each) for each in (rows.times, spans.until))
+        values, places = rows.arguments[argument].values, cells.column[groups]
+        for at, sign in ((first, 1), (after, -1)):
+            some = np.flatnonzero((first < after) & (at < count))
+            self._changes.add(at[some] * width + places[some], values[some], None, sign)
+
+    def of_runs(self, alive: NDArray[np.bool_]) -> Numbers:
+        return self._read(self._changes.of_runs(self._spans, alive), alive)

@@ -235,7 +235,10 @@ def shown(result) -> object:
 law = settings(deadline=None)
 cuts = st.lists(st.integers(1, 60), max_size=4)
 options = st.builds(
-    Options, st.just("bag"), st.sampled_from(["(]", "[)"]), st.sampled_from([0, 1, -7])
+    Options,
+    st.sampled_from(["bag", "set"]),
+    st.sampled_from(["(]", "[)"]),
+    st.sampled_from([0, 1, -7]),
 )
 
 
