@@ -16,7 +16,8 @@ import statistics
 import sys
 import time
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from pyoxigraph import NamedNode, Store
@@ -36,6 +37,8 @@ from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from dyknow.streams.sample import Column, Field, FieldType, SampleBatch
 from dyknow.streams.string_pool import StringPool
 
+Shape: TypeAlias = tuple[str, dict[str, Any]]
+Asked: TypeAlias = tuple[str, Semantics]
 SECOND = 10**9
 PLACE = "http://bench.example/"
 STREAM = PLACE + "s"
@@ -144,31 +147,47 @@ def touched(objects: int) -> None:
     print()
 
 
+VALUES = "(dyknow:uav1 1) (dyknow:uav2 2) (dyknow:uav3 1)"
+SPEEDS = "?o a dyknow:UAV . ?o dyknow:speed ?v"
+FAST = "HAVING (AVG(?v) > 150)"
 BULK_QUERIES = {
-    "AVG, HAVING": ("AVG", 5, "(AVG(?v) > 150)"),
-    "AVG, all": ("AVG", 5, ""),
-    "MAX, HAVING": ("MAX", 5, "(MAX(?v) > 150)"),
-    "AVG, RANGE 60s": ("AVG", 60, "(AVG(?v) > 150)"),
+    "AVG, HAVING": (FAST, {}),
+    "AVG, all": ("", {}),
+    "MAX, HAVING": ("HAVING (MAX(?v) > 150)", {"function": "MAX"}),
+    "AVG, RANGE 60s": (FAST, {"length": 60}),
+    "AVG, all, ISTREAM": ("", {"operator": "ISTREAM "}),
+    "AVG of some, FILTER": (FAST, {"body": f"{SPEEDS} FILTER(?v > 100)"}),
+    "AVG of all objects": ("", {"keys": ""}),
+    "AVG by VALUES": ("", {"body": f"{SPEEDS} VALUES (?o ?z) {{ {VALUES} }}", "keys": "?z"}),
+    "AVG, all, set": ("", {"semantics": "set"}),
+    "AVG by ?type": ("", {"body": "?o a ?t . ?o dyknow:speed ?v", "keys": "?t"}),
 }
-"""Function, RANGE in seconds and HAVING of queries in bulk."""
+"""HAVING and what else of `query` is not its default, of queries in bulk."""
 
 
 def in_bulk() -> None:
     """Print what a window costs where a batch makes several due, through the engine: 30 objects at
     1 Hz over an hour, with the output's samples. Not counted: start, and the same without query."""
     print("30 objects at 1 Hz, an hour, STEP 1s, through the engine; µs of CPU a window")
-    sizes = (8, 30, 120, 600)
+    _table(BULK_QUERIES, 30, (8, 30, 120, 600), 3_600)
+    for objects in (400, 1_000, 2_000):
+        print(f"{objects:,} objects at 1 Hz")
+        some = {name: BULK_QUERIES[name] for name in ("AVG, HAVING", "AVG, all", "MAX, HAVING")}
+        _table(some, objects, (8, 30, 120), 480)
+
+
+def _table(queries: Mapping[str, Shape], objects: int, sizes: Sequence[int], seconds: int) -> None:
     heads = "".join(f"{f'{size} a batch':>16}" for size in sizes)
     print(f"{'windows due at once':<22}{heads}   (one by one → in one pass)")
     most = window_schedule.MOST
-    for name, (function, length, having) in BULK_QUERIES.items():
-        row = ""
+    for name, (having, shape) in queries.items():
+        row, one = "", query(having, **shape)
         for size in sizes:
             spent = []
             for windows in (1, most):
                 window_schedule.MOST = windows
-                hour(function, length, having, size, 600)
-                spent.append(min(hour(function, length, having, size) for _ in range(2)))
+                hour(one, size, 240, objects)
+                spent.append(min(hour(one, size, seconds, objects) for _ in range(2)))
             row += f"{f'{spent[0]:.0f} → {spent[1]:.0f}':>16}"
         print(f"{name:<22}{row}", flush=True)
     window_schedule.MOST = most
@@ -178,9 +197,10 @@ def in_bulk() -> None:
 def alone() -> None:
     """Print what a window costs that is due alone, and what a live sample costs a query."""
     print("30 objects at 1 Hz, STEP 1s, one window a batch, through the engine; µs of CPU")
-    for name, (function, length, having) in BULK_QUERIES.items():
-        hour(function, length, having, 1, 300)
-        spent = min(hour(function, length, having, 1, 1_500) for _ in range(4))
+    for name, (having, shape) in BULK_QUERIES.items():
+        one = query(having, **shape)
+        hour(one, 1, 300)
+        spent = min(hour(one, 1, 1_500) for _ in range(4))
         print(f"{name:<22}{spent:>8.0f} a window", flush=True)
     live(1, 300)
     empty, open_, closed = (min(live(step) for _ in range(4)) for step in (None, 10**6, 1))
@@ -197,39 +217,51 @@ def live(step: int | None, samples: int = 3_000) -> float:
     """Return µs of CPU time a sample, each published by itself; ``step``: the query's STEP in
     seconds, None: no query."""
     times = np.arange(samples) * (SECOND // LIVE) + 1
-    return publish(1, times, step and query("AVG", max(5, step), step, "(AVG(?v) > 150)"))
+    return publish(1, times, step and query(FAST, length=max(5, step), step=step))
 
 
-def hour(function: str, length: int, having: str, size: int, seconds: int = 3_600) -> float:
+def hour(asked: Asked, size: int, seconds: int, objects: int = 30) -> float:
     """Return µs of CPU time a window, with batches of ``size`` seconds."""
-    times = np.repeat(np.arange(seconds), 30) * SECOND + 1
-    spent = [publish(30 * size, times, text) for text in (None, query(function, length, 1, having))]
-    return (spent[1] - spent[0]) * 30
+    times = np.repeat(np.arange(seconds), objects) * SECOND + 1
+    spent = [publish(objects * size, times, one, objects) for one in (None, asked)]
+    return (spent[1] - spent[0]) * objects
 
 
-def query(function: str, length: int, step: int, having: str) -> str:
-    """Return the query of an aggregate by object."""
-    return (
-        f"REGISTER QUERY q AS CONSTRUCT {{ ?o dyknow:speed ?a }} "
-        f"FROM STREAM <{DYKNOW}s.trdf> [RANGE {length}s STEP {step}s] WHERE {{ SELECT ?o "
-        f"({function}(?v) AS ?a) WHERE {{ ?o a dyknow:UAV . ?o dyknow:speed ?v }} "
-        f"GROUP BY ?o {having and f'HAVING {having}'} }}"
-    )
+def query(
+    having: str,
+    *,
+    function: str = "AVG",
+    length: int = 5,
+    step: int = 1,
+    operator: str = "",
+    body: str = SPEEDS,
+    keys: str = "?o",
+    semantics: Semantics = "bag",
+) -> Asked:
+    """Return the query of an aggregate of the speeds by ``keys``, and its semantics."""
+    window = f"FROM STREAM <{DYKNOW}s.trdf> [RANGE {length}s STEP {step}s]"
+    group = f"GROUP BY {keys} {having}" if keys else ""
+    inner = f"SELECT {keys} ({function}(?v) AS ?a) WHERE {{ {body} }} {group}"
+    if keys != "?o":
+        return f"REGISTER QUERY q AS SELECT {keys} ?a {window} WHERE {{ {inner} }}", semantics
+    head = f"CONSTRUCT {operator}{{ ?o dyknow:speed ?a }}"
+    return f"REGISTER QUERY q AS {head} {window} WHERE {{ {inner} }}", semantics
 
 
-def publish(size: int, times: np.ndarray, text: str | None) -> float:
-    """Return µs of CPU time a sample, in batches of ``size`` of 30 objects, with a query or
+def publish(size: int, times: np.ndarray, asked: Asked | None, objects: int = 30) -> float:
+    """Return µs of CPU time a sample, in batches of ``size`` of objects in turn, with a query or
     without."""
     random, pool = np.random.default_rng(5), StringPool()
-    codes = np.array([pool.code(f"uav{i}") for i in range(30)], np.int32)
+    codes = np.array([pool.code(f"uav{i}") for i in range(objects)], np.int32)
     codes = np.resize(codes, len(times))
     speeds = np.round(random.uniform(50, 150, len(times)), 1)
     engine = Engine()
     fields = Field("id", FieldType.STRING), Field("v", FieldType.FLOAT)
     engine.declare(StreamDeclaration("s", fields))
     engine.annotate("stream s contains speed(UAV) = v for every UAV = id")
-    if text is not None:
-        engine.queries.register(text)
+    if asked is not None:
+        text, semantics = asked
+        engine.queries.register(text, semantics=semantics)
     begin = time.process_time()
     for first in range(0, len(times), size):
         part = slice(first, first + size)

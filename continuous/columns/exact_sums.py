@@ -71,12 +71,12 @@ class Totals(ABC):
         self.digits = np.ascontiguousarray(self.digits[:, kept])
         self.counts = self.counts[kept]
 
-    def of_runs(self, runs: PaneRuns, rows: NDArray[np.int64], at: NDArray[np.int64]) -> Self:
+    def of_runs(self, runs: PaneRuns, wanted: NDArray[np.bool_]) -> Self:
         """Return the totals of groups over runs of panes, if the groups of this object are cells
-        (`PaneRuns`): total i is that of group ``at[i]`` over the run ``rows[i]``."""
+        (`PaneRuns`): those ``wanted``, of shape ``(runs, groups)``, run by run."""
         found = copy(self)
-        found.digits = runs.differences(self.digits, rows, at)
-        found.counts = runs.differences(self.counts[np.newaxis], rows, at)[0]
+        found.digits = runs.differences(self.digits, wanted)
+        found.counts = runs.differences(self.counts[np.newaxis], wanted)[0]
         return found
 
     @abstractmethod

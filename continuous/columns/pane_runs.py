@@ -42,12 +42,15 @@ class PaneRuns:
         found: NDArray[np.int64] = prefix[self.high] - prefix[self.low]
         return found
 
-    def differences(self, state: NDArray[np.int64], rows: Rows, at: Rows) -> NDArray[np.int64]:
-        """Return the sums of group ``at[i]`` over run ``rows[i]`` for each row of ``state``, of
-        shape ``(n, cells or more)``."""
+    def differences(self, state: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the sums over each run of each group that is ``wanted``, of shape ``(runs,
+        groups)``, run by run, for each row of ``state``, of shape ``(n, cells or more)``."""
         prefix = self._prefix(state)
-        found = prefix[:, self.high[rows], at] - prefix[:, self.low[rows], at]
-        return np.ascontiguousarray(found)
+        # All sums, then those wanted: whole rows are copied five times as fast as single cells.
+        found = prefix.take(self.high, axis=1)
+        found -= prefix.take(self.low, axis=1)
+        found = found.reshape(len(state), -1)
+        return found if wanted.all() else np.ascontiguousarray(found[:, wanted.reshape(-1)])
 
     def least(self, cells: NDArray[Any], rows: Rows, at: Rows) -> NDArray[Any]:
         """Return the least values of group ``at[i]`` over run ``rows[i]``. ``cells`` has shape

@@ -16,7 +16,6 @@ from ..algebra.expressions import Const, Var
 from ..algebra.plan import Ask, Blank, Construct, Head, Order, Project, Select, Slice
 from ..columns.budget import BudgetExceeded
 from ..columns.relation import NeedsOxigraph
-from ..incremental.bulk_aggregation import not_in_bulk
 from ..operators.executor import Step, run
 from ..operators.result_forms import END, finish_batch
 from ..operators.results import ResultBatch
@@ -44,11 +43,8 @@ class BulkPlan:
         shape = execution.shape
         if isinstance(shape, str):
             return "they are not computed incrementally"
-        if execution.windows.differs:
-            return "each is compared with the one before"
-        reason = not_in_bulk(shape, distinct=execution.distinct)
-        if reason:
-            return reason
+        if execution.windows.options.report != "non-empty":
+            return "windows without content are evaluated too"
         steps = execution.steps
         if steps is None or any(isinstance(step, Slice) for step in steps):
             return "a step above the aggregate needs all solutions of one window"

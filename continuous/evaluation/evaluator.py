@@ -86,12 +86,14 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
         return self._close_many if self._solver.works_in_bulk else None
 
     def _close_many(self, ends: list[int]) -> tuple[int, bool] | None:
-        batch = self._solver.results(ends)
-        if batch is None:
+        found = self._solver.results(ends)
+        if found is None:
             return None
+        closed, batch = found
         self._in_a_row = 0
-        self._results.append(batch)
-        return len(batch.ends), self._solver.retains
+        if batch.ends:
+            self._results.append(batch)
+        return closed, self._solver.retains
 
     def _evaluate(self, end: int, reports: bool) -> bool:
         solver = self._solver

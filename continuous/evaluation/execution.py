@@ -9,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 
-from ...rdf.timed import TripleRows
+import numpy as np
+
+from ...rdf.namespaces import RDF_TYPE
+from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ...streams.jit import JIT
 from ..algebra.plan import (
     DEFAULT,
@@ -26,9 +29,10 @@ from ..algebra.volatile_functions import has_volatile
 from ..columns.relation import NeedsOxigraph, Relation
 from ..incremental.aggregate_shape import Shape, shape_of
 from ..incremental.aggregation import IncrementalAggregate
-from ..incremental.bulk_aggregation import BulkAggregate, fitting
-from ..operators.executor import Step, run, steps_above
+from ..incremental.bulk_aggregation import CELLS, BulkAggregate, fitting
+from ..operators.executor import Step, execute, run, steps_above, united
 from ..operators.profile import Profile
+from ..operators.result_forms import END
 from ..operators.sources import StaticSide, WindowSource
 from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
 from ..pattern_join.solver import PatternSolver
@@ -160,14 +164,43 @@ class Execution:
         count = fitting(
             self.incremental, len(ends), window.range // pane, window.grid.step // pane, tables
         )
+        rest = self.incremental.shape.rest
+        reach = self._rows(low, ends[count - 1]) if rest and count > 1 else []
+        moving = [part for part in rest if self._moves(part, reach)]
+        if moving:
+            # Each window has rows of its own of these patterns.
+            held = sum(map(len, reach)) * window.range // (ends[count - 1] - low)
+            count = min(count, CELLS // max(1, held * len(moving)))
         if count < 2:
             return None
-        if count < len(ends):
-            tables = self._rows(since, ends[count - 1])
+        ends = ends[:count]
+        tables = self._rows(since, ends[-1])
+        relations = [self._solved(part, ends if part in moving else ends[:1]) for part in rest]
         panes = Grid(pane, window.grid.origin)
-        bulk = BulkAggregate(self.incremental, ends[:count], window.range, panes, folded, tables)
-        relation = bulk.relation()
+        bulk = BulkAggregate(self.incremental, ends, window.range, panes, folded, tables)
+        relation = bulk.relation(relations)
         return None if relation is None else (bulk, relation)
+
+    def _moves(self, part: Plan, tables: Sequence[TripleRows]) -> bool:
+        """Whether a window over some of ``tables`` may have triples of the pattern ``part``."""
+        find = self.static.terms.dictionary.find
+        if isinstance(part, TypeScan):
+            rdf_type = find(RDF_TYPE)
+            return any(t.sort is not None or rdf_type in t.objects for t in tables)
+        return isinstance(part, Scan) and any(find(part.predicate) in t.objects for t in tables)
+
+    def _solved(self, part: Plan, ends: Sequence[int]) -> Relation:
+        """Return the solutions of ``part`` for the windows at ``ends``, with the column `END` if
+        there are several of these."""
+        found = []
+        for i, end in enumerate(ends):
+            source = _Source(self, WindowRows(self.windows.contents, end), None, None)
+            relation = execute(part, source, self.static.terms)
+            window = ObjectColumn(Kind.INTEGER, np.full(relation.rows, i))
+            found.append(Relation({END: window, **relation.columns}, relation.rows))
+        if len(ends) == 1:
+            return relation
+        return united(found, self.static.terms)
 
     def follow(self, bulk: BulkAggregate) -> None:
         """Bring the aggregate to the last window of ``bulk``, which `in_bulk` has evaluated."""
@@ -195,8 +228,17 @@ class Execution:
             return None
 
     def _rows(self, low: int, high: int) -> list[TripleRows]:
+        """Return the rows with ``low`` < τ ≤ ``high`` that some window contains."""
         buffers = self.windows.contents.buffers.values()
-        return [table for buffer in buffers for table in buffer.between(low, high)]
+        tables = [table for buffer in buffers for table in buffer.between(low, high)]
+        window = self.windows.schedule.windows[0]
+        assert window.grid is not None
+        assert window.range is not None
+        if window.range >= window.grid.step:
+            return tables
+        # `fold` skips what is between two windows: a group of such a row would be one too many.
+        step, origin = window.grid.step, window.grid.origin
+        return [table.take((origin - table.time) % step < window.range) for table in tables]
 
     def sources(self, rows: WindowRows, profile: Profile | None = None) -> Iterator[WindowSource]:
         """Yield the sources for an execution of the plan. The first uses the folded aggregate; the
@@ -228,8 +270,6 @@ class Execution:
         schedule = self.windows.schedule
         if not schedule.uniform:
             return "the windows are several, or not of time alone"
-        if self.windows.differs or self.windows.options.report != "non-empty":
-            return "windows without content are evaluated too"
         if self.names_now:
             return "it asks for NOW()"
         if self.has_volatile:

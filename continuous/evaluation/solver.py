@@ -162,10 +162,19 @@ class Solver:
         window after the other."""
         return isinstance(self.bulk, BulkPlan) and self.profile is None
 
-    def results(self, ends: Sequence[int]) -> ResultBatch | None:
-        """Return the results of the windows that end at some of ``ends``, from the first on,
-        instead of `fold` and `result` of each; None if they must be evaluated one by one."""
-        return self.bulk.results(ends) if isinstance(self.bulk, BulkPlan) else None
+    def results(self, ends: Sequence[int]) -> tuple[int, ResultBatch] | None:
+        """Return how many windows one pass has evaluated, those that end at the first of ``ends``,
+        and the results that `fold` and `result` of each would give; None if they must be evaluated
+        one by one."""
+        batch = self.bulk.results(ends) if isinstance(self.bulk, BulkPlan) else None
+        if batch is None:
+            return None
+        count = len(batch.ends)
+        if self._difference is not None:
+            batch = self._difference.of_batch(batch)
+            sizes, contents = batch.sizes, self.windows.contents
+            batch = batch.of([i for i in range(count) if sizes[i] or contents.has_content(ends[i])])
+        return count, batch
 
     def solve(self, rows: WindowRows) -> WindowResult:
         """Compute the query over these rows."""

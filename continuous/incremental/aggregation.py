@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,15 +19,16 @@ from numpy.typing import NDArray
 from ...rdf.dictionary import Ids
 from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ..algebra.expressions import Const, Var
-from ..algebra.plan import Plan
+from ..algebra.plan import Plan, Scan
 from ..columns.budget import BudgetExceeded
 from ..columns.expression_evaluation import evaluate, holds
 from ..columns.fold_kernels import Groups, grow
 from ..columns.relation import NeedsOxigraph, Pairs, Relation, TermValues
-from ..operators.executor import Source, execute, select_pairs
+from ..operators.executor import Source, equals, execute
 from ..operators.grouping import group_keys, grouping
-from ..operators.joins import join_all
+from ..operators.joins import join
 from ..operators.partial_aggregates import Partial
+from ..operators.result_forms import END
 from ..operators.sources import StaticSide, distinct_pairs
 from .aggregate_shape import Shape
 from .distinct_pairs import DistinctPairs
@@ -34,7 +36,6 @@ from .sliding_aggregates import ChangedGroups, Rows, SlidingPartial
 from .sort_facts import GroupSorts
 
 _ROW = "\0row"
-_SUBJECT = "\0s"
 COMPACT = 1024
 """Below this number of groups, dropping some is not worth its cost."""
 FEW = 4096
@@ -76,7 +77,7 @@ class IncrementalAggregate:
         self.partials = [
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
-        self._distinct = DistinctPairs(terms) if distinct else None
+        self.distinct = DistinctPairs(terms) if distinct else None
         self._is_direct = shape.direct
         self._is_simple = (
             shape.plain and not distinct and [a for a, _ in shape.arguments] == [shape.scan.object]
@@ -135,8 +136,8 @@ class IncrementalAggregate:
         """Evict the panes that end at or before ``until``."""
         for partial in self.partials:
             partial.evict(until, self._touched)
-        if self._distinct is not None:
-            for pairs in self._distinct.leave(until):
+        if self.distinct is not None:
+            for pairs in self.distinct.leave(until):
                 self._count(pairs, -1)
         for changed in self.sorts.evict(until):
             self._touched.mark(changed)
@@ -243,25 +244,56 @@ class IncrementalAggregate:
 
     def _joined(self, rows: NDArray[np.int64], source: Source) -> Relation:
         """Return the aggregates by the plan's keys, after the join with the rest."""
-        shape, plan = self.shape, self.shape.aggregate
         partials = [partial.partial(rows) for partial in self.partials]
-        columns = {_ROW: ObjectColumn(Kind.INTEGER, np.arange(len(rows)))}
-        if isinstance(shape.scan.subject, Var):
+        columns = {}
+        if isinstance(self.shape.scan.subject, Var):
             members = self.groups.members[rows]
-            columns[shape.scan.subject.name] = ObjectColumn(Kind.TERM, members)
-        base = Relation(columns, len(rows))
-        rest = [execute(part, source, self.terms) for part in shape.rest]
-        joined = join_all([base, *rest], self.terms)
+            columns[self.shape.scan.subject.name] = ObjectColumn(Kind.TERM, members)
+        rest = [execute(part, source, self.terms) for part in self.shape.rest]
+        return self.grouped(Relation(columns, len(rows)), partials, rest)
+
+    def grouped(
+        self,
+        subjects: Relation,
+        partials: Sequence[Partial],
+        rest: Sequence[Relation],
+        windows: int | None = None,
+    ) -> Relation:
+        """Return the aggregates by the plan's keys, of ``partials`` of ``subjects`` joined with the
+        ``rest``. ``windows``: the solutions are of this number of windows, and `END` is a key too.
+
+        Law: with windows the rows of each are those of it alone, in the same order. So nothing here
+        may depend on the number of rows, the order of joins above all.
+        """
+        shape = self.shape
+        row = ObjectColumn(Kind.INTEGER, np.arange(subjects.rows))
+        joined, waiting = Relation({_ROW: row, **subjects.columns}, subjects.rows), list(rest)
+        while waiting:
+            names = joined.columns.keys() - {END}
+            linked = [relation for relation in waiting if not names.isdisjoint(relation.columns)]
+            chosen = (linked or waiting)[0]
+            waiting = [relation for relation in waiting if relation is not chosen]
+            joined = join(joined, chosen, self.terms)
         for condition in shape.later:
             joined = joined.take(holds(condition, joined.columns, joined.rows, self.terms))
-        group, first = grouping(plan, joined, self.terms)
+        plan = shape.aggregate
+        if windows is not None:
+            plan = replace(plan, keys=(END, *plan.keys), implicit=False)
+        if windows is not None and shape.aggregate.implicit:
+            # There is a group in each window, even without rows.
+            group, count = joined.columns[END].values, windows
+            keys = {END: ObjectColumn(Kind.INTEGER, np.arange(windows))}
+        else:
+            group, first = grouping(plan, joined, self.terms)
+            keys, count = group_keys(plan, joined, first), len(first)
         picked = joined.columns[_ROW].values
-        merged = [partial.merged(group, picked, len(first)) for partial in partials]
-        return self.finish(group_keys(plan, joined, first), merged, len(first))
+        merged = [partial.merged(group, picked, count) for partial in partials]
+        return self.finish(keys, merged, count)
 
     def finish(
         self, columns: Mapping[str, ObjectColumn], partials: Sequence[Partial], rows: int
     ) -> Relation:
+        """Return the aggregates of groups with these keys; they are the key of the relation."""
         plan, result = self.shape.aggregate, dict(columns)
         places = {argument: i for i, (argument, _) in enumerate(self.shape.arguments)}
         every = np.arange(rows)
@@ -269,7 +301,7 @@ class IncrementalAggregate:
             partial = partials[places.get(one.argument, 0)]
             star = one.argument is None
             result[one.variable] = partial.finish(one.function, every, self.terms, star)
-        return Relation(result, rows, frozenset(plan.keys))
+        return Relation(result, rows, frozenset(columns))
 
     def _fold(self, end: int, subjects: NDArray[np.int32], objects: ObjectColumn) -> None:
         """Fold rows of the scan's predicate."""
@@ -279,42 +311,28 @@ class IncrementalAggregate:
             subjects, objects, skip = subjects[present], objects.take(present), None
         pairs = ObjectColumn(Kind.TERM, subjects), ObjectColumn(objects.kind, objects.values)
         if not self.shape.plain:
-            pairs = self._selected(pairs)
-        columns = self._arguments(pairs)
+            pairs = _take(pairs, self.selected(pairs))
+        columns = self.arguments(pairs)
         for partial, column in zip(self.partials, columns, strict=True):
             partial.fold(pairs[0].values, column, skip, self.groups, self.terms)
-        if self._distinct is not None:
-            fresh = self._distinct.enter(end, pairs, skip)
+        if self.distinct is not None:
+            fresh = self.distinct.enter(end, pairs, skip)
             self._count((pairs[0].take(fresh), pairs[1].take(fresh)), 1)
 
-    def _selected(self, pairs: Pairs) -> Pairs:
-        """Return the pairs that the pattern matches and its filters pass."""
-        scan = self.shape.scan
-        if isinstance(scan.subject, Const):
-            # Keep the constant's id as the subject: it needs a group, though no column shows it.
-            mine = pairs[0].values == self.terms.dictionary.find(scan.subject.term)
-            pairs = pairs[0].take(mine), pairs[1].take(mine)
-        relation = select_pairs(pairs, Var(_SUBJECT), scan.object, self.terms)
-        named = dict(relation.columns)
-        if isinstance(scan.subject, Var):
-            named[scan.subject.name] = named[_SUBJECT]
-        relation = Relation(named, relation.rows)
-        for condition in self.shape.filters:
-            keep = holds(condition, relation.columns, relation.rows, self.terms)
-            relation = relation.take(keep)
-        if isinstance(scan.object, Var):
-            return relation.columns[_SUBJECT], relation.columns[scan.object.name]
-        # The object is a constant, so no argument reads it.
-        same = ObjectColumn(Kind.INTEGER, np.zeros(relation.rows, np.int64))
-        return relation.columns[_SUBJECT], same
-
-    def _arguments(self, pairs: Pairs) -> list[ObjectColumn]:
-        """Return the aggregated values of these pairs, a column per argument."""
-        scan, rows = self.shape.scan, len(pairs[0])
-        columns = {}
+    def selected(self, pairs: Pairs) -> NDArray[np.int64]:
+        """Return the rows of pairs that the pattern matches and its filters pass."""
+        scan, rows = self.shape.scan, np.arange(len(pairs[0]))
         for position, column in zip((scan.subject, scan.object), pairs, strict=True):
-            if isinstance(position, Var):
-                columns[position.name] = column
+            if isinstance(position, Const):
+                rows = rows[equals(column.take(rows), position, self.terms)]
+        for condition in self.shape.filters:
+            columns = _named(scan, _take(pairs, rows))
+            rows = rows[holds(condition, columns, len(rows), self.terms)]
+        return rows
+
+    def arguments(self, pairs: Pairs) -> list[ObjectColumn]:
+        """Return the aggregated values of these pairs, a column per argument."""
+        columns, rows = _named(self.shape.scan, pairs), len(pairs[0])
         return [
             ObjectColumn(Kind.INTEGER, np.broadcast_to(np.int64(0), (rows,)))
             if argument is None
@@ -328,7 +346,7 @@ class IncrementalAggregate:
         """Add (1) or subtract (-1) pairs that do not belong to a pane."""
         if not len(pairs[0]):
             return
-        for partial, column in zip(self.partials, self._arguments(pairs), strict=True):
+        for partial, column in zip(self.partials, self.arguments(pairs), strict=True):
             partial.add(pairs[0].values, column, sign, self.groups, self.terms, self._touched)
 
     def _with_static(self) -> None:
@@ -343,11 +361,11 @@ class IncrementalAggregate:
                 self._count(_take(self._static_pairs, self._static_counted), -1)
                 self._static_pairs = None
             static = self.static.pairs(self.shape.scan)
-            if self._distinct is not None:
+            if self.distinct is not None:
                 static = distinct_pairs(static, self.terms)
-            pairs = self._selected(static)
+            pairs = _take(static, self.selected(static))
             self.groups.reach(len(self.terms.dictionary))
-            columns = self._arguments(pairs)
+            columns = self.arguments(pairs)
             for partial, column in zip(self.partials, columns, strict=True):
                 partial.hold(pairs[0].values, column, self.groups, self.terms)
             self._static_pairs = pairs
@@ -356,8 +374,8 @@ class IncrementalAggregate:
             self._static_version = version
         assert self._static_pairs is not None
         count = np.ones(len(self._static_counted), np.bool_)
-        if self._distinct is not None and len(count):
-            count = ~self._distinct.holds(self._static_pairs)
+        if self.distinct is not None and len(count):
+            count = ~self.distinct.holds(self._static_pairs)
         if len(count) and not np.array_equal(count, self._static_counted):
             self._count(_take(self._static_pairs, count & ~self._static_counted), 1)
             self._count(_take(self._static_pairs, self._static_counted & ~count), -1)
@@ -380,6 +398,12 @@ class IncrementalAggregate:
             self._touched.all = True
             self._passing[:] = False
         self._compact_at = max(COMPACT, 2 * len(kept))
+
+
+def _named(scan: Scan, pairs: Pairs) -> dict[str, ObjectColumn]:
+    """Return the pairs as columns of the scan's variables."""
+    places = zip((scan.subject, scan.object), pairs, strict=True)
+    return {place.name: column for place, column in places if isinstance(place, Var)}
 
 
 def _take(pairs: Pairs, rows: NDArray[Any]) -> Pairs:

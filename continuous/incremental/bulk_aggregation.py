@@ -7,8 +7,8 @@ window's end are those of `IncrementalAggregate`, in the same order, to the last
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,88 +16,25 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ...streams.sample import Times
-from ..algebra.expressions import Const, Var
-from ..columns.exact_sums import FloatTotals, IntegerTotals
-from ..columns.fold_kernels import mirror
+from ..algebra.expressions import Var
 from ..columns.pane_runs import PaneRuns
-from ..columns.relation import Relation
-from ..operators.partial_aggregates import (
-    GREAT,
-    SAFE,
-    Key,
-    Numbers,
-    Partial,
-    dtype_of,
-    magnitude,
-)
+from ..columns.relation import Relation, bits, concatenate
+from ..operators.partial_aggregates import Key, Partial
 from ..operators.result_forms import END
 from ..windows.grid import Grid
-from .aggregate_shape import Shape
 from .aggregation import IncrementalAggregate
+from .bulk_rows import SelectedRows, Spans
+from .distinct_pairs import DistinctPairs
+from .pane_table import CellNumbers, Cells, DistinctNumbers
 from .sliding_aggregates import Pane
 
-CELLS: Final = 2**15
+CELLS: Final = 2**16
 """The number of cells of a table of panes: some milliseconds, at 50 to 100 bytes each."""
-CELLS_EACH: Final = 2**9
-"""With more cells a window than this, one pass over several windows saves nothing."""
-_KINDS: Final = (Kind.INTEGER, Kind.FLOAT, Kind.DOUBLE)
-
-
-def not_in_bulk(shape: Shape, *, distinct: bool) -> str:
-    """Return why windows that are due at once are aggregated one by one, or ""."""
-    if distinct:
-        return "equal triples count once"
-    if shape.rest or shape.later:
-        return "the aggregate is joined with other patterns"
-    subject = shape.scan.subject
-    keys = (subject.name,) if isinstance(subject, Var) else ()
-    if shape.aggregate.keys != keys or shape.aggregate.implicit:
-        return "the subjects are not the groups"
-    if shape.filters or any(each not in (None, shape.scan.object) for each, _ in shape.arguments):
-        return "rows are selected or computed before the fold"
-    return "" if isinstance(shape.scan.object, Var) else "the object is a constant"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """Rows of the folded predicate: of one kind, in order within each pane and subject."""
-
-    times: Times
-    subjects: NDArray[np.int32]
-    objects: ObjectColumn
-
-    @classmethod
-    def of(cls, tables: Sequence[TripleRows], predicate: int, subject: int | None) -> _Rows | None:
-        """Return those of ``subject``, or all; None unless there are some, all of one kind of
-        number."""
-        times, subjects, values, kinds = [], [], [], set()
-        for table in tables:
-            column = table.objects.get(predicate)
-            if column is None:
-                continue
-            rows: slice | NDArray[np.int64] = slice(None)
-            if column.null is not None or subject is not None:
-                mine = column.present if subject is None else table.subject == subject
-                rows = np.flatnonzero(mine & column.present)
-            times.append(table.time[rows])
-            subjects.append(table.subject[rows])
-            values.append(column.values[rows])
-            kinds.add(column.kind)
-        if len(kinds) != 1 or not sum(map(len, times)):
-            return None
-        kind = kinds.pop()
-        if kind not in _KINDS:
-            return None
-        objects = ObjectColumn(kind, np.concatenate(values))
-        return cls(np.concatenate(times), np.concatenate(subjects), objects)
-
-    def are_safe(self) -> bool:
-        """Whether no sum of them overflows or needs more than float64."""
-        values = self.objects.values
-        if self.objects.kind is Kind.INTEGER:
-            return magnitude(values) * len(values) < SAFE
-        # This is False if there is a NaN.
-        return bool(-GREAT < values.min() <= values.max() < GREAT)
+PASS: Final = 4_500
+WINDOW: Final = 650
+ROW: Final = 0.7
+"""What a pass costs, without its cells, and what a lone window and each of its rows cost, in cells
+of a table (`python bench/windows.py bulk`; a cell costs some 100 ns)."""
 
 
 def fitting(
@@ -109,11 +46,19 @@ def fitting(
 ) -> int:
     """Return how many of ``ends`` windows with rows in ``tables`` one pass covers; less than 2 if
     it would save nothing. ``panes``: the number of panes of a window; ``step``: of a step."""
-    subjects = [np.zeros(0, np.int32), *(table.subject for table in tables)]
+    seen = np.zeros(len(aggregate.terms.dictionary), np.bool_)
+    for table in tables:
+        seen[table.subject] = True
     folded = aggregate.partials[0].rows(slice(aggregate.groups.used))
-    groups = max(1, len(np.unique(np.concatenate(subjects))), int(np.count_nonzero(folded)))
-    count = min(ends, (CELLS // groups - panes) // step)
-    return count if (panes + step * count) * groups <= CELLS_EACH * count else 0
+    groups = max(1, int(np.count_nonzero(seen)), int(np.count_nonzero(folded)))
+    most = (CELLS // groups - panes) // step
+    if most < 2:
+        return 0
+    # Passes of equal size: the last one should not be left with windows that save nothing.
+    count = math.ceil(ends / math.ceil(ends / most))
+    rows = sum(map(len, tables)) * count / ends
+    cells = (panes + step * count) * groups
+    return count if PASS + cells <= WINDOW * count + ROW * rows else 0
 
 
 class BulkAggregate:
@@ -139,68 +84,70 @@ class BulkAggregate:
         self._grid = panes
         self._until = folded
         self._tables = tables
-        self._numbers: list[_Numbers] = []
+        self._numbers: list[CellNumbers] = []
 
-    def relation(self) -> Relation | None:
+    def relation(self, rest: Sequence[Relation]) -> Relation | None:
         """Return the solutions of the aggregate for all windows, by window, then by group; None if
-        the windows must be evaluated one by one."""
-        aggregate = self._aggregate
-        predicate = aggregate.terms.dictionary.find(aggregate.shape.scan.predicate)
-        subject = aggregate.shape.scan.subject
-        id = None
-        if isinstance(subject, Const):
-            id = aggregate.terms.dictionary.find(subject.term)
-        rows = _Rows.of(self._tables, predicate, id)
-        if rows is None or not rows.are_safe() or not aggregate.is_regular:
+        the windows must be evaluated one by one. ``rest``: the relations that the aggregate joins,
+        each with the column `END` if it is not the same in all windows."""
+        aggregate, shape = self._aggregate, self._aggregate.shape
+        rows = SelectedRows.of(self._tables, aggregate)
+        if rows is None or not aggregate.is_regular:
             return None
-        keys: list[Key] = [
-            (Kind.INTEGER if argument is None else rows.objects.kind, 0)
-            for argument, _ in aggregate.shape.arguments
-        ]
+        spans = None
+        if aggregate.distinct is not None:
+            spans = self._spans(rows, aggregate.distinct)
+            if spans is None:
+                return None
+        keys: list[Key] = [(column.kind, 0) for column in rows.arguments]
         folded = [self._folded(i, key) for i, key in enumerate(keys)]
         if any(panes is None for panes in folded) or not self._register(rows):
             return None
-        groups = self._groups(rows, folded[0] or ())
+        present = rows if spans is None else spans.rows
+        groups = self._groups(present, folded[0] or ())
         column = np.full(aggregate.groups.used + 1, -1, np.int64)
         column[groups] = np.arange(len(groups))
-        ends = self._pane_ends(folded[0] or ())
+        ends = self._pane_ends(folded[0] or (), spans)
         runs = PaneRuns(
             len(ends),
             len(groups),
             np.searchsorted(ends, self._ends - self._window, "right"),
             np.searchsorted(ends, self._ends, "right"),
         )
-        cells = _Cells(runs, ends, column, groups)
+        cells = Cells(runs, ends, column, groups)
         at = cells.of(self._pane_of(rows.times), aggregate.groups.group_of[rows.subjects])
         numbers = []
-        for (argument, extremes), key, panes in zip(
-            aggregate.shape.arguments, keys, folded, strict=True
-        ):
-            values = np.zeros(len(at), np.int64) if argument is None else rows.objects.values
-            numbers.append(_Numbers(key, cells, extremes))
-            numbers[-1].add(at, values)
-            numbers[-1].add_panes(panes or ())
+        extremes = [wanted for _, wanted in shape.arguments]
+        for values, wanted, key, panes in zip(rows.arguments, extremes, keys, folded, strict=True):
+            if spans is None:
+                numbers.append(CellNumbers(key, cells, wanted))
+                numbers[-1].add_panes(panes or ())
+            else:
+                known = aggregate.groups.group_of[spans.rows.subjects]
+                changes = spans, known, len(numbers)
+                numbers.append(DistinctNumbers(key, cells, wanted, self._ends, *changes))
+            numbers[-1].add(at, values.values)
         if not all(each.is_finite for each in numbers):
             return None
         self._numbers = numbers
         alive = runs.sums(numbers[0].counts) > 0
         self._keep_sorts(alive, cells)
         windows, places = np.nonzero(alive)
-        partials = [Partial({each.key: each.of_runs(windows, places)}) for each in numbers]
+        partials = [Partial({each.key: each.of_runs(alive)}) for each in numbers]
         columns = {END: ObjectColumn(Kind.INTEGER, windows)}
-        if isinstance(subject, Var):
+        if isinstance(shape.scan.subject, Var):
             members = aggregate.groups.members[groups[places]]
-            columns[subject.name] = ObjectColumn(Kind.TERM, members)
-        found = aggregate.finish(columns, partials, len(windows))
-        return Relation(
-            found.columns, found.rows, frozenset((END, *aggregate.shape.aggregate.keys))
-        )
+            columns[shape.scan.subject.name] = ObjectColumn(Kind.TERM, members)
+        if shape.direct:
+            return aggregate.finish(columns, partials, len(windows))
+        subjects = Relation(columns, len(windows))
+        return aggregate.grouped(subjects, partials, rest, len(self.ends))
 
     def hand_over(self) -> bool:
         """Give the aggregate those panes of the last window that it has not folded; call it after
-        `relation`. Return False, and do nothing, if it must fold their rows: extremes have a state
-        of their own. Law: the aggregate is then as if it had folded them."""
-        if self._aggregate.has_extremes:
+        `relation`. Return False, and do nothing, if it must fold their rows: extremes and distinct
+        pairs have a state of their own. Law: the aggregate is then as if it had folded them."""
+        if self._aggregate.has_extremes or self._aggregate.distinct is not None:
             return False
         after = max(self._until, int(self._ends[-1]) - self._window)
         for partial, numbers in zip(self._aggregate.partials, self._numbers, strict=True):
@@ -209,8 +156,8 @@ class BulkAggregate:
             stated = list(facts.stated(self._tables, self._aggregate.static))
             if stated:
                 times, subjects = map(np.concatenate, zip(*stated, strict=True))
-                ends = self._pane_of(times)
-                facts.append(ends[ends > after], subjects[ends > after])
+                rows = np.flatnonzero(times > after)
+                facts.append(self._pane_of(times[rows]), subjects[rows])
         self._aggregate.sorts.forget()
         return True
 
@@ -225,7 +172,36 @@ class BulkAggregate:
         kept = [pane for pane in panes if pane[0] > low]
         return kept if all(high is None for _, _, _, high in kept) else None
 
-    def _register(self, rows: _Rows) -> bool:
+    def _spans(self, rows: SelectedRows, distinct: DistinctPairs) -> Spans | None:
+        """Return the distinct pairs of ``rows`` and of the folded panes; None if columns cannot add
+        them."""
+        aggregate, kind = self._aggregate, rows.objects.kind
+        known = None if kind is Kind.TERM else distinct.last_panes(kind)
+        if known is None:
+            return None
+        new = np.flatnonzero(rows.times > self._until)
+        new_pairs = ObjectColumn(Kind.TERM, rows.subjects[new]), rows.objects.take(new)
+        pairs = [
+            concatenate(both, aggregate.terms.dictionary)
+            for both in zip(known[0], new_pairs, strict=True)
+        ]
+        ends = np.concatenate([known[1], self._pane_of(rows.times[new])])
+        subjects, keys = pairs[0].values, bits(pairs[1].values)
+        order = np.lexsort((ends, keys, subjects))
+        subjects, keys, ends = subjects[order], keys[order], ends[order]
+        again = (subjects[1:] == subjects[:-1]) & (keys[1:] == keys[:-1])
+        once = np.append(True, ~(again & (ends[1:] == ends[:-1])))[: len(ends)]
+        again = again[once[1:]]
+        ends = ends[once]
+        subject, object = (column.take(order[once]) for column in pairs)
+        found = SelectedRows.with_arguments(ends, (subject, object), aggregate)
+        if found is None or [c.kind for c in found.arguments] != [c.kind for c in rows.arguments]:
+            return None
+        until = ends + self._window
+        until[:-1][again] = np.minimum(until[:-1], ends[1:])[again]
+        return Spans(found, until)
+
+    def _register(self, rows: SelectedRows) -> bool:
         """Make groups of new subjects, in the order in which one window after the other would.
         Return False if groups would be dropped between two windows."""
         groups = self._aggregate.groups
@@ -237,7 +213,7 @@ class BulkAggregate:
         groups.groups(subjects[np.argsort(self._pane_of(rows.times[new]), kind="stable")])
         return True
 
-    def _groups(self, rows: _Rows, folded: Sequence[Pane]) -> NDArray[np.int64]:
+    def _groups(self, rows: SelectedRows, folded: Sequence[Pane]) -> NDArray[np.int64]:
         """Return the groups with rows, ascending."""
         marks = np.zeros(self._aggregate.groups.used, np.bool_)
         marks[self._aggregate.groups.group_of[rows.subjects]] = True
@@ -252,16 +228,20 @@ class BulkAggregate:
         """Return the end of the pane of each time."""
         return times + (self._grid.origin - times) % self._grid.step
 
-    def _pane_ends(self, folded: Sequence[Pane]) -> Times:
+    def _pane_ends(self, folded: Sequence[Pane], spans: Spans | None) -> Times:
         """Return the ends of the panes with rows or facts, ascending."""
         low = int(self._ends[0]) - self._window
         ends = {end for end, *_ in folded}
+        if spans is not None:
+            ends.update(np.unique(spans.rows.times).tolist())
         for facts in self._aggregate.sorts.facts:
             ends.update(end for end, _ in facts.panes if end > low)
-        parts = [self._pane_of(table.time) for table in self._tables]
+        parts = [self._pane_of(table.time) for table in self._tables if len(table)]
+        # Most rows are in the pane of the row before.
+        parts = [each[np.append(True, each[1:] != each[:-1])] for each in parts]
         return np.unique(np.concatenate([np.array(sorted(ends), np.int64), *parts]))
 
-    def _keep_sorts(self, alive: NDArray[np.bool_], cells: _Cells) -> None:
+    def _keep_sorts(self, alive: NDArray[np.bool_], cells: Cells) -> None:
         """Clear ``alive`` where the group is not of all sorts in the window."""
         aggregate, static = self._aggregate, self._aggregate.static
         members = aggregate.groups.members[cells.groups]
@@ -289,83 +269,3 @@ class BulkAggregate:
             sizes = [len(subjects) for _, subjects in folded]
             ends = np.repeat(np.array([end for end, _ in folded], np.int64), sizes)
             yield ends, np.concatenate([subjects for _, subjects in folded])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cells:
-    """The cells of a table of panes. ``ends``: those of its panes; ``column``: the place of each
-    group, or -1; ``groups``: the group of each place."""
-
-    runs: PaneRuns
-    ends: Times
-    column: NDArray[np.int64]
-    groups: NDArray[np.int64]
-
-    def of(self, pane_ends: Times, groups: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Return the cells of panes and groups."""
-        panes = np.searchsorted(self.ends, pane_ends)
-        return np.asarray(panes * self.runs.groups + self.column[groups])
-
-
-class _Numbers:
-    """Sums, counts and extremes of one argument, by cell."""
-
-    def __init__(self, key: Key, cells: _Cells, extremes: bool) -> None:
-        self.key = key
-        self._cells = cells
-        dtype = dtype_of(key)
-        self._sums = np.zeros(cells.runs.cells, dtype)
-        self.counts: NDArray[np.int64] = np.zeros(cells.runs.cells, np.int64)
-        self._ends: NDArray[np.generic] | None = None
-        if extremes:
-            nothing = np.inf if dtype == np.float64 else 2**63 - 1
-            self._ends = np.full((cells.runs.cells, 2), nothing, dtype)
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether all sums are numbers."""
-        return bool(np.isfinite(self._sums).all())
-
-    def add(self, at: NDArray[np.int64], values: NDArray[np.generic]) -> None:
-        """Add rows, in order."""
-        np.add.at(self._sums, at, values)
-        self.counts += np.bincount(at, minlength=len(self.counts))
-        if self._ends is not None:
-            values = values + self._sums.dtype.type(0)
-            np.minimum.at(self._ends[:, 0], at, values)
-            np.minimum.at(self._ends[:, 1], at, mirror(values))
-
-    def add_panes(self, panes: Sequence[Pane]) -> None:
-        """Add folded panes. Contract: no row of them has been added."""
-        if not panes:
-            return
-        sizes = [columns.shape[1] for _, _, columns, _ in panes]
-        ends = np.repeat(np.array([end for end, *_ in panes], np.int64), sizes)
-        groups = np.concatenate(
-            [np.arange(columns.shape[1]) if at is None else at for _, at, columns, _ in panes]
-        )
-        columns = np.concatenate([columns[:2] for _, _, columns, _ in panes], axis=1)
-        there = columns[1] > 0
-        cells = self._cells.of(ends[there], groups[there])
-        self._sums[cells] = columns[0, there]
-        self.counts[cells] = columns[1, there]
-
-    def panes_after(self, end: int) -> tuple[Times, NDArray[np.int32], NDArray[np.generic]]:
-        """Return each cell with rows in a pane that ends after ``end``: the end of its pane, its
-        group, and its sum and count, shape ``(2, n)``, in order of panes and groups."""
-        width = self._cells.runs.groups
-        first = int(np.searchsorted(self._cells.ends, end, "right"))
-        cells = np.flatnonzero(self.counts[first * width :]) + first * width
-        panes, places = np.divmod(cells, width)
-        columns = np.stack([self._sums[cells], self.counts[cells].astype(self._sums.dtype)])
-        return self._cells.ends[panes], self._cells.groups[places].astype(np.int32), columns
-
-    def of_runs(self, windows: NDArray[np.int64], places: NDArray[np.int64]) -> Numbers:
-        """Return the values of the group at ``places[i]`` over window ``windows[i]``."""
-        runs = self._cells.runs
-        totals = IntegerTotals() if self.key[0] is Kind.INTEGER else FloatTotals()
-        totals.reserve(runs.cells)
-        totals.add(None, self._sums, self.counts.astype(self._sums.dtype), 1)
-        found = totals.of_runs(runs, windows, places)
-        ends = None if self._ends is None else runs.least(self._ends, windows, places)
-        return Numbers(found.values(np.arange(len(windows))), found.counts, ends)

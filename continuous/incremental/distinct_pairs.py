@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn
-from ...streams.sample import Mask
+from ...streams.sample import Mask, Times
 from ..columns.relation import Pairs, TermValues, bits, decode
 from ..values.literals import Sort
 from .pair_index import PairIndex
@@ -38,6 +38,16 @@ class DistinctPairs:
             yield subjects
             if kind is Kind.TERM:
                 yield keys
+
+    def last_panes(self, kind: Kind) -> tuple[Pairs, Times] | None:
+        """Return the pairs of the window and the end of the last pane of each; None if some object
+        is not of ``kind``."""
+        others = (index for each, index in self._kinds.items() if each is not kind)
+        if any(len(index.pairs()[0]) for index in others):
+            return None
+        index = self._kinds[kind] if kind in self._kinds else PairIndex()
+        subjects, keys, ends = index.last_panes()
+        return (ObjectColumn(Kind.TERM, subjects), decode(kind, keys)), ends
 
     def enter(self, end: int, pairs: Pairs, skip: Mask | None = None) -> NDArray[np.int64]:
         """Add the rows of the pane that ends at ``end``, except those in ``skip``; return the rows

@@ -344,6 +344,24 @@ class PairIndex:
         entries = entries[entries[:, 1] != 0]
         return (entries[:, 1] >> 32).astype(np.int32), entries[:, 0]
 
+    def last_panes(self) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+        """Return the pairs of the window, in any order, and the end of the last pane of each."""
+        if not JIT:
+            subjects, bits = self.pairs()
+            numbers = np.array(list(self._pane_of.values()), np.int64)
+            logs = [(end, pane) for end, pane, _ in self._python_logs]
+        else:
+            entries = self._entries.reshape(-1, 2)
+            entries = entries[entries[:, 1] != 0]
+            subjects, bits = (entries[:, 1] >> 32).astype(np.int32), entries[:, 0]
+            numbers = entries[:, 1] & 0xFFFFFFFF
+            logs = [(end, pane) for end, pane, _ in self._logs]
+        ends, panes = (np.array([log[i] for log in logs], np.int64) for i in (0, 1))
+        order = np.argsort(panes)
+        if not len(numbers):
+            return subjects, bits, numbers
+        return subjects, bits, ends[order][np.searchsorted(panes[order], numbers)]
+
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
         """Return which of the pairs are in the window."""
         subjects, bits = pairs

@@ -350,7 +350,7 @@ def _selected(found: Relation, scan: Scan | AnyScan, terms: TermValues) -> Relat
     named: dict[str, str] = {}
     for position, column in places:
         if isinstance(position, Const):
-            found = found.take(_equals(found.columns[column], position, terms))
+            found = found.take(equals(found.columns[column], position, terms))
         elif position.name in named:
             pair = [found.columns[named[position.name]], found.columns[column]]
             left, right = key_codes([pair], terms.dictionary)
@@ -367,7 +367,7 @@ def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermV
     keep: NDArray[np.bool_] | None = None
     for position, column in zip((subject, object), pairs, strict=True):
         if isinstance(position, Const):
-            same = _equals(column, position, terms)
+            same = equals(column, position, terms)
             keep = same if keep is None else keep & same
     if isinstance(subject, Var) and subject == object:
         left, right = key_codes([[pairs[0], pairs[1]]], terms.dictionary)
@@ -381,7 +381,8 @@ def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermV
     return Relation(columns, rows)
 
 
-def _equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray[np.bool_]:
+def equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray[np.bool_]:
+    """Return which rows of a column without nulls are the constant."""
     kind, value = split_term(constant.term, terms.dictionary.transient_id)
     if column.kind is Kind.TERM:
         return np.asarray(column.values == terms.dictionary.find(constant.term))

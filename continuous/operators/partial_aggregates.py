@@ -330,6 +330,11 @@ class Partial:
             single = either(single, doubtful)
         else:
             column = self._total(function == "AVG", keys, numbers, terms)
+            if np.count_nonzero(numbers) < len(numbers):
+                # The sum and the average of no rows are the integer 0, whatever other groups have.
+                at, rest = np.flatnonzero(numbers == 0), np.flatnonzero(numbers)
+                zero = ObjectColumn(Kind.INTEGER, np.zeros(len(at), np.int64))
+                column = scatter([at, rest], [zero, column.take(rest)], terms.dictionary)
         if single is not None and single.any():
             at, rest = np.flatnonzero(single), np.flatnonzero(~single)
             found = [self._one_by_one(function, keys, group) for group in at.tolist()]

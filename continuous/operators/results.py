@@ -108,27 +108,39 @@ class ResultBatch:
     triples: TimedTriples | None = None
     offsets: Sequence[int] = ()
 
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """The number of solutions, or of rows of triples, of each window."""
+        if self.triples is None:
+            offsets = np.array(self.offsets, np.int64)
+            return offsets[1:] - offsets[:-1]
+        times = [table.time for table in self.triples.tables]
+        found = np.searchsorted(self.ends, np.concatenate([np.zeros(0, np.int64), *times]))
+        return np.bincount(found, minlength=len(self.ends))
+
+    def of(self, windows: Sequence[int]) -> ResultBatch:
+        """Return the results of these windows, ascending. Contract: the others are empty."""
+        starts, ends = ([times[i] for i in windows] for times in (self.starts, self.ends))
+        if self.triples is not None:
+            return ResultBatch(starts, ends, triples=self.triples)
+        offsets = [*(self.offsets[i] for i in windows), self.offsets[-1]]
+        return ResultBatch(starts, ends, self.solutions, offsets=offsets)
+
+    def window(self, i: int) -> WindowResult:
+        """Return the result of window ``i``."""
+        start, end = self.starts[i], self.ends[i]
+        if self.solutions is not None:
+            rows = np.arange(self.offsets[i], self.offsets[i + 1])
+            return WindowResult(start, end, solutions=self.solutions.take(rows))
+        assert self.triples is not None
+        parts = []
+        for table in self.triples.tables:
+            first, last = np.searchsorted(table.time, (end, end + 1)).tolist()
+            if first < last:
+                parts.append(table.take(slice(first, last)))
+        triples = TimedTriples(self.triples.dictionary, tuple(parts))
+        return WindowResult(start, end, triples=triples)
+
     def windows(self) -> Iterator[WindowResult]:
         """Yield the result of each window."""
-        if self.solutions is not None:
-            for i, (start, end) in enumerate(zip(self.starts, self.ends, strict=True)):
-                rows = np.arange(self.offsets[i], self.offsets[i + 1])
-                yield WindowResult(start, end, solutions=self.solutions.take(rows))
-            return
-        assert self.triples is not None
-        tables = self.triples.tables
-        places = [
-            (
-                np.searchsorted(table.time, self.ends),
-                np.searchsorted(table.time, self.ends, "right"),
-            )
-            for table in tables
-        ]
-        for i, (start, end) in enumerate(zip(self.starts, self.ends, strict=True)):
-            parts = tuple(
-                table.take(slice(int(first[i]), int(last[i])))
-                for table, (first, last) in zip(tables, places, strict=True)
-                if first[i] < last[i]
-            )
-            triples = TimedTriples(self.triples.dictionary, parts)
-            yield WindowResult(start, end, triples=triples)
+        return map(self.window, range(len(self.ends)))

@@ -154,9 +154,13 @@ class Contents:
             cached = self._cached_next = last_end, self._next(last_end)
         return cached[1]
 
-    def ends_from(self, first: int, greatest: int, most: int) -> list[int]:
+    def ends_from(
+        self, first: int, greatest: int, most: int, *, leaves: bool = False, follows: bool = False
+    ) -> list[int]:
         """Return the evaluations from ``first`` to ``greatest`` that have content, at most ``most``
-        of them. Contract: the schedule is `uniform`, and ``first`` is the next evaluation.
+        of them; if ``leaves``, also those without content that follow one with content.
+        ``follows``: the evaluation before ``first`` had content. Contract: the schedule is
+        `uniform`, and ``first`` is the next evaluation.
 
         Cost: O(panes and evaluations), without a call of numpy.
         """
@@ -170,11 +174,21 @@ class Contents:
         ends: list[int] = []
         end = first
         for pane in sorted(panes):
-            end = max(end, grid.ceil(pane))
+            begin = grid.ceil(pane)
+            if begin > end:
+                if leaves and follows and len(ends) < most:
+                    ends.append(end)
+                end, follows = begin, False
             while end <= greatest and end - length < pane and len(ends) < most:
                 ends.append(end)
-                end += grid.step
+                end, follows = end + grid.step, True
+        if leaves and follows and end <= greatest and len(ends) < most:
+            ends.append(end)
         return ends
+
+    def has_content(self, end: int) -> bool:
+        """Whether the windows at ``end``, on the grid, contain rows."""
+        return self.compare(DueEvaluation(end), None)[0]
 
     def _next(self, last_end: int | None) -> DueEvaluation | None:
         if self.schedule.ends is None:

@@ -30,7 +30,8 @@ them, from the first on, it has evaluated in one pass, and whether the rows of t
 needed again; None if these windows must be evaluated one by one."""
 _BLOCK = 2**15
 FEWEST, MOST = 8, 512
-"""The least and the greatest number of windows of a pass, which costs as much as seven or eight."""
+"""The least and the greatest number of windows of a pass, which costs as much as seven at least
+(`incremental.bulk_aggregation` knows its costs)."""
 
 
 class OpenWindows:
@@ -244,8 +245,8 @@ class OpenWindows:
 
     def _evaluate_in_bulk(self, first: int, in_bulk: EvaluateWindows, most: int) -> int:
         """Evaluate windows that can close, from the end ``first`` on, in one pass; return how many,
-        0 if they must be evaluated one by one. Contract: the schedule is `uniform`, and only
-        windows with content are evaluated (`BulkPlan` checks that)."""
+        0 if they must be evaluated one by one. Contract: the schedule is `uniform`, and windows
+        with content are reported (`BulkPlan` checks that)."""
         tried, watermark = self._one_by_one_until, self._watermark()
         assert watermark is not None
         greatest = watermark - 1 + self.schedule.shift
@@ -254,7 +255,9 @@ class OpenWindows:
         is_few = first + (FEWEST - 1) * step > greatest
         if is_few or (tried is not None and first <= tried):
             return 0
-        ends = self.contents.ends_from(first, greatest, most)
+        ends = self.contents.ends_from(
+            first, greatest, most, leaves=self.differs, follows=self._had_content
+        )
         done = in_bulk(ends) if len(ends) >= FEWEST else None
         if done is None:
             self._one_by_one_until = ends[-1]
@@ -262,6 +265,8 @@ class OpenWindows:
         closed, retains = done
         self._last_end = ends[closed - 1]
         self.closed += closed
+        if self.differs:
+            self._had_content = self.contents.has_content(self._last_end)
         self.contents.select(DueEvaluation(self._last_end))
         self.contents.drop(self._last_end, raw=retains)
         return closed

@@ -3,6 +3,7 @@
 import pytest
 from pyoxigraph import Literal, NamedNode, Store
 
+from dyknow.continuous.algebra.options import Options, Semantics
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.continuous.operators.results import ResultBatch
@@ -16,11 +17,17 @@ QUERY = f"""REGISTER QUERY q AS SELECT ?o (AVG(?v) AS ?a)
 FROM STREAM <{PLACE}s> [RANGE 2ns STEP 1ns] WHERE {{ ?o <{PLACE}v> ?v }} GROUP BY ?o"""
 
 
-def ends(count: int, values: list[object], query: str = QUERY, defers: bool = False) -> list:
+def ends(
+    count: int,
+    values: list[object],
+    query: str = QUERY,
+    defers: bool = False,
+    semantics: Semantics = "bag",
+) -> list:
     """The ends of each result, if ``count`` windows are due at once."""
     dictionary = TermDictionary()
     evaluator = ContinuousEvaluator(
-        parse_query(query), dictionary, Background(Store()), [PLACE + "s"]
+        parse_query(query), dictionary, Background(Store()), [PLACE + "s"], Options(semantics)
     )
     evaluator.splits, evaluator.defers = False, defers
     rows = [
@@ -35,10 +42,32 @@ def ends(count: int, values: list[object], query: str = QUERY, defers: bool = Fa
     return [tuple(each.ends) for each in results]
 
 
-def test_windows_that_are_due_at_once_share_a_pass() -> None:
-    assert ends(20, [1.5, 2.0]) == [tuple(range(1, 21))]
+@pytest.mark.parametrize(
+    "query",
+    [
+        QUERY,
+        QUERY.replace("SELECT ", "SELECT ISTREAM "),
+        QUERY.replace("SELECT ", "SELECT DSTREAM "),
+        QUERY.replace("?v }", "?v FILTER(?v > 1) }"),
+        QUERY.replace("AVG(?v)", "AVG(2 * ?v)"),
+        QUERY.replace("?v }", "?v VALUES (?o ?z) {(<http://d.example/o> 1)} }"),
+        QUERY.replace("?o ", "", 1).replace("GROUP BY ?o", ""),
+    ],
+)
+@pytest.mark.parametrize("semantics", ["bag", "set"])
+def test_windows_that_are_due_at_once_share_a_pass(query: str, semantics: Semantics) -> None:
+    assert ends(20, [1.5, 2.0], query, semantics=semantics) == [tuple(range(1, 21))]
+
+
+def test_windows_that_are_due_at_once_share_passes_of_bounded_size() -> None:
     most = window_schedule.MOST
     assert list(map(len, ends(most + 9, [1.5]))) == [most, 9]
+
+
+def test_a_pass_must_save_more_than_it_costs() -> None:
+    long = QUERY.replace("RANGE 2ns", "RANGE 6000ns")
+    assert ends(9, [1.5], long) == [(end,) for end in range(1, 10)]
+    assert ends(60, [1.5], long) == [tuple(range(1, 61))]
 
 
 def test_a_caller_limits_the_windows_of_a_pass() -> None:

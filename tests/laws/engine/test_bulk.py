@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from commanding import REFUSALS, life, state
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from dyknow.continuous.incremental import bulk_aggregation
 from dyknow.continuous.windows import window_schedule
 from dyknow.converters.ndjson import encode_ndjson
 from dyknow.converters.wire import Incoming
@@ -43,6 +44,7 @@ def at_most(windows: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(window_schedule, "MOST", windows)
         patch.setattr(window_schedule, "FEWEST", 2)
+        patch.setattr(bulk_aggregation, "PASS", -(10**9))
         yield
 
 
@@ -60,6 +62,14 @@ def samples(found: list[tuple[int, int, float]]) -> SampleBatch:
     return SampleBatch(moments, moments, columns)
 
 
+@example(  # A row between two windows: its object has a group only from its first window on.
+    HEADS[0],
+    (2, 4),
+    "",
+    [(3_000, 1, 49.0), (5_000, 4, 49.0), (14_000, 0, 49.0), (15_000, 4, 49.0), (16_001, 4, 0.5)],
+    [],
+    INSTANTS,
+)
 @settings(deadline=None, max_examples=40)
 @given(
     st.sampled_from(HEADS),
