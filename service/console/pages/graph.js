@@ -6,6 +6,7 @@ import { chain, model, reached } from "../graph.js";
 import { curve, layout } from "../layout.js";
 import { address, ask, follow } from "../http.js";
 import { ago, clock, count, duration, rate, value } from "../format.js";
+import { Partial } from "../partial.js";
 import { Chips, Empty, Plot, Trouble, aligned, theme } from "../widgets.js";
 
 const MANY = 150, SILENT = 15, FIELDS = 6, LINES = 12, KEPT = 600, TAIL = 30, FAR = 0.45;
@@ -210,7 +211,7 @@ function Details({ node, graph, pick }) {
       <button class="plain" aria-label="close" onClick=${() => pick(null)}>✕</button></header>
     <div class="scroll" tabindex="0"><div class="body stack">
       ${problems.value.filter((each) => each.stream && each.stream === node.stream).map((each) => html`<div class=${`note ${each.level}`} key=${each.what}><b>${each.what}.</b> ${each.detail} ${each.hint}</div>`)}
-      ${request && html`<div class="row"><span class="grow"><${Chips} of=${request.chips} /></span><a class="small" href=${`#live/${encodeURIComponent(node.stream)}`}>Its events</a></div>`}
+      ${request && html`<div class="row"><span class="grow"><${Chips} of=${request.chips} /></span><${Partial} key=${request.id} request=${request} /><a class="small" href=${`#live/${encodeURIComponent(node.stream)}`}>Its events</a></div>`}
       <dl class="facts">
         ${stream && html`<dt>stream</dt><dd class="mono">${stream.name}</dd>`}
         ${unit && html`<dt>made by</dt><dd>${unit.transformation} <span class="faint mono">${unit.name}</span></dd>`}

@@ -8,6 +8,7 @@ import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
 import { eventText } from "../terms.js";
 import { Values } from "../results.js";
+import { Partial } from "../partial.js";
 import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
@@ -59,7 +60,7 @@ function Proposal() {
     <code>dyknow template add --library high_speed</code>`;
 }
 
-function Requests({ chosen }) {
+function Requests({ chosen, object }) {
   const [trouble, setTrouble] = useState(null);
   const go = (request) => {
     location.hash = request === chosen ? "live" : `live/${encodeURIComponent(request.stream)}`;
@@ -76,6 +77,7 @@ function Requests({ chosen }) {
         <${Proposal} /><//>`}</div>
     <${Trouble} of=${trouble} />
     ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>
+      <${Partial} key=${chosen.id} request=${chosen} object=${object} />
       ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
 }
 
@@ -196,7 +198,7 @@ export default function Live({ rest }) {
     ?? candidates.find(latest);
   const hasMap = !status.value || shown.value.tracks.size > 0 || streams.value.some(place);
   return html`<main class="page fill"><div class=${`live ${hasMap ? "" : "flat"}`}>
-    <${Requests} chosen=${chosen} />
+    <${Requests} chosen=${chosen} object=${object} />
     <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
     ${hasMap ? html`<section class="panel map" aria-label="map"><div class="sheet">
       ${shown.value.tracks.size ? html`<${TrackMap} selected=${object} select=${select} isWanted=${isWanted} />`
