@@ -33,6 +33,9 @@ class ParameterModel(BaseModel):
         description="of the feature with the argument: `>` means above it"
     )
     aggregate: str | None = Field(description="the aggregate of the feature that is compared")
+    default: str | None = Field(
+        description="the argument of a request that leaves this one out; null: none may"
+    )
 
     @classmethod
     def of(cls, use: ParameterUse) -> ParameterModel:
@@ -70,7 +73,8 @@ class TemplateModel(BaseModel):
 
 
 class EventIn(Body):
-    """A request for an event. An argument is text: ``?o``, ``dyknow:UAV``, ``100``."""
+    """A request for an event. An argument is text: ``?o``, ``dyknow:UAV``, ``100``. The last ones
+    may name their parameters: ``?threshold = 100``. One with a default may be left out."""
 
     event: Name
     arguments: list[Annotated[str, StringConstraints(max_length=8192)]] = Field(

@@ -32,12 +32,14 @@ function Argument({ use, text, write }) {
     : use.role === "feature" ? named(vocabulary.value.features.map((each) => local(each.name))) : null;
   const help = use.role === "object" ? "empty: every one"
     : use.feature ? `${AGGREGATES[use.aggregate] ?? ""} ${local(use.feature)}` : "";
+  const isDefault = text === initial(use), usual = initial(use) || "any";
+  const notes = [help, use.default !== null && (isDefault ? "the default" : `default ${usual}`)].filter(Boolean);
   return html`<div class="field"><label for=${id}>${label}</label>
     ${options ? html`<${Choice} id=${id} current=${text} options=${options} choose=${write} />`
       : html`<span class="row"><input id=${id} type=${use.role === "number" ? "number" : "text"} step="any"
           placeholder=${use.role === "object" ? "any" : ""} value=${text} onInput=${(event) => write(event.target.value)} />
           ${use.unit && html`<span class="faint">${unit(use.unit)}</span>`}</span>`}
-    <small>${help}</small></div>`;
+    <small>${notes.join(", ")}</small></div>`;
 }
 
 function FeatureForm({ want, setWant }) {
