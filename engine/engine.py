@@ -53,7 +53,7 @@ from .model.errors import (
 )
 from .model.graph import Graph
 from .model.status_changes import Change, ChangeKind
-from .model.stream_statistics import rate_of, stream_view
+from .model.stream_statistics import present_rate, stream_view
 from .model.views import (
     DeclarationView,
     EvaluationView,
@@ -372,7 +372,7 @@ class Engine:
         streams = tuple(self._parts.configuration.streams.items())
         with gc_paused(), self._parts.manager.together():
             self._parts.count_subscribers()
-            self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
+            self._parts.manager.measure_rates((name, present_rate(each)) for name, each in streams)
             self._parts.manager.mirror_samples(streams)
 
     def rdf_of(

@@ -208,8 +208,7 @@ class EventRequests:
         """Yield the node of each request, and the stream that answers it."""
         for one in self._requests.values():
             unit = one.running.unit
-            failure = self._configuration.failure_of(unit)
-            state = "running" if failure is None else "failed"
+            state, _ = self._configuration.state_of(unit, unit.output)
             text = one.request.source.strip()
             yield Node(NodeKind.REQUEST, one.id, text, state), unit.output.name
 
@@ -217,6 +216,7 @@ class EventRequests:
         """The view of a running request. Raises `UnknownRequest`."""
         request = self._request(id)
         running = request.running
+        state, failure = self._configuration.state_of(running.unit, running.unit.output)
         return EventView(
             id=id,
             event=request.request.event,
@@ -231,7 +231,8 @@ class EventRequests:
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
             kind=_kind(running.unit),
-            failure=self._configuration.failure_of(running.unit),
+            state=state,
+            failure=failure,
             empty=why_empty(self._configuration, running.unit, self._ontology),
         )
 

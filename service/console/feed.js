@@ -2,7 +2,7 @@
 // at them four times a second, however many arrive.
 import { effect, signal } from "./vendor/preact.js";
 import { address, ask, follow } from "./http.js";
-import { byName, held, moment, objectField, pace, place, requests, streams } from "./state.js";
+import { byName, held, moment, objectField, place, requests, streams } from "./state.js";
 
 const EVENTS = 2_000, POINTS = 600, OBJECTS = 200, TRACKS = 5_000, TRACK_POINTS = 120;
 const TICK = 250, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
@@ -216,7 +216,7 @@ effect(() => {
   const all = new Set([...requests.value.map((request) => request.stream), extra.value]);
   const newest = new Set();
   for (const stream of streams.value) {
-    if (stream.producer || pace(stream) >= FAST || !place(stream) || all.has(stream.name)) continue;
+    if (stream.producer || stream.rate >= FAST || !place(stream) || all.has(stream.name)) continue;
     (hasObjects(stream) ? newest : all).add(stream.name);
   }
   const wanted = (names) =>

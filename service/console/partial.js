@@ -1,7 +1,7 @@
 // The partial matches of a running pattern: which events have come, and between which valid times each
 // of the others may still come.
 import { html, useEffect, useRef, useState } from "./vendor/preact.js";
-import { PATTERN, held, stateOf } from "./state.js";
+import { PATTERN, held } from "./state.js";
 import { address, ask } from "./http.js";
 import { plural, stamp, value } from "./format.js";
 import { Empty, Trouble } from "./widgets.js";
@@ -26,7 +26,7 @@ function None({ of, object, request }) {
     return html`<${Empty} title=${`No partial match has ${object}.`}>
       <span>It has no event that could begin or continue a match, or the time for the others is over.</span><//>`;
   }
-  if (stateOf(request) === "ended") {
+  if (request.state === "ended") {
     return html`<${Empty} title="No partial match."><span>The streams of the pattern have ended, so no other event can come.</span><//>`;
   }
   return of.watermark === null
@@ -64,7 +64,7 @@ function Partials({ request, first, close }) {
     <h2>${request.name}: ${found ? `${found.partial.length}${found.more ? " newest" : ""} ` : ""}partial ${found?.partial.length === 1 ? "match" : "matches"}</h2>
     <div class="row wraps"><label class="row muted">of <input type="search" class="short" placeholder="any object" value=${object}
         onInput=${(event) => setObject(event.target.value.trim())} /></label>
-      ${found?.watermark && stateOf(request) !== "ended" && html`<span class="muted">No event before <span class="num">${stamp(found.watermark)}</span> comes any more.</span>`}</div>
+      ${found?.watermark && request.state !== "ended" && html`<span class="muted">No event before <span class="num">${stamp(found.watermark)}</span> comes any more.</span>`}</div>
     ${found?.partial.length > 0 && html`<div class="whytable" tabindex="0"><table>
       <thead><tr><th>event</th><th>valid</th><th>sample</th></tr></thead>
       ${found.partial.map((each, i) => html`<${Match} key=${i} of=${each} number=${i + 1} now=${found.watermark ?? Date.now()} />`)}</table></div>`}
@@ -76,7 +76,7 @@ function Partials({ request, first, close }) {
 /** A button that opens the partial matches of a request; nothing where it is no pattern that runs. */
 export function Partial({ request, object }) {
   const [isOpen, setOpen] = useState(false);
-  if (request.gives !== PATTERN || !["running", "ended"].includes(stateOf(request))) return null;
+  if (request.gives !== PATTERN || !["running", "ended"].includes(request.state)) return null;
   return html`<button onClick=${() => setOpen(true)}>Partial matches</button>
     ${isOpen && html`<${Partials} request=${request} first=${object} close=${() => setOpen(false)} />`}`;
 }

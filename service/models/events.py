@@ -182,8 +182,9 @@ class EventModel(BaseModel):
         "waits"
     )
     since: str = Field(description="as requested; a duration as the time that it stands for")
-    state: Literal["running", "failed", "waiting"] = Field(
-        description="failed: the unit that answers it was stopped, and no more samples come; "
+    state: Literal["running", "ended", "failed", "waiting"] = Field(
+        description="ended: all streams that it reads have ended; "
+        "failed: the unit that answers it was stopped, and no more samples come; "
         "waiting: an earlier run accepted it, and this one cannot start it"
     )
     failure: str | None = Field(description="why it failed or waits")
@@ -236,7 +237,7 @@ class EventModel(BaseModel):
             strategy=view.strategy,
             kind=view.kind,  # type: ignore[arg-type]
             since=view.since,
-            state="running" if view.failure is None else "failed",
+            state=view.state,  # type: ignore[arg-type]
             failure=view.failure,
             stream=view.stream,
             position=f"{epoch}-{view.position}",

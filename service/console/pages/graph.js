@@ -1,7 +1,7 @@
 // Streams and the units that make them, from left to right. Choose one: what it is, what feeds it,
 // and what breaks without it.
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
-import { byName, held, numbers, objectField, pace, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
+import { byName, held, numbers, objectField, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
 import { chain, model, reached } from "../graph.js";
 import { curve, layout } from "../layout.js";
 import { address, ask, follow } from "../http.js";
@@ -30,7 +30,7 @@ function lines(node, apart) {
   if (!stream) return [node.stream, ""];
   const asked = node.requests[0], more = node.requests.length > 1 ? ` × ${node.requests.length}` : "";
   const quiet = silence(stream);
-  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(pace(stream));
+  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(stream?.rate);
   const by = node.unit && !apart ? node.unit.transformation : stream.name;
   return [asked ? asked.name + more : title(stream), `${state} · ${by}`];
 }
@@ -135,7 +135,7 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
   const isDim = (id) => (hits ? !hits.has(id) : lit !== null && !lit.has(id));
   const levels = new Map(problems.value.map((each) => [each.stream, each.level]));
   const edgeClass = ([from, to]) => (lit?.has(from) && lit.has(to) ? "edge on" : isDim(from) || isDim(to) ? "edge dim" : "edge");
-  const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (pace(byName.value.get(stream)) ?? 0)));
+  const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (byName.value.get(stream)?.rate ?? 0)));
   return html`<div class="sheet"><svg class="net" ref=${svg} role="group" aria-label="stream graph"><g>
     ${graph.edges.map((edge, i) => drawn.paths[i].length > 1 && html`<path key=${edge.join()} class=${edgeClass(edge)} d=${curve(drawn.paths[i])} stroke-width=${thick(edge[2])} />`)}
     ${graph.nodes.map((node) => html`<${Node} key=${node.id} node=${node} at=${drawn.places.get(node.id)} isChosen=${node.id === chosen}

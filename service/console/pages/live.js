@@ -1,7 +1,7 @@
 // What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
-import { byName, held, isKnown, may, moment, numbers, pace, place, requests, refresh, stateOf, status, streams, templates, unitOf } from "../state.js";
+import { byName, held, isKnown, may, moment, numbers, place, requests, refresh, status, streams, templates, unitOf } from "../state.js";
 import { arrivals, feedState, oldest, play, shown, tick } from "../feed.js";
 import { ago, clock, count, rate, words } from "../format.js";
 import { ask } from "../http.js";
@@ -19,11 +19,11 @@ const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
 function Request({ request, isChosen, choose }) {
   const event = shown.value.last.get(request.stream), stream = byName.value.get(request.stream);
   const now = moment.value ?? Date.now(), age = event ? (now - event.time) / 1000 : null;
-  const state = stateOf(request), isBad = state === "failed";
+  const { state } = request, isBad = state === "failed";
   const dot = { failed: "bad", ended: "", running: age !== null && Math.abs(age) < RECENT ? "on" : "" }[state] ?? "warn";
   return html`<button class="ask-row" aria-pressed=${isChosen} onClick=${choose}>
     <span class="row"><i class=${`dot ${dot}`} title=${state}></i>
-      <span class="name cut grow">${request.name}</span><span class="faint small num">${state === "ended" ? state : rate(pace(stream))}</span></span>
+      <span class="name cut grow">${request.name}</span><span class="faint small num">${state === "ended" ? state : rate(stream?.rate)}</span></span>
     ${request.chips.length > 0 && html`<${Chips} of=${request.chips} />`}
     <span class="said cut">${request.problem ? html`<span class=${isBad ? "bad" : "warn"}>${request.problem}</span>`
       : event ? html`<span class="mono">${event.object}</span> <${Values} of=${event} />
@@ -47,7 +47,7 @@ async function end(request) {
 
 /** The states that requests are listed by, each with those that have it. */
 function groups() {
-  const states = Map.groupBy(requests.value, stateOf);
+  const states = Map.groupBy(requests.value, (each) => each.state);
   const others = [...states.keys()].filter((each) => !STATES.includes(each));
   return [...others, ...STATES].filter((each) => states.has(each)).map((each) => [each, states.get(each)]);
 }

@@ -136,6 +136,16 @@ def test_what_failed_is_listed_and_counted_apart(asked: httpx.Client, open_page:
     assert page.run(listed) == len(failed)
 
 
+def test_the_top_bar_is_one_line(recorded: httpx.Client, open_page: OPEN) -> None:
+    for width in (1400, 1151, 1000, 800, 721):
+        page = opened(open_page, recorded, "live", width=width)
+        page.wait_text("0 requests, 3 ended")
+        spans = "[...document.querySelectorAll('.counts span')]"
+        assert page.run(f"Math.max(...{spans}.map((each) => each.offsetHeight))") < 24, width
+        assert page.run("document.documentElement.scrollWidth") <= width
+        assert page.run("document.querySelector('.top').scrollWidth") <= width
+
+
 def test_a_sample_of_the_future_is_said_to_be_one(service: httpx.Client, open_page: OPEN) -> None:
     fields = {"fields": {"id": "string", "v": "float"}, "ahead": "oo"}
     assert service.put("/streams/early", json=fields).is_success
