@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..continuous.columns.budget import UNLIMITED, Budget
 from ..converters.objects import object_iri
 from ..converters.wire import Incoming
-from ..languages.csparql import parse_argument, parse_event_request
+from ..languages.csparql import parse_event_request, request_of
 from ..languages.csparql.ast import EventRequest
 from ..languages.kpl import parse_policy
 from ..languages.specification import Specification, parse_specification
@@ -53,7 +53,7 @@ from .model.errors import (
 )
 from .model.graph import Graph
 from .model.status_changes import Change, ChangeKind
-from .model.stream_statistics import rate_of, stream_view
+from .model.stream_statistics import present_rate, stream_view
 from .model.views import (
     DeclarationView,
     EvaluationView,
@@ -372,7 +372,7 @@ class Engine:
         streams = tuple(self._parts.configuration.streams.items())
         with gc_paused(), self._parts.manager.together():
             self._parts.count_subscribers()
-            self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
+            self._parts.manager.measure_rates((name, present_rate(each)) for name, each in streams)
             self._parts.manager.mirror_samples(streams)
 
     def rdf_of(
@@ -418,8 +418,8 @@ class Engine:
 
     def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
         """Make a request of an event and the texts of its arguments. Raises `LanguageError`."""
-        parsed = tuple(parse_argument(argument) for argument in arguments)
-        return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
+        request = request_of(iri_of(event), arguments)
+        return replace(request, source=f"{event}({', '.join(arguments)})")
 
     def request_event(
         self, request: EventRequest, strategy: str = "fast", since: str = Since.NOW

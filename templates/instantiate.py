@@ -8,11 +8,12 @@ the body, so that a request that can never produce an event is refused.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import assert_never
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
+from ..languages.arguments import Argument, argument_text
 from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.hints import count
@@ -34,17 +35,24 @@ class ArgumentError(ValueError):
     """
 
     def __init__(
-        self, message: str, index: int | None = None, parameter: str | None = None, hint: str = ""
+        self,
+        message: str,
+        index: int | None = None,
+        parameter: str | None = None,
+        hint: str = "",
+        reason: str = "",
     ) -> None:
         super().__init__(message)
         self.message = message
+        self.reason = reason or message
+        """The message without the place of the argument."""
         self.index = index
         self.parameter = parameter
         self.hint = hint
 
 
 def instantiate(
-    template: Template, arguments: Sequence[Term | Variable], vocabulary: Vocabulary
+    template: Template, arguments: Sequence[Argument], vocabulary: Vocabulary
 ) -> ContinuousQuery:
     """Return the template's query with ``arguments`` bound as terms, in the order of the
     parameters.
@@ -55,15 +63,30 @@ def instantiate(
     for a variable where the body binds no value (a threshold).
     """
     check_count(template, arguments)
-    parameters = template.parameters
+    check = argument_check(template, vocabulary)
+    bindings: dict[Variable, Term] = {}
+    for index, argument in enumerate(arguments):
+        check(index, argument)
+        parameter = template.parameters[index]
+        if not isinstance(argument, Variable):
+            bindings[parameter] = argument
+        elif argument in arguments[:index]:
+            raise used_twice(argument, index, parameter)
+    return bind(template.query, bindings)
+
+
+def argument_check(template: Template, vocabulary: Vocabulary) -> Callable[[int, Argument], None]:
+    """Return what checks an argument alone, by its index. It raises `ArgumentError`."""
     stand = places(body_tree(template.query), vocabulary)
     required = required_parameters(template)
-    bindings: dict[Variable, Term] = {}
-    for index, (parameter, argument) in enumerate(zip(parameters, arguments, strict=True)):
+
+    def check(index: int, argument: Argument) -> None:
+        parameter = template.parameters[index]
         kinds = stand.get(parameter.value, frozenset())
         if isinstance(argument, Variable):
-            _check_variable(arguments, index, parameter, kinds, parameter in required)
-            continue
+            if parameter in required:
+                raise _no_value(argument, index, parameter, kinds)
+            return
         for place in Place:
             if place in kinds:
                 _check_term(argument, place, index, parameter, vocabulary)
@@ -71,45 +94,46 @@ def instantiate(
             raise argument_error(
                 "a blank node names nothing outside its own text", index, parameter
             )
-        bindings[parameter] = argument
-    return bind(template.query, bindings)
+
+    return check
 
 
-def check_count(template: AnyTemplate, arguments: Sequence[Term | Variable]) -> None:
+def check_count(template: AnyTemplate, arguments: Sequence[Argument]) -> None:
     """Raise `ArgumentError` for a wrong number of arguments."""
-    parameters = template.parameters
-    if len(arguments) != len(parameters):
-        raise ArgumentError(
-            f"{shorten(template.name)} takes {count(len(parameters), 'argument')}, "
-            f"not {len(arguments)}",
-            hint=f"write {_signature(template)}",
-        )
+    if len(arguments) != len(template.parameters):
+        raise wrong_count(template, len(arguments))
 
 
-def _check_variable(
-    arguments: Sequence[Term | Variable],
-    index: int,
-    parameter: Variable,
-    kinds: frozenset[Place],
-    required: bool,
-) -> None:
-    argument = arguments[index]
-    if required:
-        needed = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
-        raise argument_error(
-            f"?{parameter.value} must be given: nothing in the template finds a value for it",
-            index,
-            parameter,
-            f"give {needed} instead of {argument}"
-            + (", for example 100" if "num" in needed else ""),
-        )
-    if argument in arguments[:index]:
-        raise argument_error(
-            f"{argument} is used for two arguments",
-            index,
-            parameter,
-            f"leave the second free under a name of its own: ?{parameter.value}",
-        )
+def wrong_count(template: AnyTemplate, number: int) -> ArgumentError:
+    """Return the error of a request with this number of arguments."""
+    most = len(template.parameters)
+    least = template.defaults.count(None)
+    takes = count(most, "argument") if least == most else f"{least} to {count(most, 'argument')}"
+    return ArgumentError(
+        f"{shorten(template.name)} takes {takes}, not {number}", hint=f"write {signature(template)}"
+    )
+
+
+def used_twice(argument: Argument, index: int, parameter: Variable) -> ArgumentError:
+    """Return the error of a variable that an argument before it is, too."""
+    return argument_error(
+        f"{argument} is used for two arguments",
+        index,
+        parameter,
+        f"leave the second free under a name of its own: ?{parameter.value}",
+    )
+
+
+def _no_value(
+    argument: Variable, index: int, parameter: Variable, kinds: frozenset[Place]
+) -> ArgumentError:
+    needed = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
+    return argument_error(
+        f"?{parameter.value} must be given: nothing in the template finds a value for it",
+        index,
+        parameter,
+        f"give {needed} instead of {argument}" + (", for example 100" if "num" in needed else ""),
+    )
 
 
 def _check_term(
@@ -186,7 +210,11 @@ def suggestion(iri: str, near: Sequence[str]) -> str:
 def argument_error(message: str, index: int, parameter: Variable, hint: str = "") -> ArgumentError:
     """Return the error of the argument at ``index``, from 0."""
     return ArgumentError(
-        f"argument {index + 1} (?{parameter.value}): {message}", index, parameter.value, hint
+        f"argument {index + 1} (?{parameter.value}): {message}",
+        index,
+        parameter.value,
+        hint,
+        message,
     )
 
 
@@ -196,6 +224,14 @@ def _text(term: Term) -> str:
     return str(term) if isinstance(term, BlankNode) else term_text(term)
 
 
-def _signature(template: AnyTemplate) -> str:
-    names = ", ".join(f"?{parameter.value}" for parameter in template.parameters)
-    return f"{shorten(template.name)}({names})"
+def signature(template: AnyTemplate) -> str:
+    """Return the event with its parameters and their defaults."""
+    return f"{shorten(template.name)}({', '.join(parameter_texts(template))})"
+
+
+def parameter_texts(template: AnyTemplate) -> tuple[str, ...]:
+    """Return the parameters with their defaults, as in a request that names them."""
+    return tuple(
+        str(parameter) if default is None else f"{parameter} = {argument_text(default.value)}"
+        for parameter, default in zip(template.parameters, template.defaults, strict=True)
+    )

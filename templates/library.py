@@ -20,6 +20,7 @@ from ..languages.templates import AnyTemplate, parse_any_template
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import DYKNOW, PREFIXES, local_name, shorten
+from .defaults import check_defaults
 from .instantiate import instantiate
 from .needs import Needs, NeedsError, is_static_in, needs, open_predicates
 from .reasoning import Bound, bound_template, template_wants
@@ -139,6 +140,7 @@ class TemplateLibrary:
                 self._check_circle(template)
         except NeedsError as error:
             raise TemplateRefused(error.message, error.hint) from error
+        check_defaults(template, vocabulary)
 
     def _check_circle(self, template: AnyTemplate) -> None:
         """Raise `TemplateRefused` if the event would need itself ([Events14 §VI])."""

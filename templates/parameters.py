@@ -7,12 +7,13 @@ comparison tells the feature and the unit of a number.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
 from pyoxigraph import NamedNode, Variable
 
+from ..languages.arguments import argument_text
 from ..languages.csparql import body_tree
 from ..languages.csparql.ast import Template
 from ..languages.errors import LanguageError
@@ -61,6 +62,7 @@ class ParameterUse:
     """A parameter and its role. Of a number that is compared with a ``feature`` (IRI): its
     ``unit``, the ``comparison`` of the feature with the number, and the ``aggregate`` of the
     feature's values that is compared. ``sort``: the sort (IRI) of an object, where one is stated.
+    ``default``: the argument that a request may leave out, as text.
     """
 
     name: str
@@ -70,10 +72,18 @@ class ParameterUse:
     comparison: str | None = None
     aggregate: str | None = None
     sort: str | None = None
+    default: str | None = None
 
 
 def parameter_uses(template: AnyTemplate, vocabulary: Vocabulary) -> tuple[ParameterUse, ...]:
     """Return the use of each parameter, in order."""
+    return tuple(
+        replace(use, default=None if default is None else argument_text(default.value))
+        for use, default in zip(_uses(template, vocabulary), template.defaults, strict=True)
+    )
+
+
+def _uses(template: AnyTemplate, vocabulary: Vocabulary) -> tuple[ParameterUse, ...]:
     if isinstance(template, FormulaTemplate):
         return _of_formula(template, vocabulary)
     if not isinstance(template, Template):

@@ -7,13 +7,14 @@ from typing import TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
+from ..languages.arguments import Argument
 from ..languages.mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
 from ..languages.sase.checked import ValueSlot
 from ..languages.templates import AnyTemplate
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import XSD, shorten
 from ..streams.time import parse_duration, parse_time
-from .instantiate import argument_error, check_count, number_problem
+from .instantiate import argument_error, check_count, number_problem, used_twice
 
 Values: TypeAlias = dict[str, Constant | ObjectConstant]
 Slot: TypeAlias = ObjectSlot | Parameter | ValueSlot
@@ -23,7 +24,7 @@ Slot: TypeAlias = ObjectSlot | Parameter | ValueSlot
 def given_arguments(
     template: AnyTemplate,
     slots: Sequence[Slot],
-    arguments: Sequence[Term | Variable],
+    arguments: Sequence[Argument],
 ) -> tuple[Values, dict[str, str]]:
     """Return the values that the ``arguments`` give, and the objects (IRIs), by the names of the
     parameters; ``slots``: what each of these stands for. A variable leaves an object free. Raises
@@ -33,35 +34,43 @@ def given_arguments(
     objects: dict[str, str] = {}
     for index, (slot, argument) in enumerate(zip(slots, arguments, strict=True)):
         parameter = template.parameters[index]
-        match slot, argument:
-            case Parameter() | ValueSlot(), Variable():
-                raise argument_error(
-                    "it must be given: nothing else gives its value",
-                    index,
-                    parameter,
-                    f"give {_example(slot.kind)} instead of {argument}",
-                )
-            case Parameter() | ValueSlot(), NamedNode() | BlankNode() | Literal():
-                kind = slot.kind or _kind_of(argument)
-                values[slot.name] = _constant(argument, kind, index, parameter)
-            case ObjectSlot(name), NamedNode(value=iri):
-                objects[name] = iri
-            case ObjectSlot(), Variable():
+        match given_argument(slot, argument, index, parameter):
+            case None:
                 if argument in arguments[:index]:
-                    raise argument_error(
-                        f"{argument} is used for two arguments",
-                        index,
-                        parameter,
-                        f"leave the second free under a name of its own: ?{slot.name}",
-                    )
-            case _:
-                raise argument_error(
-                    f"it stands for an object: expected an IRI, found {argument}",
-                    index,
-                    parameter,
-                    "write a name such as dyknow:uav1",
-                )
+                    raise used_twice(argument, index, parameter)
+            case str(iri):
+                objects[slot.name] = iri
+            case value:
+                values[slot.name] = value
     return values, objects
+
+
+def given_argument(
+    slot: Slot, argument: Argument, index: int, parameter: Variable
+) -> Constant | ObjectConstant | str | None:
+    """Return the value or the object (IRI) that an argument gives; None: it leaves an object free.
+    Raises `ArgumentError`."""
+    match slot, argument:
+        case Parameter() | ValueSlot(), Variable():
+            raise argument_error(
+                "it must be given: nothing else gives its value",
+                index,
+                parameter,
+                f"give {_example(slot.kind)} instead of {argument}",
+            )
+        case Parameter() | ValueSlot(), NamedNode() | BlankNode() | Literal():
+            return _constant(argument, slot.kind or _kind_of(argument), index, parameter)
+        case ObjectSlot(), NamedNode(value=iri):
+            return iri
+        case ObjectSlot(), Variable():
+            return None
+        case _:
+            raise argument_error(
+                f"it stands for an object: expected an IRI, found {argument}",
+                index,
+                parameter,
+                "write a name such as dyknow:uav1",
+            )
 
 
 _DURATIONS = ("duration", "dayTimeDuration")

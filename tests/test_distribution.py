@@ -13,6 +13,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from pages import links
 from places import ROOT
 from waiting import HANGS
 
@@ -45,6 +46,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         archive.extractall(folder / "sdist", filter="data")
     (source,) = (folder / "sdist").iterdir()
     assert (source / "LICENSE").is_file()
+    # An index shows the README alone; it says that its links are in the sdist.
+    linked = {link.partition("#")[0] for link in links(ROOT / "README.md")}
+    assert sorted(link for link in linked if not (source / link).exists()) == []
     return build("wheel", source, folder)
 
 

@@ -477,6 +477,17 @@ class Configuration:
         """Whether ``unit``, or a unit whose samples reach it, has failed."""
         return any(part.failure is not None for part in self.upstream_units(unit))
 
+    def state_of(
+        self, unit: ComputationalUnit | None, answer: StreamGenerator
+    ) -> tuple[str, str | None]:
+        """Return the state of what a request, query or subscription asked for, and why it failed:
+        ``failed``, ``ended`` as its ``answer`` has, or ``running``. ``unit`` makes the answer;
+        None: it comes from outside."""
+        failure = None if unit is None else self.failure_of(unit)
+        if failure is not None:
+            return "failed", failure
+        return ("ended" if answer.is_ended else "running"), None
+
     def failure_of(self, unit: ComputationalUnit) -> str | None:
         """Return the name and failure of the nearest failed unit, of ``unit`` and the units whose
         samples reach it; None if there is none, so that ``unit`` may have further samples.

@@ -51,7 +51,7 @@ def stream_view(
         first_available=stream.first_available,
         last_available=stream.last_available,
         last_valid=last_valid,
-        rate=rate_of(generator),
+        rate=present_rate(generator),
         lag=last_available - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
         contents=contents,
@@ -59,6 +59,11 @@ def stream_view(
         subscribers=generator.subscribers + generator.listeners,
         time_property=time_property,
     )
+
+
+def present_rate(generator: StreamGenerator) -> float:
+    """Return the samples per second that come: 0 from a stream that has ended."""
+    return 0.0 if generator.is_ended else rate_of(generator)
 
 
 def rate_of(generator: StreamGenerator) -> float:

@@ -59,10 +59,10 @@ class StreamDeclaration:
 @dataclass(frozen=True, slots=True)
 class StreamView:
     """The present state of a stream. Times in ns; ``rate`` in samples per second of available time
-    (over at least a second). ``first_available`` is the oldest retained available time.
-    ``is_idle``: it had no samples for ``idle``, so readers do not wait for it. ``contents`` are the
-    features that the annotation gives to fields, and the feature of a subscription;
-    ``annotation`` is its text. ``time_property``: as in `StreamDeclaration`."""
+    (over at least a second), 0 of one that has ended. ``first_available`` is the oldest retained
+    available time. ``is_idle``: it had no samples for ``idle``, so readers do not wait for it.
+    ``contents`` are the features that the annotation gives to fields, and the feature of a
+    subscription; ``annotation`` is its text. ``time_property``: as in `StreamDeclaration`."""
 
     name: str
     fields: tuple[Field, ...]
@@ -162,8 +162,8 @@ class EventView:
     ``stream`` before the request. ``waits_for`` are the input streams without samples that are not
     idle: no window closes before each has one. The next window waits for ``held_back_by``, the
     streams with the least watermark. ``late`` counts samples that arrived after their window
-    closed. ``failure`` is the reason why there are no more results, ``empty`` the reason why there
-    is no sample yet; else None.
+    closed. ``state`` is running, failed, or ended as ``stream`` is. ``failure`` is the reason why
+    there are no more results, ``empty`` the reason why there is no sample yet; else None.
     """
 
     id: str
@@ -179,6 +179,7 @@ class EventView:
     plan: PlanView
     created: int
     kind: str
+    state: str
     failure: str | None = None
     empty: str | None = None
 
@@ -309,7 +310,8 @@ class SubscriptionView:
     """A subscription to ``source`` under a policy; ``stream`` has its samples.
 
     ``policy`` is KPL with integers in ms; empty: the unchanged stream. ``counters`` and
-    ``violations`` as in `DeclarationView`. ``failure`` is the reason why there are no more samples.
+    ``violations`` as in `DeclarationView`. ``state`` is running, failed, or ended as ``stream`` is;
+    ``failure`` is the reason why there are no more samples.
     """
 
     id: str
@@ -320,6 +322,7 @@ class SubscriptionView:
     counters: Mapping[str, object]
     violations: str | None
     adaptive: AdaptiveView | None = None
+    state: str = "running"
     failure: str | None = None
 
 

@@ -34,6 +34,7 @@ from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
 from ...streams.time import TIME_MIN, format_duration, format_time
+from ...templates.instantiate import parameter_texts
 from ...templates.needs import Needs
 from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
@@ -130,7 +131,7 @@ def explain_template(template: AnyTemplate) -> str:
     window = template.query.window if isinstance(template, Template) else None
     lines = [
         f"template {shorten(template.name)}",
-        "parameters: " + ", ".join(f"?{parameter.value}" for parameter in template.parameters),
+        "parameters: " + ", ".join(parameter_texts(template)),
     ]
     if window is not None:
         lines.append(f"window: {window_text(window)}")

@@ -473,10 +473,7 @@ class RegisteredQueries:
         return found
 
     def _state(self, running: _Running) -> tuple[str, str | None]:
-        failure = self._configuration.failure_of(running.unit)
-        if failure is not None:
-            return "failed", failure
-        return ("ended" if running.unit.output.is_ended else "running"), None
+        return self._configuration.state_of(running.unit, running.unit.output)
 
     def _readers(self, running: _Running) -> tuple[str, ...]:
         if self._configuration.units.get(running.name) is not running.unit:

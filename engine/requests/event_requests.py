@@ -6,14 +6,14 @@ unit over them. Equal requests share one stream.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
-from pyoxigraph import Literal, Variable
+from pyoxigraph import Variable
 
+from ...languages.arguments import argument_text
 from ...languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ...languages.ssl.annotation import StreamAnnotation
 from ...languages.templates import AnyTemplate
@@ -21,10 +21,11 @@ from ...matching.match import Match
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import XSD, shorten
+from ...rdf.namespaces import shorten
 from ...reasoning.mtl.explanation import Explanation
 from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ...streams.past_queries import Moment
+from ...templates.defaults import completed_arguments
 from ...templates.instantiate import ArgumentError
 from ...templates.library import TemplateLibrary
 from ...templates.needs import Needs, NeedsError
@@ -55,15 +56,6 @@ from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers
 from .empty_reasons import why_empty
-
-_SHORT = {
-    XSD + "integer": re.compile(r"[+-]?[0-9]+"),
-    XSD + "decimal": re.compile(r"[+-]?[0-9]*\.[0-9]+"),
-    XSD + "double": re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][+-]?[0-9]+"),
-    XSD + "boolean": re.compile(r"true|false"),
-}
-"""The literals that SPARQL can write without quotes and datatype."""
-
 
 Body: TypeAlias = ContinuousQuery | Bound
 """What a template says, with the arguments of a request."""
@@ -126,6 +118,7 @@ class EventRequests:
         self, template: AnyTemplate, request: EventRequest, strategy: str, since: Beginning
     ) -> EventView:
         """Start the answer to ``request``. Raises `BadArguments`, `NoPlan` and `Forgotten`."""
+        request = _completed(template, request)
         plan = None
         if isinstance(since, Moment) and since.before is not None:
             # The last times of the streams decide which time a duration means, so the key that
@@ -215,8 +208,7 @@ class EventRequests:
         """Yield the node of each request, and the stream that answers it."""
         for one in self._requests.values():
             unit = one.running.unit
-            failure = self._configuration.failure_of(unit)
-            state = "running" if failure is None else "failed"
+            state, _ = self._configuration.state_of(unit, unit.output)
             text = one.request.source.strip()
             yield Node(NodeKind.REQUEST, one.id, text, state), unit.output.name
 
@@ -224,10 +216,11 @@ class EventRequests:
         """The view of a running request. Raises `UnknownRequest`."""
         request = self._request(id)
         running = request.running
+        state, failure = self._configuration.state_of(running.unit, running.unit.output)
         return EventView(
             id=id,
             event=request.request.event,
-            arguments=tuple(_argument_text(argument) for argument in request.request.arguments),
+            arguments=tuple(argument_text(argument) for argument in request.request.arguments),
             strategy=request.strategy,
             since=str(request.since),
             position=request.position,
@@ -238,7 +231,8 @@ class EventRequests:
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
             kind=_kind(running.unit),
-            failure=self._configuration.failure_of(running.unit),
+            state=state,
+            failure=failure,
             empty=why_empty(self._configuration, running.unit, self._ontology),
         )
 
@@ -272,6 +266,7 @@ class EventRequests:
         self, template: AnyTemplate, request: EventRequest, strategy: str
     ) -> explanations.Explanation:
         """Explain the stages of answering ``request`` without starting it."""
+        request = _completed(template, request)
         query, wanted = self._query(template, request)
         matches = self._plans.match_from(wanted.wants, strategy, Since.NOW, explained=True)
         return explanations.explain_request(
@@ -385,6 +380,15 @@ class EventRequests:
             )
 
 
+def _completed(template: AnyTemplate, request: EventRequest) -> EventRequest:
+    """The request with an argument for each parameter. Raises `BadArguments`."""
+    try:
+        arguments = completed_arguments(template, request)
+    except ArgumentError as error:
+        raise BadArguments(error.message, error.hint) from error
+    return replace(request, arguments=arguments, named=())
+
+
 def _kind(unit: QueryUnit | QueryInstance | ReasoningUnit) -> str:
     if isinstance(unit, MonitorUnit):
         return "MONITOR"
@@ -399,13 +403,3 @@ def _key(
         None if isinstance(argument, Variable) else argument for argument in request.arguments
     )
     return (template.source, arguments, strategy, since)
-
-
-def _argument_text(argument: object) -> str:
-    """Write an argument as in the text of a request; parsing it gives the same term."""
-    if isinstance(argument, Literal):
-        pattern = _SHORT.get(argument.datatype.value)
-        if pattern is not None and pattern.fullmatch(argument.value):
-            return argument.value
-    text = str(argument)
-    return shorten(text[1:-1]) if text.startswith("<") else text

@@ -151,8 +151,7 @@ class Subscriptions:
         """Yield the node of each subscription, and the stream that has its samples."""
         for id in self._subscriptions:
             view = self.view(id)
-            state = "running" if view.failure is None else "failed"
-            text = f"{view.source} {view.policy}".rstrip()
+            state, text = view.state, f"{view.source} {view.policy}".rstrip()
             if view.adaptive is not None:
                 state, text = view.adaptive.state, view.adaptive.want
             yield Node(NodeKind.SUBSCRIPTION, id, text, state), view.stream
@@ -161,10 +160,8 @@ class Subscriptions:
         """The view of a subscription. Raises `UnknownRequest`."""
         subscription = self._get(id)
         if isinstance(subscription, AdaptiveSubscription):
-            return replace(
-                _adaptive_view(subscription),
-                failure=self._configuration.failure_of(subscription.unit),
-            )
+            state, failure = self._configuration.state_of(subscription.unit, subscription.output)
+            return replace(_adaptive_view(subscription), state=state, failure=failure)
         unit = subscription.unit
         counters: dict[str, object] = {}
         violations = None
@@ -172,15 +169,18 @@ class Subscriptions:
             counters = counts_of(unit)
             violations = None if unit.violations is None else unit.violations.name
         last = unit or self._configuration.units.get(subscription.source.name)
+        answer = subscription.source if unit is None else unit.output
+        state, failure = self._configuration.state_of(last, answer)
         return SubscriptionView(
             id=id,
             source=subscription.source.name,
             policy=format_policy(subscription.policy),
             since=str(subscription.since),
-            stream=subscription.source.name if unit is None else unit.output.name,
+            stream=answer.name,
             counters=counters,
             violations=violations,
-            failure=None if last is None else self._configuration.failure_of(last),
+            state=state,
+            failure=failure,
         )
 
     def _get(self, id: str) -> _Subscription | AdaptiveSubscription:

@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 from pyoxigraph import Variable as RdfVariable
 
+from ..arguments import Defaults
 from ..errors import Span
 from ..mtl.ast import Binding, Measured, Number, Slot, Symbol, Text, TimePoint, Truth, Variable
 
@@ -160,3 +161,8 @@ class ChronicleTemplate:
     def parameters(self) -> tuple[RdfVariable, ...]:
         """The parameters, as those of a C-SPARQL template."""
         return tuple(RdfVariable(slot.variable.name) for slot in self.slots)
+
+    @property
+    def defaults(self) -> Defaults:
+        """The defaults of the parameters."""
+        return tuple(slot.default for slot in self.slots)

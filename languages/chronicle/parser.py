@@ -15,6 +15,7 @@ from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ...streams.time import parse_time
+from ..arguments import PARAMETERS
 from ..errors import LanguageError, Span
 from ..mtl.ast import Number, Slot, Symbol, TimePoint, Truth
 from ..mtl.terms import TermReader
@@ -48,7 +49,7 @@ _SPACE: Final = r"(?>\s|(?:#|//)[^\n\r]*(?=[\n\r]|\Z))*"
 _PREFIXES: Final = rf"(?>(?i:prefix)\b{_SPACE}(?:[A-Za-z_][\w-]*)?:{_SPACE}<[^<>]*>{_SPACE})*"
 _REGISTER: Final = (
     rf"(?>(?i:register){_SPACE}(?:(?i:stream)\s+[^\s(){{}}]+"
-    rf"|(?i:template)\s+[^()]*\([^()]*\)){_SPACE}(?i:as)\b{_SPACE}{_PREFIXES})?"
+    rf"|(?i:template)\s+[^()]*{PARAMETERS}){_SPACE}(?i:as)\b{_SPACE}{_PREFIXES})?"
 )
 _CHRONICLE: Final = re.compile(_SPACE + _PREFIXES + _REGISTER + r"chronicle(?![A-Za-z0-9_:])")
 
@@ -113,6 +114,7 @@ class _Reader(TermReader):
             for each in trees(tree)
             if each.data == "prefix"
         }
+        self._declared = {name[:-1]: iri for name, iri in self._prefixes.items()}
 
     def error(self, message: str, span: Span, hint: str) -> LanguageError:
         return LanguageError(message, self._source, span, hint)
@@ -132,6 +134,7 @@ class _Reader(TermReader):
         name = self.symbol(nodes[0])
         iri = possible_iris(name.text, name.span, self._source)[0]
         slots = self.slots(nodes[1:-1])
+        self.check_defaults(slots)
         return ast.ChronicleTemplate(iri, slots, self.chronicle(nodes[-1], None), self._source)
 
     def slots(self, nodes: Sequence[Tree[Token]]) -> tuple[Slot, ...]:

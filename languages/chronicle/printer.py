@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import assert_never
 
 from ...streams.time import format_duration
-from ..mtl.ast import Binding, Slot
-from ..mtl.printer import format_formula
+from ..mtl.ast import Binding
+from ..mtl.printer import format_formula, format_slot
 from . import ast
 
 
@@ -19,14 +19,14 @@ def format_chronicle(chronicle: ast.Chronicle) -> str:
 
 def format_chronicle_template(template: ast.ChronicleTemplate) -> str:
     """Return the template as text. Law: `parse_chronicle_template` reads it back."""
-    slots = ", ".join(map(_slot, template.slots))
+    slots = ", ".join(map(format_slot, template.slots))
     return (
         f"REGISTER TEMPLATE <{template.name}>({slots}) AS\n{format_chronicle(template.chronicle)}"
     )
 
 
 def _lines(chronicle: ast.Chronicle) -> Iterator[str]:
-    slots = ", ".join(map(_slot, chronicle.parameters))
+    slots = ", ".join(map(format_slot, chronicle.parameters))
     yield f"chronicle {chronicle.name}{f'({slots})' if slots else ''} {{"
     yield from (f"  {_clause(each)};" for each in chronicle.clauses)
     if chronicle.emitted is not None:
@@ -121,7 +121,3 @@ def _duration(duration: ast.Duration) -> str:
     if not duration:
         return "0s"
     return f"-{format_duration(-duration)}" if duration < 0 else format_duration(duration)
-
-
-def _slot(slot: Slot) -> str:
-    return f"?{slot.variable.name}" + (f" in {slot.sort.text}" if slot.sort else "")

@@ -26,7 +26,7 @@ from .body import (
 from .functions import TIMESTAMP, VALID_TIME
 from .parser import parse_query, parse_template, required_parameters
 from .printer import format_query
-from .requests import parse_argument, parse_event_request
+from .requests import parse_argument, parse_event_request, request_of
 
 __all__ = [
     "TIMESTAMP",
@@ -53,6 +53,7 @@ __all__ = [
     "parse_event_request",
     "parse_query",
     "parse_template",
+    "request_of",
     "required_parameters",
     "term_text",
     "with_streams",

@@ -16,6 +16,7 @@ from pyoxigraph import Variable
 from ...rdf.dictionary import Term
 from ...sparql.ast import Expression, Query
 from ...sparql.ast import Form as Form
+from ..arguments import Argument, Defaults
 from ..errors import Span
 
 
@@ -138,13 +139,15 @@ class Template:
     parameters: tuple[Variable, ...]
     query: ContinuousQuery
     source: str
+    defaults: Defaults
 
 
 @dataclass(frozen=True, slots=True)
 class EventRequest:
-    """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``: each argument is a term or a free
-    variable."""
+    """``dyknow:HighSpeedEvent(?o, dyknow:UAV, ?threshold = 100)``: each argument is a term or a
+    free variable. ``named``: those after the ``arguments``, each with its parameter's name."""
 
     event: str
-    arguments: tuple[Term | Variable, ...]
+    arguments: tuple[Argument, ...]
     source: str
+    named: tuple[tuple[str, Argument], ...] = ()

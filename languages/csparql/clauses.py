@@ -16,6 +16,7 @@ from pyoxigraph import NamedNode, Variable
 from ...sparql.ast import Expression, FunctionCall, Graph, Group, Query
 from ...sparql.parser import FORMS, QueryReader
 from ...sparql.tokens import Kind, Token
+from ..arguments import DEFAULT_HINT, Default, check_order, default_at
 from ..errors import LanguageError, Span
 from .aggregate import read_aggregate
 from .ast import Aggregation, StreamClause, StreamOperator, Window
@@ -42,6 +43,7 @@ class Clauses:
     kind: str = ""
     name: Token | None = None
     parameters: list[Token] = field(default_factory=list)
+    defaults: list[Default | None] = field(default_factory=list)
     every: int | None = None
     dataset: Dataset = field(default_factory=Dataset)
     window: Window | None = None
@@ -132,9 +134,13 @@ class ClauseReader(QueryReader):
             if any(token.text[1:] == other.text[1:] for other in self.found.parameters):
                 raise self.error(f"the parameter `{token.text}` occurs twice", token)
             self.found.parameters.append(self.take())
+            self.found.defaults.append(default_at(self) if self.accept_mark("=") else None)
             if not self.is_mark(")"):
-                self.expect_mark(",", "separate parameters by commas")
+                hint = DEFAULT_HINT if self.found.defaults[-1] else "separate parameters by commas"
+                self.expect_mark(",", hint)
         self.take()
+        named = [(token.text[1:], token.span) for token in self.found.parameters]
+        check_order(named, tuple(self.found.defaults), self.source)
         self.group_parameters = frozenset(token.text[1:] for token in self.found.parameters)
 
     def after_form(self) -> None:

@@ -46,7 +46,8 @@ def parse_query(source: str) -> ContinuousQuery:
 
 
 def parse_template(source: str) -> Template:
-    """Parse a ``REGISTER TEMPLATE name(?parameters) … AS`` text ([Events14 §IV.B]).
+    """Parse a ``REGISTER TEMPLATE name(?parameters) … AS`` text ([Events14 §IV.B]). A
+    parameter may have a default: ``?limit = 100``.
 
     Raises the errors of `parse_query`, and `LanguageError` for a parameter that the body does not
     use or assigns itself.
@@ -68,7 +69,7 @@ def parse_template(source: str) -> Template:
         )
     query = _query(source)
     parameters = tuple(Variable(token.text[1:]) for token in found.parameters)
-    return Template(query.name, parameters, query, source)
+    return Template(query.name, parameters, query, source, tuple(found.defaults))
 
 
 def required_parameters(template: Template) -> tuple[Variable, ...]:

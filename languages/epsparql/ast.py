@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 from pyoxigraph import NamedNode, Variable
 
 from ...sparql.ast import Expression, Form, SelectItem, Triple, Triples
+from ..arguments import Defaults
 from ..errors import Span
 
 DURATION: Final = "getDURATION"
@@ -88,7 +89,7 @@ class EpSparqlQuery:
     |---|---|
     | ``name`` | as registered, a plain name or an IRI; "" without REGISTER |
     | ``kind`` | STREAM, QUERY or TEMPLATE; "" without REGISTER |
-    | ``parameters`` | those of a template |
+    | ``parameters``, ``defaults`` | those of a template |
     | ``projection`` | the items of SELECT; None for ``*`` and for other forms |
     | ``template`` | the triples of CONSTRUCT; None for other forms |
     | ``graphs`` | the IRIs of FROM and of FROM NAMED: static graphs |
@@ -99,6 +100,7 @@ class EpSparqlQuery:
     name: str
     kind: str
     parameters: tuple[Variable, ...]
+    defaults: Defaults
     form: Form
     projection: tuple[SelectItem, ...] | None
     template: tuple[Triple, ...] | None

@@ -141,6 +141,7 @@ class _Reader(ClauseReader):
             name_of(self.found, self),
             self.found.kind,
             tuple(Variable(token.text[1:]) for token in self.found.parameters),
+            tuple(self.found.defaults),
             Form(form.text.upper()),
             projection,
             template,

@@ -19,7 +19,7 @@ def format_epsparql(query: EpSparqlQuery) -> str:
     lines = [f"PREFIX {prefix}: <{iri}>" for prefix, iri in query.prefixes.items()]
     if query.name:
         name = f"<{query.name}>" if ":" in query.name else query.name
-        parameters = f"({', '.join(map(str, query.parameters))})" if query.is_template else ""
+        parameters = f"({', '.join(_parameters(query))})" if query.is_template else ""
         lines.append(f"REGISTER {query.kind} {name}{parameters} AS")
     lines.append(_head(query, printer))
     static, named = query.graphs
@@ -32,6 +32,11 @@ def format_epsparql(query: EpSparqlQuery) -> str:
     if query.max_delay is not None:
         lines.append(f"WITH MAX DELAY {format_duration(query.max_delay)}")
     return "\n".join(lines) + "\n"
+
+
+def _parameters(query: EpSparqlQuery) -> Iterator[str]:
+    for parameter, default in zip(query.parameters, query.defaults, strict=True):
+        yield f"{parameter}{f' = {default}' if default else ''}"
 
 
 def _head(query: EpSparqlQuery, printer: Printer) -> str:

@@ -14,6 +14,7 @@ from pyoxigraph import Variable as RdfVariable
 
 from ...ontology.units import Unit
 from ...streams.policies.policy import SynchronizationPolicy
+from ..arguments import Default, Defaults
 from ..errors import Span
 
 
@@ -264,11 +265,12 @@ class Monitor:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """``?x``, or ``?x in Car``: a parameter of a template."""
+    """``?x``, ``?x in Car`` or ``?limit = 100``: a parameter of a template."""
 
     variable: Variable
     sort: Symbol | None
     span: Span = attribute(compare=False)
+    default: Default | None = None
 
 
 @dataclass(frozen=True)
@@ -288,3 +290,8 @@ class FormulaTemplate:
     def parameters(self) -> tuple[RdfVariable, ...]:
         """The parameters, as those of a C-SPARQL template."""
         return tuple(RdfVariable(slot.variable.name) for slot in self.slots)
+
+    @property
+    def defaults(self) -> Defaults:
+        """The defaults of the parameters."""
+        return tuple(slot.default for slot in self.slots)

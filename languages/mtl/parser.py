@@ -17,6 +17,7 @@ from lark.exceptions import UnexpectedInput
 from ...rdf.namespaces import local_name
 from ...streams.policies.policy import SynchronizationPolicy
 from ...streams.time import parse_time
+from ..arguments import PARAMETERS
 from ..errors import LanguageError, Span
 from ..kpl import ast as kpl
 from ..kpl.constraints import to_synchronization
@@ -52,7 +53,7 @@ _SPACE: Final = r"(?:\s|(?:#|//)[^\n\r]*(?=[\n\r]|\Z))*"
 _MONITOR: Final = re.compile(_SPACE + r"monitor(?![A-Za-z0-9_:])")
 _TEMPLATE: Final = re.compile(
     _SPACE
-    + r"(?i:register)\s+(?i:template)\s[^()]*\([^()]*\)\s*(?i:as)\b"
+    + rf"(?i:register)\s+(?i:template)\s[^()]*{PARAMETERS}\s*(?i:as)\b"
     + _SPACE
     + r"(?!(?i:select|construct|ask|describe|prefix|base|pattern|chronicle)\b)"
     r"(?:(?:always|eventually|historically|once|previous|not|forall|exists|true|false)\b"
@@ -177,6 +178,7 @@ class _Reader(TermReader):
         while isinstance(head := rest[0], Tree) and head.data == "slot":
             slots.append(self.slot(head, slots))
             rest.pop(0)
+        self.check_defaults(slots)
         monitor = self.body(local_name(iri), (), rest, span_of(tree))
         return ast.FormulaTemplate(iri, tuple(slots), monitor, self._source)
 

@@ -24,11 +24,14 @@ def format_monitor(monitor: ast.Monitor) -> str:
 
 def format_formula_template(template: ast.FormulaTemplate) -> str:
     """Return the template as text, on one line. Law: `parse_formula_template` reads it back."""
-    slots = ", ".join(
-        f"?{slot.variable.name}" + (f" in {slot.sort.text}" if slot.sort else "")
-        for slot in template.slots
-    )
+    slots = ", ".join(map(format_slot, template.slots))
     return f"REGISTER TEMPLATE <{template.name}>({slots}) AS {_body(template.monitor)}"
+
+
+def format_slot(slot: ast.Slot) -> str:
+    """Return a parameter of a template as text."""
+    sort = f" in {slot.sort.text}" if slot.sort else ""
+    return f"?{slot.variable.name}{sort}{f' = {slot.default}' if slot.default else ''}"
 
 
 def _body(monitor: ast.Monitor) -> str:

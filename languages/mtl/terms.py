@@ -10,6 +10,7 @@ from typing import Final
 from lark import Token, Tree
 
 from ...streams.time import parse_duration
+from ..arguments import check_order, default_in
 from ..errors import LanguageError
 from ..ssl.parser import read_units
 from ..syntax import span_of, tokens, trees, unquoted
@@ -37,6 +38,8 @@ class TermReader:
 
     def __init__(self, source: str) -> None:
         self._source = source
+        self._declared: dict[str, str] = {}
+        """The declared prefixes."""
 
     def slot(self, tree: Tree[Token], before: Sequence[ast.Slot]) -> ast.Slot:
         variable = self.variable(tokens(tree, "VARIABLE")[0])
@@ -47,8 +50,23 @@ class TermReader:
                 variable.span,
                 "give the second another name",
             )
-        sorts = trees(tree)
-        return ast.Slot(variable, self.symbol(sorts[0]) if sorts else None, span_of(tree))
+        parts = {str(each.data): each for each in trees(tree)}
+        sort = self.symbol(parts["symbol"]) if "symbol" in parts else None
+        default = None
+        if "default" in parts:
+            sign = tokens(tree, "COMPARISON")[0]
+            if sign != "=":
+                hint = "write `=` before a default"
+                raise LanguageError(
+                    f"`{sign}` is not allowed here", self._source, span_of(sign), hint
+                )
+            default = default_in(self._source, span_of(parts["default"]), self._declared)
+        return ast.Slot(variable, sort, variable.span if default else span_of(tree), default)
+
+    def check_defaults(self, slots: Sequence[ast.Slot]) -> None:
+        """Refuse a parameter without a default after one that has one."""
+        names = [(slot.variable.name, slot.variable.span) for slot in slots]
+        check_order(names, tuple(slot.default for slot in slots), self._source)
 
     def binding(self, tree: Tree[Token]) -> ast.Binding:
         variable = self.variable(tokens(tree, "VARIABLE")[0])

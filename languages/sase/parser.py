@@ -15,6 +15,7 @@ from lark.exceptions import UnexpectedInput
 
 from ...rdf.namespaces import local_name
 from ...streams.time import parse_time
+from ..arguments import PARAMETERS
 from ..errors import LanguageError, Span
 from ..mtl.ast import Number, Slot, Symbol, Text, TimePoint, Truth, Variable
 from ..mtl.terms import TermReader
@@ -42,7 +43,7 @@ _SPACE: Final = r"(?>(?:\s|(?:#|//)[^\n\r]*)*)"
 _SASE: Final = re.compile(
     _SPACE
     + rf"(?:prefix{_SPACE}[\w-]*:{_SPACE}<[^<>\s]*>{_SPACE})*"
-    + rf"(?:register\s+(?:(?:stream|query)\s+[^\s()]+\s|template\s[^()]*\([^()]*\)){_SPACE}as\b)?"
+    + rf"(?:register\s+(?:(?:stream|query)\s+[^\s()]+\s|template\s[^()]*{PARAMETERS}){_SPACE}as\b)?"
     + rf"{_SPACE}(?:from\s+[^\s()]+\s{_SPACE})?pattern(?![\w:])",
     re.IGNORECASE,
 )
@@ -126,6 +127,7 @@ class _Reader(TermReader):
             for each in trees(tree)
             if each.data == "prefix"
         }
+        self._declared = {name[:-1]: iri for name, iri in self._prefixes.items()}
 
     def error(self, message: str, span: Span, hint: str) -> LanguageError:
         return LanguageError(message, self._source, span, hint)
@@ -157,6 +159,7 @@ class _Reader(TermReader):
         slots: list[Slot] = []
         for each in rest:
             slots.append(self.slot(each, slots))
+        self.check_defaults(slots)
         return ast.PatternTemplate(
             iri, tuple(slots), self.pattern(body, local_name(iri)), self._source
         )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from ...streams.time import format_duration
-from ..mtl.printer import format_formula
+from ..mtl.printer import format_formula, format_slot
 from . import ast
 
 _SUM, _PRODUCT, _FACTOR = range(3)
@@ -22,10 +22,7 @@ def format_sase(pattern: ast.Pattern) -> str:
 
 def format_sase_template(template: ast.PatternTemplate) -> str:
     """Return the template as text. Law: `parse_sase_template` reads it back."""
-    slots = ", ".join(
-        f"?{slot.variable.name}" + (f" in {slot.sort.text}" if slot.sort else "")
-        for slot in template.slots
-    )
+    slots = ", ".join(map(format_slot, template.slots))
     body = "\n".join(_clauses(template.pattern))
     return f"REGISTER TEMPLATE <{template.name}>({slots}) AS\n{body}"
 

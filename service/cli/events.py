@@ -161,7 +161,7 @@ def _list(client: Client, as_json: bool) -> None:
                 e["id"],
                 shorten(e["event"]),
                 e["arguments"],
-                e["stream"] if e["state"] == "running" else e["state"],
+                _stream_and_state(e),
             )
             for e in found
         ],
@@ -171,6 +171,17 @@ def _list(client: Client, as_json: bool) -> None:
     for each in found:
         if each["failure"]:
             show_text(f"{each['id']} {each['state']}: {each['failure']}")
+
+
+def _stream_and_state(request: Mapping[str, Any]) -> str:
+    """The stream that answers a request, or why there is none."""
+    match request["state"]:
+        case "running":
+            return str(request["stream"])
+        case "ended":
+            return f"{request['stream']} (ended)"
+        case state:
+            return str(state)
 
 
 def stream_units(client: Client, stream: str) -> dict[str, str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
@@ -49,7 +50,7 @@ def add(
     if as_json:
         show_json(found)
     else:
-        show_text(f"registered {found['local_name']}({', '.join(found['parameters'])})")
+        show_text(f"registered {found['local_name']}({_parameters(found)})")
 
 
 @template.command("list")
@@ -62,7 +63,7 @@ def list_templates(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         return
     show_table(
         ["template", "parameters", "event"],
-        [(t["local_name"], ", ".join(t["parameters"]), t["name"]) for t in found],
+        [(t["local_name"], _parameters(t), t["name"]) for t in found],
         empty="no templates yet: dyknow template add FILE",
     )
 
@@ -99,3 +100,11 @@ def _shipped(name: str) -> str:
     if name not in texts:
         raise fail(f"the package has no template {name!r}", f"it has {', '.join(texts)}")
     return texts[name]
+
+
+def _parameters(template: Mapping[str, Any]) -> str:
+    """The parameters of a template, with their defaults."""
+    return ", ".join(
+        each["name"] if each["default"] is None else f"{each['name']} = {each['default']}"
+        for each in template["uses"]
+    )

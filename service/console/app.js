@@ -1,6 +1,6 @@
 // The frame: pages, keys, theme, what is wrong. A page is loaded when it is first opened.
 import { effect, html, render, signal, useEffect, useRef } from "./vendor/preact.js";
-import { connection, held, history, requests, session, start, stateOf, status, streams, wrong } from "./state.js";
+import { connection, held, history, requests, session, start, status, streams, wrong } from "./state.js";
 import { count, plural, rate } from "./format.js";
 import { ask } from "./http.js";
 import { say, theme, toast } from "./widgets.js";
@@ -66,12 +66,12 @@ function Connection() {
 }
 
 function Counts() {
-  const now = history.value.at(-1), states = Map.groupBy(requests.value, stateOf);
+  const now = history.value.at(-1), states = Map.groupBy(requests.value, (each) => each.state);
   const number = (state) => states.get(state)?.length ?? 0;
   const apart = ["failed", "ended"].filter(number).map((state) => `, ${count(number(state))} ${state}`);
   return html`<span class="row counts small muted num wide">
     <span>${plural(streams.value.length, "stream")}</span><span>${plural(requests.value.length - number("failed") - number("ended"), "request")}${apart}</span>
-    <span>${rate(now?.in)} in</span><span>${rate(now?.out)} out</span></span>`;
+    <span class="rates">${rate(now?.in)} in</span><span class="rates">${rate(now?.out)} out</span></span>`;
 }
 
 async function leave() {

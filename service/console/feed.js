@@ -2,10 +2,11 @@
 // at them four times a second, however many arrive.
 import { effect, signal } from "./vendor/preact.js";
 import { address, ask, follow } from "./http.js";
-import { byName, held, moment, objectField, pace, place, requests, streams } from "./state.js";
+import { byName, held, moment, objectField, place, requests, streams } from "./state.js";
 
 const EVENTS = 2_000, POINTS = 600, OBJECTS = 200, TRACKS = 5_000, TRACK_POINTS = 120;
 const TICK = 250, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
+const MOST_PLOTTED = 10_000, INTERVALS = 300;
 const PLAYED_PAST = 120_000, FAST = 5_000, LEAST = 0.05;
 
 /** The newest samples in the shapes that pages draw. */
@@ -110,12 +111,13 @@ function note({ stream, available, valid, values }) {
   live.note(stream, valid, values);
 }
 
+const history = (name, bounds) => ask(address(`/streams/${encodeURIComponent(name)}/samples`, bounds));
+
 /** The kept samples of streams, in the order of their valid times; `bounds` of a stream are the
     parameters of its history. */
 async function kept(names, bounds) {
   const lists = await Promise.all(names.map(async (stream) => {
-    const path = address(`/streams/${encodeURIComponent(stream)}/samples`, bounds(stream));
-    const samples = await ask(path).catch(() => []);
+    const samples = await history(stream, bounds(stream)).catch(() => []);
     return samples.map(({ available, valid, ...values }) => ({ stream, available, valid, values }));
   }));
   return lists.flat().sort((a, b) => (isLater(a.valid, b.valid) ? 1 : -1));
@@ -216,7 +218,7 @@ effect(() => {
   const all = new Set([...requests.value.map((request) => request.stream), extra.value]);
   const newest = new Set();
   for (const stream of streams.value) {
-    if (stream.producer || pace(stream) >= FAST || !place(stream) || all.has(stream.name)) continue;
+    if (stream.producer || stream.rate >= FAST || !place(stream) || all.has(stream.name)) continue;
     (hasObjects(stream) ? newest : all).add(stream.name);
   }
   const wanted = (names) =>
@@ -229,10 +231,39 @@ effect(() => {
 
 let wish = 0;
 const followed = () => [...events.names, ...positions.names];
-/** The earliest time (ms) that all is kept since, of the streams that are followed. */
-export function oldest() {
-  const times = followed().map((name) => byName.value.get(name)?.first_available).filter(Boolean);
-  return times.length ? Math.min(...times.map((time) => Date.parse(time))) : Date.now();
+/** The valid time (ms) of the oldest kept sample of a stream; null: it has none. */
+async function oldestOf(name) {
+  const from = byName.value.get(name)?.first_available;
+  if (!from) return null;
+  const [first] = await history(name, { from, limit: 1 }).catch(() => []);
+  return first ? Date.parse(first.valid) : null;
+}
+
+/** The valid time (ms) of the oldest kept sample of the streams that are followed; null: there is none. */
+export async function oldest() {
+  const times = (await Promise.all(followed().map(oldestOf))).filter((time) => time !== null);
+  return times.length ? Math.min(...times) : null;
+}
+
+/** The valid time (ms) of the newest sample of the streams that are followed. */
+export function newest() {
+  const times = followed().map((name) => byName.value.get(name)?.last_valid).filter(Boolean);
+  return times.length ? Math.max(...times.map((time) => Date.parse(time))) : Date.now();
+}
+
+/** The kept history of a field: lines [object, [time in s, value][]], the most recent first. Where there
+    are many samples, the last of each object and interval. */
+export async function past(stream, field) {
+  const id = objectField(stream), first = await oldestOf(stream.name);
+  if (first === null) return [];
+  const span = Date.parse(stream.last_valid) - first;
+  const isKeyed = !id || stream.ports.some((port) => port.of.some((each) => each.id === id));
+  const every = stream.kept > MOST_PLOTTED && isKeyed ? `${Math.ceil(span / INTERVALS) || 1}ms` : null;
+  const fields = [id, field].filter(Boolean).join(",");
+  const samples = await history(stream.name, { fields, every, limit: MOST_PLOTTED });
+  const lines = Map.groupBy(samples.sort((a, b) => (isLater(a.valid, b.valid) ? 1 : -1)), (each) => (id ? each[id] : ""));
+  return [...lines].map(([name, rows]) => [name, rows.map((each) => [Date.parse(each.valid) / 1000, each[field]])])
+    .sort((a, b) => b[1].at(-1)[0] - a[1].at(-1)[0]);
 }
 
 /** Show how it was at `time` (ms), or the present again for null. */

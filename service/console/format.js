@@ -33,6 +33,17 @@ export function bytes(value) {
 
 export const clock = (time) => new Date(time).toLocaleTimeString("en-GB", { hour12: false });
 
+/** The day, as 2026-05-04. */
+export const day = (time) => new Date(time).toLocaleDateString("en-CA");
+
+/** The time of day, with its milliseconds if it has some, after the date where that is not the day of
+    `near`. */
+export function stamp(time, near = Date.now()) {
+  const part = new Date(time).getMilliseconds();
+  const exact = part ? `${clock(time)}.${String(part).padStart(3, "0")}` : clock(time);
+  return day(time) === day(near) ? exact : `${day(time)} ${exact}`;
+}
+
 /** 1 unit, 2 units. */
 export const plural = (number, noun) => `${count(number)} ${noun}${number === 1 ? "" : "s"}`;
 

@@ -83,26 +83,21 @@ export const numbers = (stream) =>
 export const silence = (stream) => stream.last_available && status.value
   ? (Date.parse(status.value.now) - Date.parse(stream.last_available)) / 1000 : null;
 
-/** Samples a second; a stream that has ended still knows the rate that it had. */
-export const pace = (stream) => (stream?.ended ? 0 : stream?.rate);
-
-/** running, failed, ended as its stream has, or what else the service says. */
-export function stateOf(request) {
-  if (!["running", "ended"].includes(request.state)) return request.state;
-  return byName.value.get(request.stream)?.ended ? "ended" : "running";
-}
-
 // -- polling -----------------------------------------------------------------------------------------
 
 function rateOf(list) {
-  return list.reduce((sum, stream) => sum + (pace(stream) ?? 0), 0);
+  return list.reduce((sum, stream) => sum + (stream?.rate ?? 0), 0);
 }
+
+/** The streams that have ended: the states of requests follow them. */
+const endedOf = (list) => list.filter((each) => each.ended).map((each) => each.name).join();
 
 async function look() {
   try {
     const [now, list, running, found] = await Promise.all(
       ["/status", "/streams", "/units", "/problems"].map((path) => ask(path)));
     batch(() => {
+      if (endedOf(list) !== endedOf(streams.value)) refreshSoon();
       status.value = now;
       streams.value = list;
       units.value = running;
@@ -141,7 +136,7 @@ function queryRequest(one) {
 function subscriptionRequest(one) {
   const want = one.adaptive?.want.replaceAll("dyknow:", "");
   return request("subscription", want ?? one.source, {
-    id: one.id, stream: one.stream, state: one.adaptive?.state ?? (one.failure ? "failed" : "running"),
+    id: one.id, stream: one.stream, state: one.state === "running" ? one.adaptive?.state ?? one.state : one.state,
     problem: one.failure ?? one.adaptive?.missing.join("; ") ?? null, adaptive: one.adaptive,
     chips: one.policy ? [one.policy] : [], address: `/subscriptions/${one.id}`,
   });

@@ -1,7 +1,7 @@
 // Small parts that all pages use.
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "./vendor/preact.js";
 import uPlot from "./vendor/uplot.js";
-import { clock, value } from "./format.js";
+import { clock, day, stamp, value } from "./format.js";
 
 const dark = matchMedia("(prefers-color-scheme: dark)").matches;
 export const theme = signal(localStorage.theme ?? (dark ? "dark" : "light"));
@@ -127,8 +127,13 @@ function nearest(plot, names) {
   if (top < 0 || !idxs) return null;
   const away = (i) => Math.abs(plot.valToPos(plot.data[i][idxs[i]], "y") - top);
   const [i] = names.map((_, at) => at + 1).filter((at) => plot.data[at]?.[idxs[at]] != null).sort((a, b) => away(a) - away(b));
-  return i === undefined ? null : `${names[i - 1]} ${value(plot.data[i][idxs[i]])} at ${clock(1000 * plot.data[0][idxs[i]])}`;
+  return i === undefined ? null : `${names[i - 1]} ${value(plot.data[i][idxs[i]])} at ${stamp(1000 * plot.data[0][idxs[i]])}`;
 }
+
+const TWO_DAYS = 172_800;
+/** Times of day; over several days the days. */
+const timeLabels = (_, ticks) => ticks.map((t) =>
+  (ticks.at(-1) - ticks[0] > TWO_DAYS ? day(t * 1000) : clock(t * 1000)));
 
 function options(number, focus, zero) {
   const font = `11px ${style("--sans")}`;
@@ -145,7 +150,7 @@ function options(number, focus, zero) {
     legend: { show: false }, padding: [10, 12, 0, 0], cursor: { y: false, points: { size: 5 } },
     scales: { x: { time: true }, ...(zero ? { y: fromZero } : {}) },
     axes: [
-      { ...axis, size: 28, space: 70, values: (_, ticks) => ticks.map((t) => clock(t * 1000)) },
+      { ...axis, size: 28, space: 70, values: timeLabels },
       { ...axis, size: 52, values: (_, ticks) => ticks.map((v) => v.toLocaleString("en-US")) },
     ],
     series: [{}, ...Array.from({ length: number - 1 }, (_, i) => line(i + 1))],

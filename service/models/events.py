@@ -33,6 +33,9 @@ class ParameterModel(BaseModel):
         description="of the feature with the argument: `>` means above it"
     )
     aggregate: str | None = Field(description="the aggregate of the feature that is compared")
+    default: str | None = Field(
+        description="the argument of a request that leaves this one out; null: none may"
+    )
 
     @classmethod
     def of(cls, use: ParameterUse) -> ParameterModel:
@@ -70,7 +73,8 @@ class TemplateModel(BaseModel):
 
 
 class EventIn(Body):
-    """A request for an event. An argument is text: ``?o``, ``dyknow:UAV``, ``100``."""
+    """A request for an event. An argument is text: ``?o``, ``dyknow:UAV``, ``100``. The last ones
+    may name their parameters: ``?threshold = 100``. One with a default may be left out."""
 
     event: Name
     arguments: list[Annotated[str, StringConstraints(max_length=8192)]] = Field(
@@ -178,8 +182,9 @@ class EventModel(BaseModel):
         "waits"
     )
     since: str = Field(description="as requested; a duration as the time that it stands for")
-    state: Literal["running", "failed", "waiting"] = Field(
-        description="failed: the unit that answers it was stopped, and no more samples come; "
+    state: Literal["running", "ended", "failed", "waiting"] = Field(
+        description="ended: all streams that it reads have ended; "
+        "failed: the unit that answers it was stopped, and no more samples come; "
         "waiting: an earlier run accepted it, and this one cannot start it"
     )
     failure: str | None = Field(description="why it failed or waits")
@@ -232,7 +237,7 @@ class EventModel(BaseModel):
             strategy=view.strategy,
             kind=view.kind,  # type: ignore[arg-type]
             since=view.since,
-            state="running" if view.failure is None else "failed",
+            state=view.state,  # type: ignore[arg-type]
             failure=view.failure,
             stream=view.stream,
             position=f"{epoch}-{view.position}",

@@ -217,7 +217,7 @@ class StreamModel(BaseModel):
     first_available: str | None = Field(description="the least available time of the history")
     last_available: str | None
     last_valid: str | None
-    rate: float = Field(description="recent samples per second of available time")
+    rate: float = Field(description="recent samples per second of available time; 0: ended")
     lag: str | None = Field(description="how late the newest sample became available")
     silent_for: str | None = Field(
         description="time since the newest sample became available, by the service's clock"

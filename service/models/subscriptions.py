@@ -109,9 +109,9 @@ class SubscriptionModel(BaseModel):
     source: str = Field(description="the stream; the feature, if one to a feature waits")
     policy: str = Field(description="as KPL, integers in ms; as written, if it waits")
     since: str = Field(description="as requested; a duration as the time that it stands for")
-    state: Literal["running", "failed", "waiting"] = Field(
-        description="failed: its source was stopped, and no more samples come; waiting: an earlier "
-        "run accepted it, and this one cannot start it"
+    state: Literal["running", "ended", "failed", "waiting"] = Field(
+        description="ended: its stream has; failed: its source was stopped, and no more samples "
+        "come; waiting: an earlier run accepted it, and this one cannot start it"
     )
     failure: str | None = Field(description="why it failed or waits")
     stream: str | None
@@ -146,7 +146,7 @@ class SubscriptionModel(BaseModel):
             source=view.source,
             policy=view.policy,
             since=view.since,
-            state="running" if view.failure is None else "failed",
+            state=view.state,  # type: ignore[arg-type]
             failure=view.failure,
             stream=view.stream,
             counters=dict(view.counters),

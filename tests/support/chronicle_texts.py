@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 
+from default_drawing import with_defaults
+
 from dyknow.languages.chronicle import ast
 from dyknow.languages.errors import Span
 from dyknow.languages.mtl.ast import (
@@ -40,9 +42,10 @@ class ChronicleTexts:
         return ast.Chronicle("N", self.slots(names), clauses, emitted, stream, delay, NOWHERE)
 
     def template(self) -> ast.ChronicleTemplate:
-        slots = self.slots(["a"])
-        chronicle = ast.Chronicle("N", slots, (self.clause(),), None, None, None, NOWHERE)
-        return ast.ChronicleTemplate("http://example.org/N", self.slots(["a", "b"]), chronicle, "")
+        parameters = self.slots(["a"])
+        chronicle = ast.Chronicle("N", parameters, (self.clause(),), None, None, None, NOWHERE)
+        slots = with_defaults(self.slots(["a", "b"]), self.random)
+        return ast.ChronicleTemplate("http://example.org/N", slots, chronicle, "")
 
     def slots(self, names: list[str]) -> tuple[Slot, ...]:
         variables = (Variable(name, NOWHERE) for name in names)

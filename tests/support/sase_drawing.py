@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from random import Random
 
+from default_drawing import with_defaults
+
 from dyknow.languages.errors import Span
 from dyknow.languages.mtl.ast import (
     Measured,
@@ -63,6 +65,7 @@ class TextDrawing:
             for name in names
         )
         pattern = replace(self.pattern(), name="e")
+        slots = with_defaults(slots, self.random)
         return ast.PatternTemplate("http://example.org/e", slots, pattern, "")
 
     def part(self) -> ast.Part:

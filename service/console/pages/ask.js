@@ -1,7 +1,7 @@
 // Say what you want to know: a template, its arguments, the plan that would answer it, and why.
 // Nothing starts before Start.
 import { html, useEffect, useState } from "../vendor/preact.js";
-import { byName, isKnown, may, pace, refresh, requests, templates, vocabulary } from "../state.js";
+import { byName, isKnown, may, refresh, requests, templates, vocabulary } from "../state.js";
 import { shown, tick } from "../feed.js";
 import { local, plural, rate, unit, value, words } from "../format.js";
 import { ask, explain } from "../http.js";
@@ -32,12 +32,14 @@ function Argument({ use, text, write }) {
     : use.role === "feature" ? named(vocabulary.value.features.map((each) => local(each.name))) : null;
   const help = use.role === "object" ? "empty: every one"
     : use.feature ? `${AGGREGATES[use.aggregate] ?? ""} ${local(use.feature)}` : "";
+  const isDefault = text === initial(use), usual = initial(use) || "any";
+  const notes = [help, use.default !== null && (isDefault ? "the default" : `default ${usual}`)].filter(Boolean);
   return html`<div class="field"><label for=${id}>${label}</label>
     ${options ? html`<${Choice} id=${id} current=${text} options=${options} choose=${write} />`
       : html`<span class="row"><input id=${id} type=${use.role === "number" ? "number" : "text"} step="any"
           placeholder=${use.role === "object" ? "any" : ""} value=${text} onInput=${(event) => write(event.target.value)} />
           ${use.unit && html`<span class="faint">${unit(use.unit)}</span>`}</span>`}
-    <small>${help}</small></div>`;
+    <small>${notes.join(", ")}</small></div>`;
 }
 
 function FeatureForm({ want, setWant }) {
@@ -87,7 +89,7 @@ function Started({ made }) {
   const numbers = event ? Object.entries(event.values).filter(([, each]) => typeof each === "number") : [];
   return html`<div class="note" role="status"><b>It runs as ${made.id}.</b>
     ${event ? html` Last: <span class="mono">${event.object}</span> ${numbers.map(([name, each]) => `${name} ${value(each)}`).join(", ")}.` : " It waits for the first event."}
-    ${stream && ` ${rate(pace(stream))}`} <a href=${`#live/${encodeURIComponent(made.stream)}`}>Follow it</a> ·
+    ${stream && ` ${rate(stream?.rate)}`} <a href=${`#live/${encodeURIComponent(made.stream)}`}>Follow it</a> ·
     <a href=${`#graph/${encodeURIComponent(made.stream)}`}>Where it comes from</a></div>`;
 }
 
@@ -96,7 +98,7 @@ function Same({ list }) {
   return html`<div class="same"><h3 class="group">${plural(list.length, "request")} of this kind; an equal one shares its stream</h3>
     ${list.map((each) => html`<a class="item row" key=${each.id} href=${`#live/${encodeURIComponent(each.stream)}`}>
       <span class="mono faint">${each.id}</span><span class="grow"><${Chips} of=${each.chips.length ? each.chips : [each.name]} /></span>
-      <span class="faint num">${rate(pace(byName.value.get(each.stream)))}</span></a>`)}</div>`;
+      <span class="faint num">${rate(byName.value.get(each.stream)?.rate)}</span></a>`)}</div>`;
 }
 
 export default function Ask() {

@@ -1,11 +1,12 @@
 // Streams and the units that make them, from left to right. Choose one: what it is, what feeds it,
 // and what breaks without it.
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
-import { byName, held, numbers, objectField, pace, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
+import { byName, held, numbers, objectField, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
 import { chain, model, reached } from "../graph.js";
 import { curve, layout } from "../layout.js";
 import { address, ask, follow } from "../http.js";
 import { ago, clock, count, duration, rate, value } from "../format.js";
+import { Partial } from "../partial.js";
 import { Chips, Empty, Plot, Trouble, aligned, theme } from "../widgets.js";
 
 const MANY = 150, SILENT = 15, FIELDS = 6, LINES = 12, KEPT = 600, TAIL = 30, FAR = 0.45;
@@ -29,7 +30,7 @@ function lines(node, apart) {
   if (!stream) return [node.stream, ""];
   const asked = node.requests[0], more = node.requests.length > 1 ? ` × ${node.requests.length}` : "";
   const quiet = silence(stream);
-  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(pace(stream));
+  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(stream?.rate);
   const by = node.unit && !apart ? node.unit.transformation : stream.name;
   return [asked ? asked.name + more : title(stream), `${state} · ${by}`];
 }
@@ -134,7 +135,7 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
   const isDim = (id) => (hits ? !hits.has(id) : lit !== null && !lit.has(id));
   const levels = new Map(problems.value.map((each) => [each.stream, each.level]));
   const edgeClass = ([from, to]) => (lit?.has(from) && lit.has(to) ? "edge on" : isDim(from) || isDim(to) ? "edge dim" : "edge");
-  const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (pace(byName.value.get(stream)) ?? 0)));
+  const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (byName.value.get(stream)?.rate ?? 0)));
   return html`<div class="sheet"><svg class="net" ref=${svg} role="group" aria-label="stream graph"><g>
     ${graph.edges.map((edge, i) => drawn.paths[i].length > 1 && html`<path key=${edge.join()} class=${edgeClass(edge)} d=${curve(drawn.paths[i])} stroke-width=${thick(edge[2])} />`)}
     ${graph.nodes.map((node) => html`<${Node} key=${node.id} node=${node} at=${drawn.places.get(node.id)} isChosen=${node.id === chosen}
@@ -210,7 +211,7 @@ function Details({ node, graph, pick }) {
       <button class="plain" aria-label="close" onClick=${() => pick(null)}>✕</button></header>
     <div class="scroll" tabindex="0"><div class="body stack">
       ${problems.value.filter((each) => each.stream && each.stream === node.stream).map((each) => html`<div class=${`note ${each.level}`} key=${each.what}><b>${each.what}.</b> ${each.detail} ${each.hint}</div>`)}
-      ${request && html`<div class="row"><span class="grow"><${Chips} of=${request.chips} /></span><a class="small" href=${`#live/${encodeURIComponent(node.stream)}`}>Its events</a></div>`}
+      ${request && html`<div class="row"><span class="grow"><${Chips} of=${request.chips} /></span><${Partial} key=${request.id} request=${request} /><a class="small" href=${`#live/${encodeURIComponent(node.stream)}`}>Its events</a></div>`}
       <dl class="facts">
         ${stream && html`<dt>stream</dt><dd class="mono">${stream.name}</dd>`}
         ${unit && html`<dt>made by</dt><dd>${unit.transformation} <span class="faint mono">${unit.name}</span></dd>`}

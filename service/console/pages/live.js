@@ -1,28 +1,31 @@
 // What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
-import { byName, held, isKnown, may, moment, numbers, pace, place, requests, refresh, stateOf, status, streams, templates, unitOf } from "../state.js";
-import { arrivals, feedState, oldest, play, shown, tick } from "../feed.js";
-import { ago, clock, count, rate, words } from "../format.js";
+import { byName, held, isKnown, may, moment, numbers, place, requests, refresh, status, streams, templates, unitOf } from "../state.js";
+import { arrivals, feedState, newest, oldest, past, play, shown, tick } from "../feed.js";
+import { ago, clock, count, rate, stamp, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
 import { eventText } from "../terms.js";
 import { Values } from "../results.js";
+import { Partial } from "../partial.js";
 import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
 
 const STATES = ["failed", "running", "ended"];
 const LINES = 24, PLOTTED = 90, RECENT = 10;
-const LONGEST_PLAYED = 3_600_000, PLAYED_FIRST = 30_000;
+const PLAYED_FIRST = 30_000, SECOND = 1_000;
+/** A line goes on over a gap of this part of what is plotted. */
+const GAPS = 20;
 
 function Request({ request, isChosen, choose }) {
   const event = shown.value.last.get(request.stream), stream = byName.value.get(request.stream);
   const now = moment.value ?? Date.now(), age = event ? (now - event.time) / 1000 : null;
-  const state = stateOf(request), isBad = state === "failed";
+  const { state } = request, isBad = state === "failed";
   const dot = { failed: "bad", ended: "", running: age !== null && Math.abs(age) < RECENT ? "on" : "" }[state] ?? "warn";
   return html`<button class="ask-row" aria-pressed=${isChosen} onClick=${choose}>
     <span class="row"><i class=${`dot ${dot}`} title=${state}></i>
-      <span class="name cut grow">${request.name}</span><span class="faint small num">${state === "ended" ? state : rate(pace(stream))}</span></span>
+      <span class="name cut grow">${request.name}</span><span class="faint small num">${state === "ended" ? state : rate(stream?.rate)}</span></span>
     ${request.chips.length > 0 && html`<${Chips} of=${request.chips} />`}
     <span class="said cut">${request.problem ? html`<span class=${isBad ? "bad" : "warn"}>${request.problem}</span>`
       : event ? html`<span class="mono">${event.object}</span> <${Values} of=${event} />
@@ -46,7 +49,7 @@ async function end(request) {
 
 /** The states that requests are listed by, each with those that have it. */
 function groups() {
-  const states = Map.groupBy(requests.value, stateOf);
+  const states = Map.groupBy(requests.value, (each) => each.state);
   const others = [...states.keys()].filter((each) => !STATES.includes(each));
   return [...others, ...STATES].filter((each) => states.has(each)).map((each) => [each, states.get(each)]);
 }
@@ -59,7 +62,7 @@ function Proposal() {
     <code>dyknow template add --library high_speed</code>`;
 }
 
-function Requests({ chosen }) {
+function Requests({ chosen, object }) {
   const [trouble, setTrouble] = useState(null);
   const go = (request) => {
     location.hash = request === chosen ? "live" : `live/${encodeURIComponent(request.stream)}`;
@@ -76,6 +79,7 @@ function Requests({ chosen }) {
         <${Proposal} /><//>`}</div>
     <${Trouble} of=${trouble} />
     ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>
+      <${Partial} key=${chosen.id} request=${chosen} object=${object} />
       ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
 }
 
@@ -122,9 +126,38 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     ${asked && html`<${Why} path=${asked} close=${() => setAsked(null)} />`}</section>`;
 }
 
+/** The kept history of a field, where its newest sample is too old for a plot of the present: lines as
+    `past` gives them. */
+function usePast(stream, field) {
+  const [found, setFound] = useState(null);
+  const age = stream?.last_valid ? Date.now() - Date.parse(stream.last_valid) : 0;
+  const isOld = moment.value === null && Boolean(field) && age > PLOTTED * SECOND;
+  useEffect(() => {
+    setFound(null);
+    let isCurrent = true;
+    if (isOld) past(stream, field).then((lines) => isCurrent && setFound(lines)).catch(() => {});
+    return () => { isCurrent = false; };
+  }, [isOld, stream?.name, field, stream?.last]);
+  return isOld ? found : null;
+}
+
+/** All that is kept of a stream whose samples are old. */
+function PastPlot({ request, stream, field, object, lines }) {
+  const shown = lines.slice(0, LINES), times = shown.flatMap(([, points]) => [points[0][0], points.at(-1)[0]]);
+  const from = Math.min(...times), until = Math.max(...times);
+  const focus = Math.max(0, shown.findIndex(([name]) => name === object));
+  return html`<section class="panel plot" aria-label="plot"><header>
+    <h2 class="cut grow">${field} <span class="faint">${unitOf(stream, field)} · ${request.name}</span></h2>
+    <span class="small faint num cut" title="all that is kept">${stamp(from * SECOND)} to ${stamp(until * SECOND, from * SECOND)}</span>
+    <span class="small accent mono">${shown[focus][0]}</span></header>
+    <${Plot} data=${() => aligned(shown.map(([, points]) => points), Math.max(5, (until - from) / GAPS))} focus=${focus + 1}
+      tick=${`${stream.last}${stream.name}`} label=${`${field} over time`} names=${shown.map(([name]) => String(name))} name=${`${request.name}-${field}`} /></section>`;
+}
+
 function LivePlot({ request, object }) {
   const stream = byName.value.get(request?.stream), series = shown.value.series.get(request?.stream);
-  const field = stream && numbers(stream)[0];
+  const field = stream && numbers(stream)[0], kept = usePast(stream, field);
+  if (kept?.length) return html`<${PastPlot} request=${request} stream=${stream} field=${field} object=${object} lines=${kept} />`;
   if (!field || !series) {
     return html`<section class="panel plot"><header><h2>Plot</h2></header>
       <${Empty}><span>The first number of the chosen request, a line for each object.</span><//></section>`;
@@ -143,15 +176,15 @@ function LivePlot({ request, object }) {
       : html`<${Empty}><span>No values in the last ${PLOTTED} s.</span><//>`}</section>`;
 }
 
-/** The slider over kept history: how it was, or the present. */
+/** The slider over the kept history of the streams that are shown: how it was, or the present. */
 function Playback() {
   const [isPlaying, setPlaying] = useState(false), [from, setFrom] = useState(null);
-  const now = Date.now(), time = moment.value;
+  const until = newest(), time = moment.value;
   useEffect(() => {
     if (!isPlaying || time === null) return undefined;
     const due = setTimeout(() => {
-      const next = time + 1_000;
-      if (next >= Date.now()) stop();
+      const next = time + SECOND;
+      if (next >= until) stop();
       else play(next);
     }, 500);
     return () => clearTimeout(due);
@@ -161,17 +194,17 @@ function Playback() {
     setFrom(null);
     play(null);
   };
-  const open = () => {
-    const first = Math.max(oldest(), now - LONGEST_PLAYED);
+  const open = async () => {
+    const first = await oldest();
     setFrom(first);
-    play(Math.max(first, now - PLAYED_FIRST));
+    play(Math.max(first ?? 0, newest() - PLAYED_FIRST));
   };
   if (time === null) return html`<div class="over beside"><button onClick=${open} title="show how it was">Playback</button></div>`;
   return html`<div class="over playback">
     <button onClick=${() => setPlaying(!isPlaying)} aria-label=${isPlaying ? "stop" : "play, twice as fast"}>${isPlaying ? "❚❚" : "▶"}</button>
-    <input type="range" aria-label="time" min=${from ?? time} max=${now} step="1000" value=${time}
+    <input type="range" aria-label="time" min=${from ?? time} max=${Math.max(until, time)} step="1000" value=${time}
       onInput=${(event) => play(Number(event.target.value))} />
-    <time class="num small">${clock(time)}</time><button onClick=${stop}>Now</button></div>`;
+    <time class="num small">${stamp(Math.floor(time / SECOND) * SECOND)}</time><button onClick=${stop}>Now</button></div>`;
 }
 
 /** A line in place of the map, where no stream has positions. */
@@ -196,7 +229,7 @@ export default function Live({ rest }) {
     ?? candidates.find(latest);
   const hasMap = !status.value || shown.value.tracks.size > 0 || streams.value.some(place);
   return html`<main class="page fill"><div class=${`live ${hasMap ? "" : "flat"}`}>
-    <${Requests} chosen=${chosen} />
+    <${Requests} chosen=${chosen} object=${object} />
     <${Feed} chosen=${chosen} object=${object} select=${select} all=${all} setAll=${setAll} isWanted=${isWanted} />
     ${hasMap ? html`<section class="panel map" aria-label="map"><div class="sheet">
       ${shown.value.tracks.size ? html`<${TrackMap} selected=${object} select=${select} isWanted=${isWanted} />`

@@ -1,7 +1,7 @@
 // A question of your own: SPARQL over the system and the ontologies, or a continuous query. The
 // address holds the text, so that a question can be linked.
 import { html, useEffect, useMemo, useState } from "../vendor/preact.js";
-import { byName, may, refresh, requests, vocabulary } from "../state.js";
+import { PATTERN, asked, byName, may, refresh, requests, vocabulary } from "../state.js";
 import { address, ask, explain } from "../http.js";
 import { clock, duration, plural, shorten } from "../format.js";
 import { Editor } from "../editor.js";
@@ -191,7 +191,7 @@ export default function Query({ rest }) {
         if (!isOver) show(shaped(found));
       } catch (error) {
         if (isOver) return;
-        if (error.status === 406) return show({ verdicts: true });
+        if (error.status === 406) return show({ isLive: true });
         if (error.status !== 404) return fail(error);
       }
       if (!isOver) due = setTimeout(next, EVERY);
@@ -219,7 +219,7 @@ export default function Query({ rest }) {
       ${number > 0 && !watched && html`<button onClick=${save}>${result.triples ? "N-Triples" : "CSV"}</button>`}
       ${watched && html`<a class="small" href=${`#live/${encodeURIComponent(watched)}`}>Follow</a>${may("admin") && html`<button class="danger" onClick=${end}>End it</button>`}`}</header>
       <div class="scroll" tabindex="0">${trouble ? html`<div class="body"><${Trouble} of=${trouble} /></div>`
-        : result?.verdicts ? html`<${Empty} title="It reports verdicts."><a href=${`#live/${encodeURIComponent(watched)}`}>Follow them</a><//>`
+        : result?.isLive ? html`<${Empty} title=${asked.value.get(watched)?.gives === PATTERN ? "It reports matches." : "It reports verdicts."}><a href=${`#live/${encodeURIComponent(watched)}`}>Follow them</a><//>`
         : result ? html`<${Result} result=${result} view=${view} />`
         : html`<${Empty} title=${watched ? "No window has closed yet." : isContinuous ? "Explain before you register." : "Ask the system about itself."}>
           <span>${watched ? "A window closes when its streams have passed its end." : isContinuous

@@ -1,13 +1,13 @@
 // Is it well? The problems first, then load, streams by rate, and the changes.
 import { html, useEffect, useState } from "../vendor/preact.js";
-import { changes, connection, history, may, pace, silence, status, streams, title, transformations, units, wrong } from "../state.js";
+import { changes, connection, history, may, silence, status, streams, title, transformations, units, wrong } from "../state.js";
 import { ago, bytes, clock, count, duration, plural, rate } from "../format.js";
 import { ask } from "../http.js";
 import { Empty, Plot, Spark, theme } from "../widgets.js";
 
 const SPARKS = 60, LISTED = 200, SMOOTHED = 6, POLL = 10_000, REFUSED = 400, FAILED = 500;
 const COLUMNS = {
-  name: ["stream", (each) => each.name], rate: ["rate", (each) => -pace(each)],
+  name: ["stream", (each) => each.name], rate: ["rate", (each) => -each.rate],
   last: ["last", (each) => -(silence(each) ?? Infinity)], late: ["late", (each) => -each.counters.late],
   kept: ["kept", (each) => -each.kept],
 };

@@ -32,7 +32,8 @@ async def list_objects(
     ] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="objects of a page")] = 100,
 ) -> ListedObjectsModel:
-    """List the objects that the ontology or kept samples of annotated streams name, by IRI.
+    """List the objects that the ontology or kept samples of annotated streams name, by IRI. A
+    stream of RDF has no annotation, so an object that only its statements name is not in the list.
 
     `more`: there are others after these. 404: the ontology has no such sort.
     """

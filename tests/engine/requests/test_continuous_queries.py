@@ -22,6 +22,7 @@ from dyknow.engine.model.errors import (
     UnknownQuery,
     UnknownStream,
 )
+from dyknow.engine.model.stream_statistics import rate_of
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.engine.planning.registrations import Submission
 from dyknow.languages.csparql import parse_query
@@ -659,7 +660,7 @@ def test_costs_are_estimated_from_the_rate_of_the_stream(flying):
     flying.queries.register(FAST)
     assert "1,000 samples a second of 100 subjects (assumed)" in flying.explain(query=FAST)
     play(flying)
-    rate = flying.stream("s5").rate
+    rate = rate_of(flying.generator("s5"))
     told = f"s5: {rate:.0f} sample a second of 100 subjects (the subjects are assumed)"
     assert told in flying.explain_running("fast")
     asked = flying.explain(query=FAST)

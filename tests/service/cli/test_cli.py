@@ -258,6 +258,12 @@ def test_templates(dyknow: Any, template: str) -> None:
     dyknow("template", "remove", "HighSpeedEvent")
     assert "no templates" in dyknow("template", "list").stdout
     dyknow("template", "show", "HighSpeedEvent", status=1)
+    text = TEMPLATE.replace("?threshold)", "?threshold = 100)")
+    shown = "HighSpeedEvent(?o, ?type, ?threshold = 100)"
+    assert shown in dyknow("template", "add", text).stdout
+    assert "?threshold = 100" in dyknow("template", "list").stdout
+    assert dyknow("template", "show", "HighSpeedEvent").stdout.strip() == text.strip()
+    assert f"parameters: {shown[15:-1]}" in dyknow("explain", "--template", "HighSpeedEvent").stdout
 
 
 def test_templates_of_the_package(dyknow: Any, client: Client) -> None:

@@ -67,6 +67,16 @@ def flying() -> Iterator[str]:
         player.join()
 
 
+@pytest.fixture
+def service() -> Iterator[httpx.Client]:
+    """An empty service."""
+    settings = Settings(port=0, sse_ping=0)
+    engine = Engine(epoch="e1", turns=WindowTurns(5, 60))
+    app = create_app(engine, settings, time.time_ns)
+    with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
+        yield http
+
+
 def _fly(url: str, stopped: threading.Event) -> None:
     while not stopped.is_set():
         try:

@@ -2,67 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import httpx
 import pytest
 from axe import violations
+from cars import BEGIN, SECOND, TEXT, declare, opened, play, publish
 from chromium import Page
 
-from dyknow.engine.engine import Engine
-from dyknow.service.app import create_app
-from dyknow.service.config.settings import Settings
-from dyknow.service.server import running
-from dyknow.service.turns.window_turns import WindowTurns
-
 OPEN = Callable[..., Page]
-TEXT = {"Content-Type": "text/plain"}
-LINES = {"Content-Type": "application/x-ndjson"}
-SECOND = 1_000_000_000
-BEGIN = 1_777_885_200 * SECOND
-"""2026-05-04T09:00:00Z"""
-SSL = "stream cars contains speed(Car) = v [km.h-1] for every Car = id"
-CALM = """REGISTER TEMPLATE dyknow:Calm(?x in Car, ?limit) AS
-always [0s, 2s] speed(?x) < ?limit [km.h-1]
-with sample every 1s, max delay 0s, report violations"""
-FASTER = """REGISTER TEMPLATE dyknow:Faster(?limit) AS PATTERN SEQ(speed a, speed b)
-WHERE [id] AND b.v > ?limit AND a.v < 60 WITHIN 1 second RETURN a.id AS id, b.v AS reached"""
 MONITOR = "monitor slow(?x in Car) = speed(?x) < 100 with sample every 1s, max delay 0s"
-SPEEDS = {"c1": (50.0, 55.0, 120.0, 70.0, 70.0), "c2": (80.0, 80.0, 80.0, 80.0, 80.0)}
-
-
-def publish(http: httpx.Client, stream: str, *rows: dict[str, object]) -> None:
-    body = "\n".join(map(json.dumps, rows))
-    answer = http.post(f"/streams/{stream}/samples", content=body, headers=LINES)
-    assert answer.status_code == 202, answer.text
-
-
-def declare(http: httpx.Client) -> None:
-    """The stream of cars, and the templates."""
-    assert http.put("/streams/cars", json={"fields": {"id": "string", "v": "float"}}).is_success
-    for path, text in (("annotations", SSL), ("templates", CALM), ("templates", FASTER)):
-        answer = http.post(f"/{path}", content=text, headers=TEXT)
-        assert answer.status_code == 201, answer.text
-
-
-def play(http: httpx.Client) -> None:
-    """Five seconds of two cars, and the end of the stream."""
-    for second in range(5):
-        at = BEGIN + second * SECOND
-        for name, speeds in SPEEDS.items():
-            publish(http, "cars", {"valid": at, "available": at, "id": name, "v": speeds[second]})
-    assert http.post("/streams/cars/end").is_success
-
-
-@pytest.fixture
-def service() -> Iterator[httpx.Client]:
-    settings = Settings(port=0, sse_ping=0)
-    engine = Engine(epoch="e1", turns=WindowTurns(5, 60))
-    app = create_app(engine, settings, time.time_ns)
-    with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
-        yield http
 
 
 @pytest.fixture
@@ -79,10 +29,6 @@ def asked(service: httpx.Client) -> httpx.Client:
 def recorded(asked: httpx.Client) -> httpx.Client:
     play(asked)
     return asked
-
-
-def opened(open_page: OPEN, http: httpx.Client, name: str, **how: str | int) -> Page:
-    return open_page(f"{str(http.base_url).rstrip('/')}/#{name}", **how)
 
 
 def answer(http: httpx.Client, event: str) -> str:
@@ -188,6 +134,16 @@ def test_what_failed_is_listed_and_counted_apart(asked: httpx.Client, open_page:
     page.wait("document.querySelector('[aria-label=\"failed requests\"] .dot.bad') !== null")
     listed = "document.querySelectorAll('[aria-label=\"failed requests\"] .ask-row').length"
     assert page.run(listed) == len(failed)
+
+
+def test_the_top_bar_is_one_line(recorded: httpx.Client, open_page: OPEN) -> None:
+    for width in (1400, 1151, 1000, 800, 721):
+        page = opened(open_page, recorded, "live", width=width)
+        page.wait_text("0 requests, 3 ended")
+        spans = "[...document.querySelectorAll('.counts span')]"
+        assert page.run(f"Math.max(...{spans}.map((each) => each.offsetHeight))") < 24, width
+        assert page.run("document.documentElement.scrollWidth") <= width
+        assert page.run("document.querySelector('.top').scrollWidth") <= width
 
 
 def test_a_sample_of_the_future_is_said_to_be_one(service: httpx.Client, open_page: OPEN) -> None:

@@ -392,6 +392,30 @@ def test_a_template_tells_what_its_parameters_stand_for(annotated: httpx.Client)
     assert threshold["aggregate"] == "AVG"
 
 
+def test_a_template_tells_its_defaults_and_a_request_leaves_them_out(
+    annotated: httpx.Client,
+) -> None:
+    text = annotated.get("/templates/HighSpeedEvent", headers={"Accept": "text/plain"}).text
+    text = text.replace("?type, ?threshold)", "?type = dyknow:UAV, ?threshold = 100.5)")
+    text = text.replace("HighSpeedEvent", "FastEvent")
+    found = annotated.post("/templates", content=text, headers={"Content-Type": "text/plain"})
+    assert found.status_code == 201
+    assert [use["default"] for use in found.json()["uses"]] == [None, "dyknow:UAV", "100.5"]
+    assert annotated.get("/templates/FastEvent", headers={"Accept": "text/plain"}).text == text
+    first = annotated.post("/events", content="dyknow:FastEvent(?o)").json()
+    assert first["arguments"] == ["?o", "dyknow:UAV", "100.5"]
+    body = {"event": "dyknow:FastEvent", "arguments": ["?o", "?threshold = 100.5"]}
+    assert annotated.post("/events", json=body).json()["stream"] == first["stream"]
+    explained = annotated.post("/explain", json={"event": "dyknow:FastEvent(?o)"})
+    assert explained.status_code == 200
+    wrong = text.replace("100.5", '"fast"').replace("FastEvent", "WrongEvent")
+    refused = annotated.post("/templates", content=wrong, headers={"Content-Type": "text/plain"})
+    assert refused.status_code == 400
+    line = next(each for each in wrong.splitlines() if '"fast"' in each)
+    assert refused.json()["column"] == line.index('"fast"') + 1
+    assert "the default of `?threshold`" in refused.json()["detail"]
+
+
 def test_a_duration_is_a_parameter(annotated: httpx.Client) -> None:
     text = (
         "REGISTER TEMPLATE Twice(?x, ?low, ?time) AS PATTERN SEQ(speed a, speed b) "
