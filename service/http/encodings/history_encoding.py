@@ -26,7 +26,7 @@ from ....converters.ndjson import encode_ndjson
 from ....converters.rdf.ntriples import GENERATED
 from ....converters.rdf.statements import GRAPH
 from ....rdf.namespaces import XSD
-from ....streams.instants import Places
+from ....streams.instants import Places, PlacesOf
 from ....streams.sample import Column, SampleBatch
 from ....streams.time import format_time
 from ...config.media_types import ARROW, CSV, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
@@ -51,7 +51,7 @@ class RdfWriter:
     instant; ``is_rdf``: they are statements, which may have a graph."""
 
     stream: str
-    triples: Callable[[SampleBatch, NDArray[np.int64]], list[str]]
+    triples: Callable[[SampleBatch, PlacesOf], list[str]]
     is_rdf: bool = False
     _places: Places = field(default_factory=Places)
     _timed: set[tuple[str, int]] = field(default_factory=set)
@@ -62,7 +62,7 @@ class RdfWriter:
         available time are a graph, unless they have a graph of their own."""
         if not len(batch):
             return ""
-        texts = self.triples(batch, self._places.of(batch.available))
+        texts = self.triples(batch, self._places.of)
         if kind == NTRIPLES:
             return "".join(f"{text}\n" for text in texts if text)
         times = batch.available.tolist()
