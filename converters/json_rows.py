@@ -27,19 +27,12 @@ def cells(values: Sequence[object]) -> Cells:
 
 
 def time_cells(times: Times) -> Cells:
-    """Each time in ISO-8601; one that repeats is formatted once.
-
-    Cost: 0.25 µs a time that differs from the one before.
-    """
-    begins = np.flatnonzero(times[1:] != times[:-1]) + 1
-    if len(begins) + 1 >= len(times):
-        return [b'"%b"' % text.encode() for text in format_times(times)]
-    begins = np.concatenate([[0], begins])
-    counts = np.diff(begins, append=len(times)).tolist()
-    found: Cells = []
-    for cell, count in zip(time_cells(times[begins]), counts, strict=True):
-        found += [cell] * count
-    return found
+    """Each time in ISO-8601. Cost: 0.3 µs a distinct time, and 0.05 µs for each other one."""
+    listed: list[int] = times.tolist()
+    distinct = list(dict.fromkeys(listed))
+    texts = format_times(np.array(distinct, np.int64))
+    known = {time: b'"%b"' % text.encode() for time, text in zip(distinct, texts, strict=True)}
+    return [known[time] for time in listed]
 
 
 def object_template(members: Mapping[str, bytes]) -> bytes:

@@ -262,9 +262,8 @@ def column_texts(kind: Kind, values: NDArray[Any]) -> list[str]:
         return ["true" if value else "false" for value in values.tolist()]
     if kind is Kind.INTEGER:
         return list(map(str, values.tolist()))
-    texts = [text.removesuffix(".0") for text in map(repr, values.tolist())]
     least, most = _POSITIONAL
-    sizes = np.abs(values)
-    for row in np.flatnonzero(~((sizes >= least) & (sizes < most))).tolist():
-        texts[row] = number_text(kind, float(values[row]))
-    return texts
+    return [
+        repr(value).removesuffix(".0") if least <= abs(value) < most else number_text(kind, value)
+        for value in values.tolist()
+    ]

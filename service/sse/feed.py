@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import msgspec
@@ -221,28 +222,22 @@ class Feed:
         Law (tests/laws/service/test_messages.py): they are those of the samples one by one. Cost:
         some 2 µs a message, two thirds of it for RDF, and 30 µs a call.
         """
-        fitting = slice(0, max(1, int(batch.sizes().cumsum().searchsorted(_ENCODED, "right"))))
-        numbers, batch = numbers[fitting], batch.take(fitting)
+        fitting = int(batch.sizes().cumsum().searchsorted(_ENCODED, "right"))
+        if fitting < len(batch):
+            part = slice(0, max(1, fitting))
+            numbers, batch = numbers[part], batch.take(part)
         sequence = cells(numbers.tolist())
         values = value_cells(batch.select(projection.names(batch.columns)))
-        members = {
-            "stream": constant(msgspec.json.encode(self.name)),
-            "sequence": PLACE,
-            "available": PLACE,
-            "valid": PLACE,
-            "values": object_template(dict.fromkeys(values, PLACE)),
-        }
         times = time_cells(batch.available), time_cells(batch.valid)
         columns = [sequence, sequence, *times, *values.values()]
         if projection.has_rdf:
-            members["rdf"] = PLACE
             columns.append(cells(self._rdf(numbers, batch)))
         if counts is not None:
-            members["count"] = PLACE
-            columns.append(cells(counts[fitting]))
-        epoch = constant(self._engine.epoch.encode())
-        head = b"id: " + epoch + b"-" + PLACE + b"\nevent: sample\ndata: "
-        return rows(head + object_template(members) + b"\n\n", columns)
+            columns.append(cells(counts[: len(batch)]))
+        template = _message_template(
+            self._engine.epoch, self.name, tuple(values), projection.has_rdf, counts is not None
+        )
+        return rows(template, columns)
 
     def _rdf(self, numbers: NDArray[np.int64], batch: SampleBatch) -> list[str]:
         def places(available: Times) -> NDArray[np.int64]:
@@ -258,3 +253,23 @@ class Feed:
         except UnknownStream:
             # The stream was removed, and its annotation with it; its last samples still go out.
             return [""] * len(batch)
+
+
+@lru_cache(maxsize=1024)
+def _message_template(
+    epoch: str, stream: str, fields: tuple[str, ...], has_rdf: bool, has_count: bool
+) -> bytes:
+    """The template of a message, for the number of its sample, twice, and then the other cells."""
+    members = {
+        "stream": constant(msgspec.json.encode(stream)),
+        "sequence": PLACE,
+        "available": PLACE,
+        "valid": PLACE,
+        "values": object_template(dict.fromkeys(fields, PLACE)),
+    }
+    if has_rdf:
+        members["rdf"] = PLACE
+    if has_count:
+        members["count"] = PLACE
+    head = constant(b"id: %b-" % epoch.encode()) + PLACE + b"\nevent: sample\ndata: "
+    return head + object_template(members) + b"\n\n"
