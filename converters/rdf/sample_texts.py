@@ -5,12 +5,13 @@ Called by `engine/requests/sample_rdf`, for messages of event streams and for hi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 
 import numpy as np
 
-from ...rdf.dictionary import TermDictionary
+from ...rdf.dictionary import Ids, TermDictionary
 from ...rdf.timed import DATATYPES, Kind, ObjectColumn, TimedTriples, column_texts
+from ...streams.sample import Times
 
 
 def sample_texts(triples: TimedTriples, count: int) -> list[str]:
@@ -18,50 +19,46 @@ def sample_texts(triples: TimedTriples, count: int) -> list[str]:
     is the number of the sample, from 0.
 
     Law (tests/laws/converters/test_sample_texts.py): those of the triples, written one by one.
-    Cost: about 0.3 µs a triple, and a text for each distinct term.
+    Cost: some 0.6 µs a triple, and 0.3 µs more where not each sample has one of each feature.
     """
-    lines: list[list[str]] = [[] for _ in range(count)]
-    terms = _TermTexts(triples.dictionary)
+    parts = list(_lines(triples))
+    all_samples = np.arange(count)
+    if parts and all(np.array_equal(samples, all_samples) for samples, _ in parts):
+        return list(map("\n".join, zip(*(lines for _, lines in parts), strict=True)))
+    found: list[list[str]] = [[] for _ in range(count)]
+    for samples, lines in parts:
+        for sample, line in zip(samples.tolist(), lines, strict=True):
+            found[sample].append(line)
+    return ["\n".join(each) for each in found]
+
+
+def _lines(triples: TimedTriples) -> Iterator[tuple[Times, list[str]]]:
+    """Of each table and predicate the numbers of the triples' samples, and the lines."""
+    dictionary = triples.dictionary
     for table in triples.tables:
-        subjects, samples = terms.of(table.subject.tolist()), table.time.tolist()
+        subjects = _term_texts(table.subject, dictionary)
         for predicate, column in table.objects.items():
-            named, rows = subjects, samples
+            named, samples = subjects, table.time
             if column.null is not None:
                 present = np.flatnonzero(column.present)
-                column, rows = column.take(present), table.time[present].tolist()
+                column, samples = column.take(present), samples[present]
                 named = [subjects[row] for row in present.tolist()]
-            form = _form(terms[predicate], column)
-            for row, pair in zip(
-                rows, zip(named, _objects(column, terms), strict=True), strict=True
-            ):
-                lines[row].append(form % pair)
-    return ["\n".join(each) for each in lines]
+            form = _form(str(dictionary.term(predicate)), column.kind)
+            pairs = zip(named, _object_texts(column, dictionary), strict=True)
+            yield samples, list(map(form.__mod__, pairs))
 
 
-class _TermTexts(dict[int, str]):
-    """N-Triples of terms by their ids, each written once."""
-
-    def __init__(self, dictionary: TermDictionary) -> None:
-        super().__init__()
-        self._dictionary = dictionary
-
-    def __missing__(self, id: int) -> str:
-        text = self[id] = str(self._dictionary.term(id))
-        return text
-
-    def of(self, ids: Iterable[int]) -> list[str]:
-        return list(map(self.__getitem__, ids))
-
-
-def _form(predicate: str, column: ObjectColumn) -> str:
+def _form(predicate: str, kind: Kind) -> str:
     """The line of a triple, without its subject and the text of its object."""
     named = predicate.replace("%", "%%")
-    if column.kind is Kind.TERM:
-        return f"%s {named} %s ."
-    return f'%s {named} "%s"^^{DATATYPES[column.kind]} .'
+    return f"%s {named} %s ." if kind is Kind.TERM else f'%s {named} "%s"^^{DATATYPES[kind]} .'
 
 
-def _objects(column: ObjectColumn, terms: _TermTexts) -> list[str]:
+def _object_texts(column: ObjectColumn, dictionary: TermDictionary) -> list[str]:
     if column.kind is Kind.TERM:
-        return terms.of(column.values.tolist())
+        return _term_texts(column.values, dictionary)
     return column_texts(column.kind, column.values)
+
+
+def _term_texts(ids: Ids, dictionary: TermDictionary) -> list[str]:
+    return list(map(str, map(dictionary.term, ids.tolist())))
