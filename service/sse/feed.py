@@ -220,7 +220,7 @@ class Feed:
         ``counts`` as in `conflated`.
 
         Law (tests/laws/service/test_messages.py): they are those of the samples one by one. Cost:
-        some 2 µs a message, two thirds of it for RDF, and 30 µs a call.
+        some 3 µs a message, half of it for RDF, and 60 µs a call.
         """
         fitting = int(batch.sizes().cumsum().searchsorted(_ENCODED, "right"))
         if fitting < len(batch):
