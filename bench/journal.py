@@ -69,6 +69,11 @@ class Served:
             time.sleep(0.01)
         self.seconds = time.perf_counter() - self.begun
 
+    @property
+    def process(self) -> int:
+        """Its id."""
+        return self._process.pid
+
     def prepare(self) -> None:
         fields = {"id": "string", "v": "float"}
         self.client.put("/streams/s", json={"fields": fields}).raise_for_status()

@@ -16,11 +16,12 @@ import msgspec
 from ..streams.sample import SampleBatch, Schema, Value
 from ..streams.string_pool import StringPool
 from ..streams.time import format_time
+from .json_rows import PLACE, object_template, rows, time_cells, value_cells
 from .ndjson_errors import NO_JSON
 from .ndjson_lines import decode_lines, infer_fields, sample_lines
 from .ndjson_scan import scan_lines
 from .rounding import rounded_lines
-from .wire import BOM, BatchLimits, Incoming, check_names, format_times
+from .wire import BOM, BatchLimits, Incoming, check_names
 
 CONTENT_TYPE = "application/x-ndjson"
 
@@ -85,10 +86,10 @@ def _check_line(data: bytes, start: int, end: int, limits: BatchLimits) -> None:
 
 def encode_ndjson(batch: SampleBatch) -> bytes:
     """One line a sample, with both times; `decode_ndjson` gives the batch back."""
-    names = ("available", "valid", *batch.columns)
-    columns = [column.tolist() for column in batch.columns.values()]
-    rows = zip(format_times(batch.available), format_times(batch.valid), *columns, strict=True)
-    return msgspec.json.Encoder().encode_lines([dict(zip(names, row, strict=True)) for row in rows])
+    times = {"available": time_cells(batch.available), "valid": time_cells(batch.valid)}
+    columns = times | value_cells(batch)
+    line = object_template(dict.fromkeys(columns, PLACE)) + b"\n"
+    return b"".join(rows(line, [*columns.values()]))
 
 
 def sample_json(available: int, valid: int, values: Mapping[str, Value]) -> dict[str, Value]:

@@ -12,9 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..continuous.columns.budget import UNLIMITED, Budget
 from ..converters.objects import object_iri
 from ..converters.wire import Incoming
@@ -31,6 +28,7 @@ from ..rdf.namespaces import DYKNOW
 from ..reasoning.mtl.explanation import Explanation as VerdictExplanation
 from ..reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ..streams.generator import StreamGenerator
+from ..streams.instants import PlacesOf, places_in_instants
 from ..streams.sample import SampleBatch
 from ..streams.stream_rules import INSTANTS
 from ..streams.time import SECOND, TIME_MIN
@@ -376,7 +374,7 @@ class Engine:
             self._parts.manager.mirror_samples(streams)
 
     def rdf_of(
-        self, name: str, batch: SampleBatch, places: NDArray[np.int64] | None = None
+        self, name: str, batch: SampleBatch, places: PlacesOf = places_in_instants
     ) -> list[str]:
         """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
         triples. ``places`` as in `SampleRdf.of`."""

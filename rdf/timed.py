@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,3 +246,24 @@ def number_text(kind: Kind, value: float) -> str:
         mantissa, exponent = text.split("e")
         return f"{mantissa}E{int(exponent)}"
     return text.removesuffix(".0")
+
+
+_POSITIONAL: Final = 1e-4, 1e16
+"""Python writes numbers from here, and less than here, without an exponent."""
+
+
+def column_texts(kind: Kind, values: NDArray[Any]) -> list[str]:
+    """Return the XSD texts of a column of numbers or booleans.
+
+    Law (tests/laws/converters): those of `make_literal`, one by one. Cost: 0.2 µs a value, and
+    `number_text` for numbers that are next to 0, large or not finite.
+    """
+    if kind is Kind.BOOLEAN:
+        return ["true" if value else "false" for value in values.tolist()]
+    if kind is Kind.INTEGER:
+        return list(map(str, values.tolist()))
+    least, most = _POSITIONAL
+    return [
+        repr(value).removesuffix(".0") if least <= abs(value) < most else number_text(kind, value)
+        for value in values.tolist()
+    ]

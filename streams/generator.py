@@ -509,9 +509,7 @@ class StreamGenerator:
         keeps codes. Cost: O(receivers), and what `FluentStream.forget_texts` costs."""
         if any(receiver.knows_codes for receiver in self._receivers):
             return
-        held = 0 if self._pending is None else len(self._pending)
-        if self.stream.forget_texts(held) and self._pending is not None:
-            self._pending = self.stream.encoded(self._pending)
+        self._pending = self.stream.forget_texts(self._pending)
 
     def _announce(self, watermark: int) -> None:
         """Send the subscribers a watermark that is greater than the last one."""

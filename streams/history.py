@@ -16,7 +16,7 @@ from .runs import Retention as Retention
 from .runs import Segment as Segment
 from .sample import FieldType, SampleBatch, Times, widened
 from .sample import Schema as Schema
-from .string_pool import StringPool
+from .string_pool import Ghosts, StringPool
 from .time import TIME_MAX, TIME_MIN
 
 _TEXTS: Final = 4096
@@ -26,6 +26,9 @@ _SHARE: Final = 2
 _CHARACTERS: Final = 4 << 20
 """Characters of texts above which a search pays, if they are more than `_SHARE` times those of the
 last search."""
+_AGAIN: Final = 0.5
+"""Share of the texts of a field that came again after it had forgotten them, from which on it does
+not pay to forget them."""
 _TRIES: Final = 4
 """How often `find_places` searches again when pools changed meanwhile."""
 
@@ -49,9 +52,11 @@ class FluentStream(Runs):
         first: int = 1,
     ) -> None:
         super().__init__(schema, retention or Retention(), pools, first)
-        self._looked_for: dict[str, int | None] = {}
-        """Characters of the texts of a field at the last search for forgotten ones; None: it has
-        just forgotten some, so the next one begins anew."""
+        self._looked_for: dict[str, int] = {}
+        """Characters of the texts of a field after the last search for forgotten ones."""
+        self._least: dict[str, int] = {}
+        """Texts of a field up to which it forgets none, since they come again; `_TEXTS` else."""
+        self._ghosts: dict[str, Ghosts] = {}
 
     @property
     def retention(self) -> Retention:
@@ -61,6 +66,7 @@ class FluentStream(Runs):
     @retention.setter
     def retention(self, retention: Retention) -> None:
         self._looked_for.clear()
+        self._least.clear()
         self._keep(retention)
 
     def go_on(self, batch: SampleBatch, first: int, complete_since: int | None = None) -> None:
@@ -89,31 +95,51 @@ class FluentStream(Runs):
             batch = widened(run.batch, schema, self.pools)
             self._runs[i] = run._replace(batch=batch, weight=None)
 
-    def forget_texts(self, held: int = 0) -> bool:
+    def forget_texts(self, held: SampleBatch | None = None) -> SampleBatch | None:
         """Give text fields new pools without the texts that no kept sample has, if most are of that
-        kind; returns whether a field got one. ``held`` counts samples elsewhere with such texts.
+        kind. ``held``: samples elsewhere with such texts; returns them in the codes of the pools.
         Contract: codes of this stream exist in batches only.
+
+        Texts that come again stay: a reader pays some 4 µs for each text of a new pool, which is
+        most of the work where many objects report in turn. A field then has up to twice as many
+        texts as come again.
 
         Cost: O(1), and O(kept samples) once for as many new texts.
         """
-        lost = [name for name, pool in self.pools.items() if self._has_lost(name, pool, held)]
+        samples = len(self) + (0 if held is None else len(held))
+        lost = {
+            name: pool
+            for name, pool in self.pools.items()
+            if self._has_lost(name, pool, samples) and not self._come_again(name, pool)
+        }
+        if not lost:
+            return held
         for name in lost:
             self.pools[name] = StringPool()
-        if lost:
-            for i, run in enumerate(self._runs):
-                self._runs[i] = run._replace(batch=self.encoded(run.batch))
-            # Samples elsewhere bring theirs only now.
-            self._looked_for |= dict.fromkeys(lost)
-        return bool(lost)
+        for i, run in enumerate(self._runs):
+            self._runs[i] = run._replace(batch=self.encoded(run.batch))
+        held = None if held is None else self.encoded(held)
+        for name, pool in lost.items():
+            self._looked_for[name] = self.pools[name].characters
+            self._ghosts.setdefault(name, Ghosts()).add(pool, self.pools[name])
+        return held
 
-    def _has_lost(self, name: str, pool: StringPool, held: int) -> bool:
+    def _has_lost(self, name: str, pool: StringPool, samples: int) -> bool:
         """Whether most texts of a field may be gone, by their number or by what they take."""
-        if len(pool) > _TEXTS and len(pool) > _SHARE * (len(self) + held):
+        least = max(_TEXTS, self._least.get(name, _TEXTS))
+        if len(pool) > least and len(pool) > _SHARE * samples:
             return True
-        before = self._looked_for.get(name, 0)
-        if before is None:
-            before = self._looked_for[name] = pool.characters
-        return pool.characters > max(_CHARACTERS, _SHARE * before)
+        return pool.characters > max(_CHARACTERS, _SHARE * self._looked_for.get(name, 0))
+
+    def _come_again(self, name: str, pool: StringPool) -> bool:
+        """Whether most texts of a field had been forgotten before. Then it keeps twice as many."""
+        ghosts = self._ghosts.get(name)
+        if ghosts is None or ghosts.share(pool) < _AGAIN:
+            self._least.pop(name, None)
+            return False
+        self._least[name] = 2 * len(pool)
+        self._looked_for[name] = pool.characters
+        return True
 
     def encoded(self, batch: SampleBatch) -> SampleBatch:
         """``batch`` with its texts in the codes of this stream's pools. Cost: O(columns) where they

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .sample import Times
+
+PlacesOf: TypeAlias = Callable[[Times], NDArray[np.int64]]
+"""Returns the place of each sample of a batch in its instant, from 0, by their available times."""
 
 
 def places_in_instants(available: Times) -> NDArray[np.int64]:

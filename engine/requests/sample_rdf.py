@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...converters.rdf.sample_texts import sample_texts
 from ...converters.to_triples import ToTriples, node_names
 from ...languages.ssl.annotation import StreamAnnotation
-from ...streams.instants import places_in_instants
+from ...streams.instants import PlacesOf, places_in_instants
 from ...streams.sample import SampleBatch
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.semantics_manager import SemanticsManager
@@ -38,24 +38,18 @@ class SampleRdf:
         self._query_converter = query
         self._converters: dict[str, ToTriples] = {}
 
-    def of(
-        self, name: str, batch: SampleBatch, places: NDArray[np.int64] | None = None
-    ) -> list[str]:
+    def of(self, name: str, batch: SampleBatch, places: PlacesOf = places_in_instants) -> list[str]:
         """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
-        triples. ``places``: the place of each sample in its instant, from 0, which names its
-        nodes; without it the batch begins with an instant."""
+        triples. ``places`` returns the place of each sample in its instant, from 0, which names
+        its nodes; without it the batch begins with an instant."""
         converter = self.converter(name)
         if converter is None or not len(batch):
             return [""] * len(batch)
-        lines: list[list[str]] = [[] for _ in range(len(batch))]
-        if places is None:
-            places = places_in_instants(batch.available)
-        names = node_names(batch.available, places)
+        times = batch.available
+        names = node_names(times, places(times)) if converter.makes_nodes else None
         # Convert with row numbers in place of times, since samples of one instant share a time.
         numbered = batch.with_available(np.arange(len(batch)))
-        for row, subject, predicate, object in converter.convert(numbered, names):
-            lines[row].append(f"{subject} {predicate} {object} .")
-        return ["\n".join(triples) for triples in lines]
+        return sample_texts(converter.convert(numbered, names), len(batch))
 
     def converter(self, name: str) -> ToTriples | None:
         """Return the converter of a stream; None if it has no annotation and is none of RDF."""

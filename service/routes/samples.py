@@ -8,9 +8,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
-import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
-from numpy.typing import NDArray
 
 from ...converters.objects import object_iri
 from ...engine.model.errors import UnknownStream
@@ -18,6 +16,7 @@ from ...rdf.namespaces import DYKNOW
 from ...streams import past_queries
 from ...streams.downsampling import downsampled, name_clash
 from ...streams.history import FluentStream
+from ...streams.instants import PlacesOf
 from ...streams.sample import SampleBatch
 from ...streams.time import DAY, NANOSECOND, TIME_MAX
 from ..config.media_types import ARROW, CSV, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
@@ -169,9 +168,7 @@ def _intervals(name: str, service: Service, parameters: HistoryParameters) -> _I
     return _Intervals(name, service.engine.object_fields(name), every, newest)
 
 
-def _triples(
-    service: Service, name: str, batch: SampleBatch, places: NDArray[np.int64]
-) -> list[str]:
+def _triples(service: Service, name: str, batch: SampleBatch, places: PlacesOf) -> list[str]:
     try:
         return service.engine.rdf_of(name, batch, places)
     except UnknownStream:  # removed while the response was sent, and its annotation with it

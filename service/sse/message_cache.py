@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Sequence
+from itertools import accumulate
 
 PIECE_BYTES = 32 * 1024
 """The greatest size of one send, unless one message is longer. It bounds the memory of a stalled
@@ -45,9 +46,9 @@ class Block:
 
     def extend(self, messages: Sequence[bytes]) -> None:
         """Append ``messages``."""
-        for message in messages:
-            self.messages.append(message)
-            self._ends.append(self._ends[-1] + len(message))
+        self.messages += messages
+        ends = accumulate(map(len, messages), initial=self._ends.pop())
+        self._ends += ends
 
     def part(self, number: int, until: int) -> tuple[int, bytes]:
         """Return at most `PIECE_BYTES` of messages from sample ``number`` to at most ``until``, but

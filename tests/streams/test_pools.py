@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import islice
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dyknow.streams.history import FluentStream, Retention
 from dyknow.streams.key_numbering import TextNumbering
 from dyknow.streams.latest_by_key import Latest
 from dyknow.streams.sample import (
@@ -73,3 +77,41 @@ def test_a_text_has_one_number_in_all_pools(given_batches) -> None:
         ):
             assert known.setdefault(text, int(number)) == number
     assert sorted(known.values()) == list(range(len(known)))
+
+
+def renewed(stream: FluentStream, texts: Iterable[str], size: int) -> int:
+    """How often the field got a new pool while samples with these texts came, ``size`` a batch."""
+    found, given = 0, iter(texts)
+    while part := list(islice(given, size)):
+        pool = stream.pools.setdefault("name", StringPool())
+        time = 0 if stream.last_available is None else stream.last_available
+        stream.append(made([(0, text) for text in part], time + 1, pool))
+        stream.forget_texts()
+        found += stream.pools["name"] is not pool
+    return found
+
+
+def turns(objects: int, count: int) -> list[str]:
+    return [f"uav{i}" for _ in range(count) for i in range(objects)]
+
+
+def test_texts_that_come_again_are_not_forgotten() -> None:
+    """20,000 objects report in turn, and the history has the last thousand samples."""
+    stream = FluentStream(SCHEMA, Retention(1_000))
+    assert renewed(stream, turns(20_000, 3), 1_000) >= 3
+    assert renewed(stream, turns(20_000, 3), 1_000) == 0
+    assert len(stream.pools["name"]) <= 40_000
+
+
+def test_texts_that_never_come_again_are_forgotten_afterwards() -> None:
+    stream = FluentStream(SCHEMA, Retention(1_000))
+    renewed(stream, turns(10_000, 4), 1_000)
+    assert renewed(stream, (f"once{i}" for i in range(100_000)), 1_000) >= 10
+    assert len(stream.pools["name"]) <= 6_000
+
+
+def test_kept_texts_are_none_that_come_again() -> None:
+    """A new pool has them from the beginning, and they were never forgotten."""
+    stream = FluentStream(SCHEMA, Retention(10_000))
+    renewed(stream, (f"once{i}" for i in range(200_000)), 1_000)
+    assert len(stream.pools["name"]) <= 21_000

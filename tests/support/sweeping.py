@@ -52,8 +52,8 @@ def at_every_chance(way: str) -> Iterator[None]:
 
 @contextmanager
 def texts_at_every_chance() -> Iterator[None]:
-    """However few texts have come."""
-    with patch.multiple(history, _TEXTS=-1, _SHARE=-1):
+    """However few texts have come, and although they come again."""
+    with patch.multiple(history, _TEXTS=-1, _SHARE=-1, _AGAIN=2):
         yield
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -167,9 +169,9 @@ def play(options: ReplayOptions) -> None:
             length = FOREVER if is_endless else extent.last - extent.first
             bound = min(_ahead(bound, tracks.values()) + length, FOREVER)
         recordings = {name: track.recording for name, track in tracks.items()}
-        player = _Player(client, recordings, extent, factor, shift, latest)
-        begun = time.monotonic()
         readers = _Readers(client)
+        player = _Player(client, readers, recordings, extent, factor, shift, latest)
+        begun = time.monotonic()
         before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
             for name, track in tracks.items():
@@ -188,10 +190,6 @@ def play(options: ReplayOptions) -> None:
                     with suppress(ServiceError, httpx.TransportError):
                         client.remove_stream(name)
             raise
-        else:
-            for name in tracks:
-                client.end(name)
-            readers.wait()
         seconds = time.monotonic() - begun
         for name in tracks:
             after = client.stream(name)["counters"]
@@ -240,12 +238,20 @@ class _Readers:
             self._begun[name] = found["last"]
             self._before.update(each["unit"] for each in found["failed"])
 
-    def wait(self) -> None:
-        """Return when all readers have evaluated all present samples of the streams."""
+    def wait(self, show: Callable[[], None]) -> None:
+        """Return when all readers have evaluated all present samples of the streams; call ``show``
+        now and then."""
         for name in self._begun:
             last = self._client.evaluation(name)["last"]
             while self._client.evaluation(name)["evaluated"] < last:
+                show()
                 time.sleep(_LOOK)
+
+    def behind(self, name: str) -> int:
+        """Return the number of published samples that some reader has not evaluated yet."""
+        found = self._client.evaluation(name)
+        count: int = found["last"] - found["evaluated"]
+        return max(0, count)
 
     def evaluated(self, name: str) -> int:
         """Return the number of replayed samples that all readers have evaluated."""
@@ -426,9 +432,14 @@ def _declare_rdf(
 
 @dataclass(slots=True)
 class _Player:
-    """Publishes the parts of recordings when they are due."""
+    """Publishes the parts of recordings when they are due.
+
+    The service makes it wait while the readers are behind (back-pressure), so that a recording is
+    published as fast as it is evaluated.
+    """
 
     client: Client
+    readers: _Readers
     recordings: Mapping[str, Recording]
     extent: Span
     speed: float | None
@@ -440,13 +451,17 @@ class _Player:
     """Samples of each stream that were left out, as they were ahead of the clock."""
     sent: dict[str, int] = field(default_factory=dict)
     """Samples of each stream that were accepted so far."""
+    looked: float = -inf
+    """When the progress of the readers was looked at last."""
 
     def run(self, *, loop: bool, quiet: bool) -> None:
-        """Play once, or in a loop: then each round continues where the last one ended."""
+        """Play once, end the streams and return when all samples are evaluated; or play in a loop,
+        each round of which continues where the last one ended."""
         progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
+            TextColumn("published, {task.fields[evaluated]:,} evaluated"),
             TextColumn("{task.fields[rate]:,.0f} samples/s"),
             TimeElapsedColumn(),
             console=err(),
@@ -454,7 +469,7 @@ class _Player:
         )
         with progress:
             tasks = {
-                name: progress.add_task(name, total=recording.rows or None, rate=0.0)
+                name: progress.add_task(name, total=recording.rows or None, rate=0.0, evaluated=0)
                 for name, recording in self.recordings.items()
             }
             for turn in itertools.count():
@@ -463,9 +478,20 @@ class _Player:
                     progress.reset(task, total=self.recordings[name].rows or None)
                 self._once(shift, progress, tasks)
                 if not loop:
-                    return
+                    break
                 if self.speed is not None:
                     time.sleep(PAUSE / SECOND / self.speed)
+            for name in tasks:
+                self.client.end(name)
+            self.readers.wait(partial(self._show_evaluated, progress, tasks))
+            self._show_evaluated(progress, tasks)
+
+    def _show_evaluated(self, progress: Progress, tasks: Mapping[str, TaskID]) -> None:
+        """Show how many samples all readers have evaluated."""
+        self.looked = time.monotonic()
+        for name, task in tasks.items():
+            published = int(progress.tasks[task].completed)
+            progress.update(task, evaluated=max(0, published - self.readers.behind(name)))
 
     def _once(self, shift: int, progress: Progress, tasks: Mapping[str, TaskID]) -> None:
         begun = time.monotonic()
@@ -480,6 +506,8 @@ class _Player:
             sent[name] += accepted
             elapsed = max(1e-9, time.monotonic() - begun)
             progress.update(tasks[name], advance=len(part.batch), rate=sent[name] / elapsed)
+            if time.monotonic() >= self.looked + _LOOK:
+                self._show_evaluated(progress, tasks)
 
     def _publish(self, name: str, batch: SampleBatch) -> int:
         """Publish a part without the samples that are ahead of the clock, and report these; return

@@ -25,10 +25,10 @@ from ....converters.csv_table import encode_csv
 from ....converters.ndjson import encode_ndjson
 from ....converters.rdf.ntriples import GENERATED
 from ....converters.rdf.statements import GRAPH
+from ....converters.wire import format_times
 from ....rdf.namespaces import XSD
-from ....streams.instants import Places
+from ....streams.instants import Places, PlacesOf
 from ....streams.sample import Column, SampleBatch
-from ....streams.time import format_time
 from ...config.media_types import ARROW, CSV, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
 from ..response_limit import HELD
 
@@ -41,7 +41,8 @@ _SAMPLE, _VALUE = 64, 24
 
 RDF_KINDS = (NTRIPLES, NQUADS, TRIG, JSON_LD)
 RDF_SAMPLES = 1_000
-"""Samples of a piece of RDF, at most: the event loop makes it, in some 20 ms."""
+"""Samples of a piece of RDF, at most: the event loop makes it, in some milliseconds."""
+_GENERATED = str(GENERATED)
 
 
 @dataclass(slots=True)
@@ -51,7 +52,7 @@ class RdfWriter:
     instant; ``is_rdf``: they are statements, which may have a graph."""
 
     stream: str
-    triples: Callable[[SampleBatch, NDArray[np.int64]], list[str]]
+    triples: Callable[[SampleBatch, PlacesOf], list[str]]
     is_rdf: bool = False
     _places: Places = field(default_factory=Places)
     _timed: set[tuple[str, int]] = field(default_factory=set)
@@ -62,22 +63,22 @@ class RdfWriter:
         available time are a graph, unless they have a graph of their own."""
         if not len(batch):
             return ""
-        texts = self.triples(batch, self._places.of(batch.available))
+        texts = self.triples(batch, self._places.of)
         if kind == NTRIPLES:
             return "".join(f"{text}\n" for text in texts if text)
-        times = batch.available.tolist()
-        names = [f"<{self.stream}/{format_time(time)}>" for time in times]
+        times, told = batch.available.tolist(), format_times(batch.available)
+        names = [f"<{self.stream}/{time}>" for time in told]
         if self.is_rdf:
             own = batch.columns[GRAPH].tolist()
             names = [str(graph or name) for graph, name in zip(own, names, strict=True)]
         lines: list[str] = []
-        for name, time, text in zip(names, times, texts, strict=True):
+        for name, time, spelled, text in zip(names, times, told, texts, strict=True):
             if not text:
                 continue
             if (name, time) not in self._timed:
                 self._timed = {each for each in self._timed if each[1] == time}
                 self._timed.add((name, time))
-                lines.append(f'{name} {GENERATED} "{format_time(time)}"^^<{XSD}dateTime> .')
+                lines.append(f'{name} {_GENERATED} "{spelled}"^^<{XSD}dateTime> .')
             statements = text.split("\n")
             if kind == TRIG:
                 lines.append(f"{name} {{ {' '.join(statements)} }}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from inspect import getattr_static
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.progress import Progress, TaskID
 from typer.testing import CliRunner
 from ulog_bytes import TWO_TOPICS
 
@@ -18,6 +20,7 @@ from dyknow.converters.recordings.recording import open_recording
 from dyknow.converters.wire import Incoming
 from dyknow.engine.processes.geodesy import SpeedFromCoordinates
 from dyknow.service.cli import app
+from dyknow.service.cli.recordings import playing
 from dyknow.service.cli.recordings.demonstration import demo_files
 from dyknow.service.cli.recordings.recording_replay import (
     PAUSE,
@@ -180,6 +183,34 @@ def test_lines_of_many_streams_are_published_to_each(
     assert "again: 4 samples accepted" in chosen
     assert "height" not in chosen
     assert client.stream("again")["fields"] == client.stream("speed")["fields"]
+
+
+def test_the_bar_counts_published_and_evaluated_samples(
+    command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It goes on until the readers have evaluated all."""
+    evaluation, update = getattr_static(Client, "evaluation"), Progress.update
+    behind, shown = [3, 3, 3, 2, 2, 1], []
+
+    def late(client: Client, name: str) -> dict[str, Any]:
+        found = evaluation.__get__(client, Client)(name)
+        lacking = behind.pop(0) if found["last"] == 4 and behind else 0
+        return {**found, "evaluated": found["last"] - lacking}
+
+    def noted(progress: Progress, task: TaskID, **fields: Any) -> None:
+        shown.append(fields.get("evaluated"))
+        update(progress, task, **fields)
+
+    monkeypatch.setattr(playing, "_LOOK", 0)
+    monkeypatch.setattr(Client, "evaluation", late)
+    monkeypatch.setattr(Progress, "update", noted)
+    path = tmp_path / "four.csv"
+    path.write_text("t,v\n" + "".join(f"{t},0.5\n" for t in range(4)))
+    found = command(str(path), "--stream", "s5", "--speed", "max")
+    assert "4/4 published, 4 evaluated" in found.stderr
+    counts = [count for count in shown if count is not None]
+    assert counts[0] == 1
+    assert counts == sorted(counts)
 
 
 @pytest.mark.parametrize("is_csv", [True, False])

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
-import numpy as np
 import pyarrow as pa
 import pytest
 from fastapi import Response
@@ -17,7 +16,6 @@ from fastapi.responses import StreamingResponse
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pyoxigraph import RdfFormat, parse
 
 from dyknow.converters.arrow.stream import decode_arrow
@@ -45,6 +43,7 @@ from dyknow.service.http.encodings.history_encoding import (
     pieces,
 )
 from dyknow.service.routes import samples
+from dyknow.streams.instants import PlacesOf
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -204,7 +203,7 @@ def batch(*sizes: int | None) -> SampleBatch:
     return batch_from_rows(FIELDS, [(i, i, {"t": t, "v": 0.5}) for i, t in enumerate(texts)])
 
 
-def told(part: SampleBatch, places: NDArray[np.int64]) -> list[str]:
+def told(part: SampleBatch, places: PlacesOf) -> list[str]:
     return [f"<urn:{time}> <urn:p> <urn:o> ." for time in part.available.tolist()]
 
 
