@@ -19,8 +19,8 @@ from ..columns.relation import (
     first_rows,
     key_codes,
 )
-from ..operators.result_forms import finish, instantiated
-from ..operators.results import Solutions, WindowResult
+from ..operators.result_forms import END, construct, finish, instantiated
+from ..operators.results import ResultBatch, Solutions, WindowResult
 from .instance_table import INSTANCE
 
 Numbers: TypeAlias = NDArray[np.int64]
@@ -138,6 +138,28 @@ class JoinedResults:
         found = _of_one(self.relation.take(order[low:high]))
         return finish(self.head, found, self.start, self.end, self.terms)
 
+    def batch(self) -> ResultBatch | None:
+        """Return the results of all instances that have solutions as one batch, with the numbers of
+        the instances in place of the windows' ends; None for ASK. Cost: numpy per column."""
+        head = self.head
+        if isinstance(head, Ask):
+            return None
+        order, rows = self._by_instance
+        relation, numbers = self.relation.take(order), self.numbers[rows]
+        first = np.flatnonzero(np.append(True, numbers[1:] != numbers[:-1])[: len(numbers)])
+        places = numbers[first].tolist()
+        if isinstance(head, Select):
+            columns = {name: relation.columns[name] for name in head.variables}
+            found = Solutions(head.variables, columns, self.terms.dictionary, relation.rows)
+            offsets = [*first.tolist(), relation.rows]
+            return ResultBatch(places, places, solutions=found, offsets=offsets)
+        key = relation.key
+        if key is not None:
+            # As windows of their own, equal triples of two instances are two triples.
+            key = key - {INSTANCE} | {END}
+        triples = construct(head, replace(relation, key=key), numbers, self.terms)
+        return ResultBatch(places, places, triples=triples)
+
     def __post_init__(self) -> None:
         self.terms.dictionary.hold(self)
 
@@ -207,6 +229,10 @@ class JoinedResults:
         return order, rows[order]
 
 
+InstancePart: TypeAlias = CommonResult | SeparateResults | JoinedResults
+"""The results of some instances in a window."""
+
+
 @dataclass(frozen=True, eq=False)
 class InstanceResults:
     """The results of the window with end ``end`` (ns) for all present instances.
@@ -218,7 +244,7 @@ class InstanceResults:
 
     start: int
     end: int
-    parts: tuple[CommonResult | SeparateResults | JoinedResults, ...]
+    parts: tuple[InstancePart, ...]
 
     def of(self, instance: int) -> WindowResult | None:
         """Return the result of one instance; None if it did not exist when the window closed."""

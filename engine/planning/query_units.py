@@ -147,7 +147,7 @@ class Queries:
                 template=template,
                 enter=partial(evaluator.add, query.bindings),
                 evaluation=evaluator.explain,
-                results=form.converter(output.stream.pools),
+                form=form,
             )
 
         unit = self._configuration.start_query(form.schema, make)
@@ -201,7 +201,7 @@ class Queries:
                 template=shared,
                 enter=partial(evaluator.add, query, instance.constants),
                 evaluation=lambda: evaluator.explain_of(instance.constants, shared.flows()),
-                results=form.converter(output.stream.pools),
+                form=form,
                 on_result=settings.on_result,
             )
 
