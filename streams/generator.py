@@ -143,7 +143,7 @@ class StreamGenerator:
         self.on_followed: Callable[[bool], None] | None = None
         """Called before the first subscription (True) and after the last one has ended (False)."""
         self.on_read: Callable[[bool], None] | None = None
-        """Called before the first subscription or listener (True) and after the last one (False)."""
+        """Called before the first subscription or listener (True), after the last one (False)."""
         self.catch_up: Callable[[], None] | None = None
         """Called before the samples, the counters or the watermark are looked at: a unit may wait
         so long to emit the samples of a stream that has no readers."""

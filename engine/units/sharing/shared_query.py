@@ -3,7 +3,7 @@ differ in constants (DESIGN §3 "Sharing")."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -25,10 +25,10 @@ from ....streams.string_pool import StringPool
 from ....streams.time import TIME_MIN
 from ...model.result_schema import ResultForm
 from ..query import ResultEmitter
+from ..selection import SelectionUnit
 from ..windowed import WindowUnit
 from .instances import InstanceUnit, SharingUnit
 from .result_log import ResultLog
-
 
 _TEXTS: Final = 4096
 """The number of texts of a field from which on their pool is replaced by an empty one."""
@@ -56,9 +56,13 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         *args: Any,
         evaluator: SharedWindows,
         converters: Mapping[str, Sequence[ToTriples]],
+        selections: Sequence[SelectionUnit] = (),
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: SharedWindows = evaluator
+        self.selections = tuple(selections)
+        """The units that select the objects of the instances, if these have objects of their
+        own."""
         self._on_result: dict[int, Callable[[WindowResult], None]] = {}
         """Callbacks for all results of an instance, by its number, the empty ones included."""
         self._last_available = TIME_MIN
@@ -112,6 +116,10 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         for name, pool in self._pools.items():
             if len(pool) > _TEXTS:
                 self._pools[name] = StringPool()
+
+    def can_enter(self, objects: Sequence[str]) -> bool:
+        """Whether an instance for these objects would be as a query of its own."""
+        return self.accepts_timely_samples and can_enter(self.selections, objects)
 
     def between_steps(self, change: Callable[[], Any]) -> Any:
         return self.between_windows(change)
@@ -226,18 +234,27 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
                 self.deliver()
 
 
+def can_enter(selections: Iterable[SelectionUnit | None], objects: Iterable[str]) -> bool:
+    """Whether each selection, if there is one, can begin to select its object."""
+    pairs = zip(selections, objects, strict=True)
+    return all(one is None or one.can_enter(object) for one, object in pairs)
+
+
 class QueryInstance(InstanceUnit):
     """Emits the results of one query of a shared evaluation, which have ``form``. ``on_result`` is
-    called with the result of each window, as terms."""
+    called with the result of each window, as terms. ``objects`` (IRIs) are what the query needs
+    from each of the ``selections`` of the evaluation."""
 
     def __init__(
         self,
         *args: Any,
         form: ResultForm,
         on_result: Callable[[WindowResult], None] | None = None,
+        objects: Sequence[str] = (),
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
+        self._objects = tuple(objects)
         self.form = form
         self.on_result = on_result
         results = form.converter(self.output.stream.pools)
@@ -250,6 +267,8 @@ class QueryInstance(InstanceUnit):
         return self._template
 
     def connect(self, source: StreamGenerator) -> None:
+        for selection, object in zip(self.template.selections, self._objects, strict=True):
+            selection.add(object)
         super().connect(source)
         number = self.number
         if number is not None:
@@ -265,5 +284,8 @@ class QueryInstance(InstanceUnit):
         self._guarded(lambda: self.output.emit(batch))
 
     def _leave_inputs(self) -> None:
+        if self.number is not None:
+            for selection, object in zip(self.template.selections, self._objects, strict=True):
+                selection.remove(object)
         super()._leave_inputs()
         self.output.on_read = self.output.catch_up = None

@@ -90,8 +90,7 @@ STREAMS = [
 def told(given, streams, least):
     """What each request is told, with the time at which it was made."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(request_sharing, "SAME_STREAMS", least)
-        patch.setattr(request_sharing, "OWN_OBJECTS", least)
+        patch.setattr(request_sharing, "MIN_SHARED", least)
         engine = Engine(epoch="law")
         engine.annotate(streams)
         for template in TEMPLATES:
