@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....continuous.operators.results import WindowResult
 from ....continuous.sharing.instance_results import (
     InstancePart,
     InstanceResults,
+    InstancesInBulk,
     JoinedResults,
     Numbers,
 )
@@ -20,7 +22,7 @@ from ....converters.errors import ConversionError
 from ....converters.to_samples import ResultConverter
 from ....converters.to_triples import ToTriples
 from ....streams.generator import StreamGenerator
-from ....streams.sample import SampleBatch
+from ....streams.sample import SampleBatch, Times
 from ....streams.string_pool import StringPool
 from ....streams.time import TIME_MIN
 from ...model.result_schema import ResultForm
@@ -60,6 +62,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: SharedWindows = evaluator
+        evaluator.splits = False
         self.selections = tuple(selections)
         """The units that select the objects of the instances, if these have objects of their
         own."""
@@ -156,28 +159,59 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             self.deliver()
         super().set_output_idle(is_idle)
 
-    def emit(self, results: Sequence[InstanceResults]) -> None:
-        self.windows += len(results)
-        for window in results:
-            answered = 0
-            for part in window.parts:
-                numbers = part.answered
-                answered += len(numbers)
+    def emit(self, results: Sequence[InstanceResults | InstancesInBulk]) -> None:
+        for result in results:
+            if isinstance(result, InstanceResults):
+                self._emit_window(result)
+            elif not self._emit_windows(result):
+                for window in result.windows():
+                    self._emit_window(window)
+
+    def _emit_windows(self, results: InstancesInBulk) -> bool:
+        """Emit the results of successive windows in one pass; return whether that is possible."""
+        converted = None if self._separate else self._converted(results)
+        if converted is None:
+            return False
+        ends = np.array([end for _, end in results.spans], np.int64)
+        numbers, windows = np.divmod(converted.valid, len(ends))
+        self._emit_samples(numbers, _stamped(converted, ends[windows]))
+        last = np.append(converted.valid[1:] != converted.valid[:-1], True)[: len(windows)]
+        self.windows += len(ends)
+        self._emit_tallies(ends, np.bincount(windows[last], minlength=len(ends)))
+        return True
+
+    def _emit_window(self, window: InstanceResults) -> None:
+        self.windows += 1
+        answered = 0
+        for part in window.parts:
+            numbers = part.answered
+            answered += len(numbers)
+            if len(numbers):
                 self._emit_part(part, numbers, window.end)
-            if self._on_result:
-                for silent, empty in window.silent():
-                    for number in silent.tolist():
-                        on_result = self._on_result.get(number)
-                        if on_result is not None:
-                            on_result(empty)
-            self._last_available = max(window.end, self._last_available) + 1
-            self.emit_tally(self._last_available, window.end, answered)
+        if self._on_result:
+            for silent, empty in window.silent():
+                for number in silent.tolist():
+                    on_result = self._on_result.get(number)
+                    if on_result is not None:
+                        on_result(empty)
+        self._emit_tallies(np.array([window.end]), np.array([answered]))
+
+    def _emit_tallies(self, ends: Times, answered: NDArray[np.int64]) -> None:
+        available = np.maximum(ends, self._last_available) + 1
+        self._last_available = int(available[-1])
+        self.emit_tallies(available, ends, answered)
 
     def _emit_part(self, part: InstancePart, answered: Numbers, end: int) -> None:
         """Emit the results of some instances of the window that ends at ``end`` (ns)."""
-        found = self._converted(part, end) if len(answered) else None
-        if found is not None:
-            self._emit_samples(*found)
+        converted = None
+        if isinstance(part, JoinedResults) and len(self._separate) < len(self._instances):
+            converted = self._converted(part)
+        if converted is not None:
+            numbers = converted.valid
+            if self._separate:
+                rows = ~np.isin(numbers, list(self._separate))
+                numbers, converted = numbers[rows], converted.take(rows)
+            self._emit_samples(numbers, _stamped(converted, np.full(len(numbers), end, np.int64)))
             answered = np.array([n for n in answered.tolist() if n in self._separate], np.int64)
         if not len(answered):
             return
@@ -188,35 +222,23 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             if instance is not None and result is not None:
                 instance.emit(result)
 
-    def _converted(self, part: InstancePart, end: int) -> tuple[Numbers, SampleBatch] | None:
-        """Convert the results of several instances in one pass. Return the samples, those of an
-        instance together, with the numbers of the instances; None where each result has to be
-        converted by itself: to report which one has a value that no field holds, for instance."""
-        if (
-            not isinstance(part, JoinedResults)
-            or self._converter is None
-            or self.output.rules.gap
-            or len(self._separate) == len(self._instances)
-        ):
+    def _converted(self, results: JoinedResults | InstancesInBulk) -> SampleBatch | None:
+        """Convert the results of several instances in one pass, to samples in the order of
+        `batch`. Return None where each result has to be converted by itself: to report which one
+        has a value that no field holds, for instance."""
+        if self._converter is None or self.output.rules.gap:
             return None
-        results = part.batch()
-        if results is None:
+        batch = results.batch()
+        if batch is None:
             return None
         try:
-            batch = self._converter.convert_batch(results)
+            converted = self._converter.convert_batch(batch)
         except ConversionError:
             return None
         if self._lost:
             self._lost.clear()
             return None
-        numbers = batch.valid
-        if self._separate:
-            rows = ~np.isin(numbers, list(self._separate))
-            numbers, batch = numbers[rows], batch.take(rows)
-        count = len(numbers)
-        # As `ResultEmitter` does: available right after the window's end.
-        times = np.full(count, end + 1, np.int64), np.full(count, end, np.int64)
-        return numbers, SampleBatch(*times, batch.columns)
+        return converted
 
     def _emit_samples(self, numbers: Numbers, batch: SampleBatch) -> None:
         """Emit the samples of instances with readers, and let the others wait."""
@@ -232,6 +254,12 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             self._log.add(numbers, batch)
             if self._log.is_full:
                 self.deliver()
+
+
+def _stamped(batch: SampleBatch, ends: Times) -> SampleBatch:
+    """Return samples of windows with these ends; they are available right after it, as those of
+    `ResultEmitter` are."""
+    return SampleBatch(ends + 1, ends, batch.columns)
 
 
 def can_enter(selections: Iterable[SelectionUnit | None], objects: Iterable[str]) -> bool:
