@@ -27,6 +27,7 @@ from ...matching.plan import (
     SelectObjects,
     Supply,
     Synchronize,
+    below_of,
     nodes_of_supply,
 )
 from ...ontology.entailment import Rules
@@ -52,19 +53,25 @@ _MAX_CACHED = 1_000
 @dataclass(frozen=True, slots=True)
 class ShareableQuery:
     """The query that requests with an equal ``key`` can share, over the streams of ``supplies``;
-    worth it from ``least`` requests on.
+    worth it from ``least`` requests on. ``keys`` are all those for which a request counts while it
+    is evaluated alone, ``key`` first.
 
     ``selections`` are the nodes in ``supplies`` that select the objects of the requests, each with
     the object (an IRI) of this request. Their ``generation`` is the first that the objects can
     enter.
     """
 
-    key: Hashable
+    keys: tuple[Hashable, ...]
     query: ContinuousQuery
     supplies: tuple[Supply, ...]
     least: int
     selections: tuple[tuple[SelectObjects, str], ...] = ()
     generation: int = 0
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for requests that can share the query."""
+        return self.keys[0]
 
     @property
     def unit_key(self) -> Hashable:
@@ -125,28 +132,64 @@ class RequestSharing:
             return None
         own = self._plans.expand_supplies(matches)
         selected = _selected(own, query.bindings)
-        fixed = self._agreement(template, query, own, selected)
+        alike = self._shareable(template, query, own)
+        if not selected or (alike is not None and self._is_begun(alike)):
+            return alike
+        together = self._select_together(template, request, query, own, selected, strategy)
+        if together is None or alike is None:
+            return together or alike
+        # The next request may have the same objects, or others.
+        return replace(together, keys=(together.key, alike.key))
+
+    def _shareable(
+        self,
+        template: Template,
+        query: ContinuousQuery,
+        supplies: tuple[Supply, ...],
+        selected: frozenset[str] = frozenset(),
+    ) -> ShareableQuery | None:
+        """Return the query that requests over ``supplies`` share, which select their own terms for
+        the parameters ``selected``; None if they cannot share."""
+        fixed = self._agreement(template, query, supplies, selected)
         if fixed is None:
             return None
         terms = tuple((v.value, t if v.value in fixed else None) for v, t in query.bindings.items())
-        kind = (template.source, terms, selected)
-        if not selected:
-            return ShareableQuery((*kind, own), template.query, own, MIN_SHARED)
+        key = (template.source, terms, selected, supplies)
+        return ShareableQuery((key,), template.query, supplies, MIN_SHARED)
+
+    def _select_together(
+        self,
+        template: Template,
+        request: EventRequest,
+        query: ContinuousQuery,
+        own: tuple[Supply, ...],
+        selected: frozenset[str],
+        strategy: str,
+    ) -> ShareableQuery | None:
+        """Return the query that requests share which differ in objects that they select from the
+        same streams; None if they cannot share."""
+        if self._agreement(template, query, own, selected) is None:
+            return None
         all_objects = self._supplies_without_selection(template, request, own, selected, strategy)
         if all_objects is None:
             return None
+        shareable = self._shareable(template, query, all_objects, selected)
         for generation in count():
             together = _select_together(own, all_objects, generation)
-            if together is None:
+            if shareable is None or together is None:
                 return None
             supplies, selections = together
-            key = (*kind, all_objects)
-            found = ShareableQuery(
-                key, template.query, supplies, MIN_SHARED, selections, generation
+            found = replace(
+                shareable, supplies=supplies, selections=selections, generation=generation
             )
             if self._can_enter(found):
                 return found
         raise AssertionError("a generation without running requests takes any object")
+
+    def _is_begun(self, shareable: ShareableQuery) -> bool:
+        """Whether a request runs, shared or alone, that can share this."""
+        running = self._plans.find_shared(shareable.unit_key)
+        return running is not None or self._alone[shareable.key] > 0
 
     def find_shareable_pattern(
         self,
@@ -176,13 +219,14 @@ class RequestSharing:
 
     def add_alone(self, shareable: Shareable) -> None:
         """Count a request that is evaluated alone."""
-        self._alone[shareable.key] += 1
+        self._alone.update(_keys(shareable))
 
     def remove_alone(self, shareable: Shareable) -> None:
         """Stop counting a request that was evaluated alone."""
-        self._alone[shareable.key] -= 1
-        if not self._alone[shareable.key]:
-            del self._alone[shareable.key]
+        for key in _keys(shareable):
+            self._alone[key] -= 1
+            if not self._alone[key]:
+                del self._alone[key]
 
     def forget(self, template: AnyTemplate) -> None:
         """Drop the cache of a removed template."""
@@ -245,6 +289,11 @@ class RequestSharing:
         return all_objects
 
 
+def _keys(shareable: Shareable) -> tuple[Hashable, ...]:
+    """Return the keys for which a request counts while it is evaluated alone."""
+    return shareable.keys if isinstance(shareable, ShareableQuery) else (shareable.key,)
+
+
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:
     """Return the parameters whose objects the plans select from streams of several objects."""
     objects = {
@@ -285,39 +334,52 @@ class _Selections:
     def of(self, own: Node, every: Node) -> Node | None:
         """Return ``every``, the node for all objects, with the objects selected that ``own``
         selects. None if the nodes differ in more."""
-        pair = own, every
-        if pair not in self._known:
-            self._known[pair] = self._select(own, every)
-        return self._known[pair]
+        # Without recursion: a plan may be some hundred nodes deep.
+        waiting = [(own, every)]
+        while waiting:
+            pair = waiting[-1]
+            missing = [each for each in _below(*pair) if each not in self._known]
+            if pair in self._known or not missing:
+                self._known.setdefault(pair, self._select(*pair))
+                waiting.pop()
+            else:
+                waiting += missing
+        return self._known[own, every]
 
     def _select(self, own: Node, every: Node) -> Node | None:
         if own == every:
             return every
+        below = [self._known[pair] for pair in _below(own, every)]
+        nodes = [node for node in below if node is not None]
+        if len(nodes) < len(below):
+            return None
         if isinstance(own, SelectObject):
-            source = self.of(own.source, every)
-            if source is None:
-                return None
-            node = SelectObjects(source, own.id_field, self._generation)
-            return node if self.objects.setdefault(node, own.object) == own.object else None
-        if isinstance(own, Compute) and isinstance(every, Compute):
-            same = (own.transformation, own.parameters) == (every.transformation, every.parameters)
-            inputs = self._inputs(own.inputs, every.inputs) if same else None
-            return None if inputs is None else replace(every, inputs=inputs)
-        if isinstance(own, Synchronize) and isinstance(every, Synchronize):
-            inputs = self._inputs(own.inputs, every.inputs)
-            return None if inputs is None else replace(every, inputs=inputs)
+            selection = SelectObjects(nodes[0], own.id_field, self._generation)
+            object = self.objects.setdefault(selection, own.object)
+            return selection if object == own.object else None
+        if len(below_of(own)) != len(below_of(every)):
+            return None
+        match own, every:
+            case (Compute(name, parameters=parameters), Compute()):
+                if (name, parameters) == (every.transformation, every.parameters):
+                    return replace(every, inputs=_edges(every.inputs, nodes))
+            case (Synchronize(), Synchronize()):
+                return replace(every, inputs=_edges(every.inputs, nodes))
         return None
 
-    def _inputs(self, own: Sequence[Edge], every: Sequence[Edge]) -> tuple[Edge, ...] | None:
-        if len(own) != len(every):
-            return None
-        edges = []
-        for mine, other in zip(own, every, strict=True):
-            node = self.of(mine.node, other.node)
-            if node is None:
-                return None
-            edges.append(replace(other, node=node))
-        return tuple(edges)
+
+def _below(own: Node, every: Node) -> Sequence[tuple[Node, Node]]:
+    """Return the pairs of nodes that a pair of nodes reads."""
+    if own == every:
+        return ()
+    if isinstance(own, SelectObject):
+        return ((own.source, every),)
+    return tuple(zip(below_of(own), below_of(every), strict=False))
+
+
+def _edges(edges: Sequence[Edge], nodes: Sequence[Node]) -> tuple[Edge, ...]:
+    """Return the edges from other nodes."""
+    return tuple(replace(edge, node=node) for edge, node in zip(edges, nodes, strict=True))
 
 
 def _select_together(
