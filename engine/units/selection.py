@@ -20,7 +20,7 @@ class SelectionUnit(ComputationalUnit):
     that requests ask for, which come and go.
 
     Cost: a table look-up per sample; the table grows with the distinct ids of the stream. Memory:
-    some 100 bytes for each object that was ever asked for.
+    some 100 bytes for each object that was ever asked for, and a byte for each term.
     """
 
     def __init__(
@@ -37,6 +37,8 @@ class SelectionUnit(ComputationalUnit):
         """Whether its parameters have the number of its objects."""
         self._terms: HeldTerms | None = None
         """The objects that are asked for; None: to be made."""
+        self._is_asked = np.zeros(1, np.bool_)
+        """By the id of a term, whether it is one of them."""
 
     def add(self, object: str) -> None:
         """Select the samples of ``object`` (an IRI) from now on, too."""
@@ -64,7 +66,9 @@ class SelectionUnit(ComputationalUnit):
         if self._terms is None:
             asked = (NamedNode(object) for object, count in self._asked.items() if count)
             self._terms = HeldTerms(self._dictionary, asked)
-        terms = self._terms.ids
-        selected = (ids == terms[0] if len(terms) == 1 else np.isin(ids, terms)) & present
+            # Ids after the greatest one find the last place.
+            self._is_asked = np.zeros(int(self._terms.ids.max(initial=-1)) + 2, np.bool_)
+            self._is_asked[self._terms.ids] = True
+        selected = self._is_asked.take(ids, mode="clip") & present
         if bool(selected.any()):
             self.output.emit(batch.take(selected))

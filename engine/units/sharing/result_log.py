@@ -10,7 +10,7 @@ import numpy as np
 from ....continuous.sharing.instance_results import Numbers
 from ....streams.sample import SampleBatch, concatenate
 
-_BATCHES: Final = 32
+_BATCHES: Final = 64
 """The most batches that wait."""
 _ROWS: Final = 1 << 16
 """The number of waiting samples from which on they wait no longer."""
