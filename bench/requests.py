@@ -107,7 +107,7 @@ def main() -> None:
     quick = parser.parse_args().quick
     print(f"requests of one template, {UAVS:,} UAVs, a sample a second each; CPU time, ms a step")
     print(
-        f"{'speeds':<13}{'requests':<20}{'events':>8}{'a step':>8}{'to one for all':>16}"
+        f"{'speeds':<13}{'requests':<20}{'events':>8}{'a step':>8}{'to one for all':>18}"
         f"{'each by itself':>16}{'to register':>13}"
     )
     for speeds, meaning in (("reported", REPORTED), ("coordinates", COORDINATES)):
@@ -121,14 +121,14 @@ def main() -> None:
                 alone = f"{best(meaning, of_objects(count), shared=False)[0]:.2f}"
             print(
                 f"{'':<13}{f'{count:,} objects':<20}{events:>8,.0f}{step:>8.2f}"
-                f"{f'{step / one:.2f} ×':>16}{alone:>16}{registering:>13.1f}"
+                f"{f'{step / one:.2f} ×':>18}{alone:>16}{registering:>13.1f}"
             )
         for count in (10,) if quick else (10, 100):
             step, registering, events = best(meaning, of_thresholds(count))
             beyond = (step - one) / (events - UAVS) * 1e3
             print(
                 f"{'':<13}{f'{count:,} thresholds':<20}{events:>8,.0f}{step:>8.2f}"
-                f"{f'{beyond:.2f} µs an event':>16}{'':>16}{registering:>13.1f}"
+                f"{f'{beyond:.2f} µs an event':>18}{'':>16}{registering:>13.1f}"
             )
 
 

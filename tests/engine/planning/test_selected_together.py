@@ -1,5 +1,7 @@
 """The objects that shared requests select (engine/planning/request_sharing.py)."""
 
+from itertools import permutations
+
 import pytest
 from feeding import feed, samples
 
@@ -123,3 +125,37 @@ def test_a_specification_does_not_name_such_units(flying):
     text = flying.current_specification().partition("-->")[2]
     assert "selectObjects" not in text
     assert text.count("coordinatesToSpeed") >= 1
+
+
+QUERY = """REGISTER STREAM fast COMPUTE EVERY 1s AS
+PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+SELECT ?o ?s WHERE { ?o a dyknow:UAV . ?o dyknow:speed ?s } WINDOW [RANGE 1s STEP 1s]"""
+
+
+@pytest.mark.parametrize("order", list(permutations(["subscription", "request", "query"])))
+def test_subscriptions_requests_and_queries_compute_speeds_once(flying, order):
+    for kind in order:
+        match kind:
+            case "subscription":
+                flying.subscribe_to_feature("dyknow:speed", sort="dyknow:UAV")
+            case "request":
+                ask(flying, "?o", 100)
+                ask(flying, "?o", 200)
+            case "query":
+                flying.queries.register(QUERY)
+        start = order.index(kind) * 5
+        fly(flying, start, start + 5, "uav1")
+    assert len(units(flying, "coordinatesToSpeed")) == 1
+
+
+def test_a_subscription_with_another_source_computes_no_speeds_again(engine, high_speed):
+    for name in ("coordinates", "others"):
+        engine.annotate(COORDINATES.replace("coordinates", name))
+    engine.register_template(high_speed)
+    engine.subscribe_to_feature("dyknow:speed", sort="dyknow:UAV")
+    fly(engine, 0, 5, "uav1")
+    engine.end("coordinates")
+    assert [unit.inputs[0].name for unit in units(engine, "coordinatesToSpeed")] == ["others"]
+    ask(engine, "?o", 100)
+    ask(engine, "?o", 200)
+    assert len(units(engine, "coordinatesToSpeed")) == 1
