@@ -32,8 +32,11 @@ from ..windowed import WindowUnit
 from .instances import InstanceUnit, SharingUnit
 from .result_log import ResultLog
 
-_TEXTS: Final = 4096
-"""The number of texts of a field from which on their pool is replaced by an empty one."""
+_TEXTS: Final = 1 << 16
+_CHARACTERS: Final = 4 << 20
+"""The texts of a field, and their characters, from which on a pool is replaced by an empty one."""
+_SHARE: Final = 4
+"""The number of texts per sample of a result up to which it is not."""
 
 
 class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
@@ -116,9 +119,6 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             instance = self._instances.get(number)
             if instance is not None and number not in self._read:
                 instance.take(batch)
-        for name, pool in self._pools.items():
-            if len(pool) > _TEXTS:
-                self._pools[name] = StringPool()
 
     def can_enter(self, objects: Sequence[str]) -> bool:
         """Whether an instance for these objects would be as a query of its own."""
@@ -231,6 +231,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         batch = results.batch()
         if batch is None:
             return None
+        self._forget_texts(results.relation.rows)
         try:
             converted = self._converter.convert_batch(batch)
         except ConversionError:
@@ -239,6 +240,14 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             self._lost.clear()
             return None
         return converted
+
+    def _forget_texts(self, rows: int) -> None:
+        """Begin the pool of a field anew if most of its texts are not in results of ``rows``
+        samples. Samples that have its codes keep it."""
+        for name, pool in self._pools.items():
+            is_large = len(pool) > _TEXTS or pool.characters > _CHARACTERS
+            if is_large and len(pool) > _SHARE * rows:
+                self._pools[name] = StringPool()
 
     def _emit_samples(self, numbers: Numbers, batch: SampleBatch) -> None:
         """Emit the samples of instances with readers, and let the others wait."""
@@ -295,11 +304,11 @@ class QueryInstance(InstanceUnit):
         return self._template
 
     def connect(self, source: StreamGenerator) -> None:
-        for selection, object in zip(self.template.selections, self._objects, strict=True):
-            selection.add(object)
         super().connect(source)
         number = self.number
         if number is not None:
+            for selection, object in zip(self.template.selections, self._objects, strict=True):
+                selection.add(object)
             self.output.on_read = lambda is_read: self.template.set_read(number, self, is_read)
             self.output.catch_up = self.template.deliver
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from feeding import feed, samples
 
-from dyknow.engine.units.sharing import result_log
+from dyknow.engine.units.sharing import result_log, shared_query
 from dyknow.engine.units.sharing.result_log import ResultLog
 from dyknow.engine.units.sharing.shared_query import TemplateUnit
 from dyknow.streams.sample import Column, FieldType, SampleBatch
@@ -113,6 +113,17 @@ def test_a_request_that_goes_has_what_it_was_told(engine, views):
     generator = engine.generator(views[1].stream)
     engine.cancel_event(views[1].id)
     assert generator.counters.used == 12
+
+
+def test_texts_of_objects_that_are_gone_are_forgotten(engine, views, monkeypatch):
+    monkeypatch.setattr(shared_query, "_TEXTS", 10)
+    listener = Listener()
+    engine.generator(views[1].stream).listen(listener)
+    engine.generator(views[2].stream).listen(listener)
+    for second in range(50):
+        feed(engine, "speeds", [(second + 0.5, {"id": f"new{second}", "v": 130.0})])
+    assert len(shared_unit(engine)._pools["id"]) < 25
+    assert samples(engine, views[1].stream) == samples(engine, views[0].stream)
 
 
 def test_a_log_cuts_samples_by_instance():
