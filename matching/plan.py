@@ -131,6 +131,27 @@ class SelectObject(_Hashed):
         return (self.source,)
 
 
+@dataclass(frozen=True, slots=True)
+class SelectObjects(_Hashed):
+    """The samples of ``source`` whose ``id_field`` names an object that a running request asks for.
+
+    Matching never makes it: requests that share a query do (`engine.planning.request_sharing`). An
+    object that has left a ``generation`` does not enter it again, since the units that read it know
+    the earlier samples of the object.
+    """
+
+    source: Node
+    id_field: str
+    generation: int
+
+    __hash__ = _Hashed.__hash__
+    __eq__ = _Hashed.__eq__
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        return (self.source,)
+
+
 class Port(NamedTuple):
     """A field of a node's stream feeds a field of the consumer, with the change of unit.
 
@@ -236,7 +257,7 @@ class Detect(_Hashed):
         return tuple(source.node for source in self.sources)
 
 
-Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute | Detect
+Node: TypeAlias = UseStream | SelectObject | SelectObjects | Synchronize | Compute | Detect
 
 
 def nothing_runs(node: Node) -> bool:
@@ -283,6 +304,8 @@ def contents_of(node: Node) -> tuple[Content, ...]:
     match node:
         case UseStream(_, contents):
             return contents
+        case SelectObjects(source):
+            return contents_of(source)
         case SelectObject(source, id_field, object):
             return tuple(
                 replace(content, roles=_select(content.roles, id_field, object))
@@ -367,7 +390,7 @@ def below_of(node: Node) -> tuple[Node, ...]:
     match node:
         case UseStream():
             return ()
-        case SelectObject(source):
+        case SelectObject(source) | SelectObjects(source):
             return (source,)
         case Compute(_, inputs) | Synchronize(inputs):
             return tuple(edge.node for edge in inputs)
@@ -375,6 +398,11 @@ def below_of(node: Node) -> tuple[Node, ...]:
             return tuple(source.node for source in sources)
         case _:
             assert_never(node)
+
+
+def is_for_some_objects(node: Node) -> bool:
+    """Whether the stream of ``node`` lacks objects that no request asks for (`SelectObjects`)."""
+    return any(isinstance(each, SelectObjects) for each in nodes_of(node))
 
 
 def nodes_of_supply(supply: Supply) -> tuple[Node, ...]:
@@ -407,6 +435,8 @@ def expanded(supply: Supply, made: Mapping[str, Node]) -> Supply:
                 known[node] = made.get(stream, node)
             case SelectObject(source, id_field, object):
                 known[node] = SelectObject(known[source], id_field, object)
+            case SelectObjects(source):
+                known[node] = replace(node, source=known[source])
             case Synchronize(inputs, roles):
                 known[node] = Synchronize(tuple(map(of_edge, inputs)), roles)
             case Compute():

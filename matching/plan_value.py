@@ -10,6 +10,7 @@ from .plan import (
     Detect,
     Node,
     SelectObject,
+    SelectObjects,
     Supply,
     Synchronize,
     UseStream,
@@ -75,7 +76,7 @@ def _own_cost(node: Node, space: StreamSpace, subscribers: float) -> float:
             stream = space.streams.get(name)
             own = 0.0 if stream is None else stream.cost
             return own + (subscribers * space.subscribers(name) if subscribers else 0.0)
-        case SelectObject():
+        case SelectObject() | SelectObjects():
             return SELECTION_COST
         case Synchronize():
             return SYNCHRONIZATION_COST

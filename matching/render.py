@@ -16,6 +16,7 @@ from .plan import (
     Node,
     Port,
     SelectObject,
+    SelectObjects,
     Supply,
     SupplySource,
     Synchronize,
@@ -203,6 +204,8 @@ def _node(node: Node, ports: tuple[Port, ...]) -> tuple[str, Sequence[_Use]]:
             return stream_text(stream, contents, fields, ports), ()
         case SelectObject(source, id_field, object):
             return f"select {id_field} = {local_name(object)}", (_Use(source, ports),)
+        case SelectObjects(source, id_field):
+            return f"select the {id_field} that requests ask for", (_Use(source, ports),)
         case Synchronize(inputs):
             return "synchronize", _uses(inputs)
         case Detect(event, _, _, sources):

@@ -120,15 +120,14 @@ class StreamGenerator:
     ) -> None:
         self.name = name
         self.rules = Rules() if rules is None else rules
-        self.stream = FluentStream(schema, retention, pools, first)
+        self._stream = FluentStream(schema, retention, pools, first)
         self.lateness = lateness
         self.idle = idle
         self.ahead = ahead
-        self.counters = Counters()
+        self._counters = Counters()
         self.stamped: bool | None = None
         """Whether the samples are stamped on arrival; None before the first one."""
-        self.watermark: int | None = None
-        """None until the stream has begun: a stream without samples holds no other one back."""
+        self._watermark: int | None = None
         self.is_ended = False
         self.is_idle = False
         """Whether others stopped to wait for it, until its next sample."""
@@ -143,6 +142,11 @@ class StreamGenerator:
         self._duplicates = Duplicates(self.rules)
         self.on_followed: Callable[[bool], None] | None = None
         """Called before the first subscription (True) and after the last one has ended (False)."""
+        self.on_read: Callable[[bool], None] | None = None
+        """Called before the first subscription or listener (True), after the last one (False)."""
+        self.catch_up: Callable[[], None] | None = None
+        """Called before the samples, the counters or the watermark are looked at: a unit may wait
+        so long to emit the samples of a stream that has no readers."""
         self._receivers: list[Receiver] = []
         self._known_fields: dict[Receiver, tuple[str, ...]] = {}
         """The fields of receivers that subscribed before the stream got further ones."""
@@ -152,18 +156,40 @@ class StreamGenerator:
         return {**self.__dict__, "_listeners": []}
 
     @property
+    def stream(self) -> FluentStream:
+        """The samples."""
+        self._before_look()
+        return self._stream
+
+    @property
+    def counters(self) -> Counters:
+        """Where the samples went."""
+        self._before_look()
+        return self._counters
+
+    @property
+    def watermark(self) -> int | None:
+        """None until the stream has begun: a stream without samples holds no other one back."""
+        self._before_look()
+        return self._watermark
+
+    def _before_look(self) -> None:
+        if self.catch_up is not None:
+            self.catch_up()
+
+    @property
     def is_constant(self) -> bool:
         """Whether it ended with a single sample ([Introspection15 §3.1])."""
-        return self.is_ended and self.counters.used == 1
+        return self.is_ended and self._counters.used == 1
 
     @property
     def schema(self) -> Schema:
-        return self.stream.schema
+        return self._stream.schema
 
     @property
     def is_open(self) -> bool:
         """Whether the stream has no fields yet: its first samples define them."""
-        return not self.stream.schema.fields
+        return not self._stream.schema.fields
 
     def adopt(self, schema: Schema, pools: Mapping[str, StringPool]) -> None:
         """Give an open stream its fields, and the pools of its text fields.
@@ -171,8 +197,8 @@ class StreamGenerator:
         Raises `SampleError` when the stream has other fields already.
         """
         if self.is_open:
-            self.stream.schema = schema
-            self.stream.pools.update(pools)
+            self._stream.schema = schema
+            self._stream.pools.update(pools)
             if self.late_stream is not None:
                 self.late_stream.adopt(schema, pools)
         elif schema != self.schema:
@@ -188,10 +214,10 @@ class StreamGenerator:
         """
         for receiver in self._receivers:
             self._known_fields.setdefault(receiver, self.schema.names)
-        self.stream.widen(schema)
+        self._stream.widen(schema)
         self._duplicates.forget()
         if self._pending is not None:
-            self._pending = widened(self._pending, schema, self.stream.pools)
+            self._pending = widened(self._pending, schema, self._stream.pools)
         if self.late_stream is not None:
             self.late_stream.widen(schema)
 
@@ -211,20 +237,23 @@ class StreamGenerator:
 
     def listen(self, listener: Listener) -> None:
         """Pass what comes from now on to ``listener``, too."""
+        self._begin_reading()
         self._listeners.append(listener)
 
     def leave(self, listener: Listener) -> None:
         """Remove ``listener``."""
         self._listeners.remove(listener)
+        self._end_reading()
 
     def subscribe(self, receiver: Receiver) -> None:
         """Serve ``receiver`` from now on. It receives the current watermark at once, and learns if
         the stream is idle."""
+        self._begin_reading()
         if self.on_followed is not None and not self._receivers:
             self.on_followed(True)
         self._receivers.append(receiver)
-        if self.watermark is not None:
-            receiver.advance(self, self.watermark)
+        if self._watermark is not None:
+            receiver.advance(self, self._watermark)
         if self.is_idle:
             receiver.idleness_changed(self)
 
@@ -234,12 +263,21 @@ class StreamGenerator:
         self._known_fields.pop(receiver, None)
         if self.on_followed is not None and not self._receivers:
             self.on_followed(False)
+        self._end_reading()
+
+    def _begin_reading(self) -> None:
+        if self.on_read is not None and not self._receivers and not self._listeners:
+            self.on_read(True)
+
+    def _end_reading(self) -> None:
+        if self.on_read is not None and not self._receivers and not self._listeners:
+            self.on_read(False)
 
     @property
     def pending(self) -> SampleBatch:
         """What is held back within the lateness."""
         if self._pending is None:
-            return empty_batch(self.schema, self.stream.pools)
+            return empty_batch(self.schema, self._stream.pools)
         return self._pending
 
     def go_on(
@@ -257,10 +295,10 @@ class StreamGenerator:
         """Take over the state of another generator. It kept ``batch``, whose first sample has
         number ``first``, and held back the last ``pending`` ones. Contract: this one is unused."""
         count = len(batch) - pending
-        self.stream.go_on(batch.take(slice(0, count)), first, complete_since)
-        self.counters, self.stamped = counters, stamped
-        self.watermark, self.is_ended = watermark, is_ended
-        self._greatest = self.stream.last_available
+        self._stream.go_on(batch.take(slice(0, count)), first, complete_since)
+        self._counters, self.stamped = counters, stamped
+        self._watermark, self.is_ended = watermark, is_ended
+        self._greatest = self._stream.last_available
         if pending:
             self._pending = batch.take(slice(count, None))
             self._greatest = int(self._pending.available[-1])
@@ -293,11 +331,11 @@ class StreamGenerator:
         stamps = None if now is None else self._stamps(len(batch), now)
         if self.is_open:
             self._adopt_from(batch)
-        batch = self.stream.encoded(batch)
+        batch = self._stream.encoded(batch)
         self.stamped = stamps is not None
         self.resume()
         self.wake()
-        self.counters.accepted += len(batch)
+        self._counters.accepted += len(batch)
         if stamps is not None:
             valid = stamps if stamps_valid else batch.valid
             self._release(SampleBatch(stamps, valid, batch.columns))
@@ -327,7 +365,7 @@ class StreamGenerator:
         are released first: no later sample can overtake them.
         """
         watermark = min(watermark, TIME_MAX)  # "known up to t" is watermark t + 1
-        if self.watermark is not None and watermark <= self.watermark:
+        if self._watermark is not None and watermark <= self._watermark:
             return
         if self._pending is not None:
             self._release_first(int(np.searchsorted(self._pending.available, watermark, "left")))
@@ -370,10 +408,10 @@ class StreamGenerator:
     def stamps_at(self, moments: Times) -> Times:
         """Available times for samples that come to be at ``moments`` (ns, in order): each its own,
         but none before the watermark or the sample before it."""
-        last, gap = self.stream.last_available, self.rules.gap
+        last, gap = self._stream.last_available, self.rules.gap
         least = TIME_MIN if last is None else min(last, TIME_MAX - gap) + gap
-        if self.watermark is not None:
-            least = max(least, self.watermark)
+        if self._watermark is not None:
+            least = max(least, self._watermark)
         if not gap:
             return np.maximum(moments, least)
         if moments[0] >= least and _increases(moments):
@@ -386,15 +424,15 @@ class StreamGenerator:
 
     def close(self) -> None:
         """Remove the stream: count pending samples as expired."""
-        self.counters.expired += self.counters.pending
-        self.counters.pending = 0
+        self._counters.expired += self._counters.pending
+        self._counters.pending = 0
         self._pending = None
 
     def pass_late_to(self, side: StreamGenerator) -> None:
         """Pass late samples to ``side``, which has the same fields, from now on."""
         self.late_stream = side
-        if self.watermark is not None:
-            side.advance(self.watermark)
+        if self._watermark is not None:
+            side.advance(self._watermark)
         if self.is_ended:
             side.end()
 
@@ -411,12 +449,12 @@ class StreamGenerator:
 
     def _stamps(self, count: int, now: int) -> Times:
         """The available times of ``count`` samples that come ``now``, after every earlier one."""
-        last = self.stream.last_available
+        last = self._stream.last_available
         start = now if last is None else max(now, last + 1)
         if self._pending is not None:
             start = max(start, int(self._pending.available[-1]) + 1)
-        if self.watermark is not None:  # a clock that is set back breaks no promise
-            start = max(start, self.watermark)
+        if self._watermark is not None:  # a clock that is set back breaks no promise
+            start = max(start, self._watermark)
         gap = self.rules.gap
         if start > TIME_MAX - max(1, count * gap):
             raise SampleError("the stream's available times have reached the end of 64-bit time")
@@ -436,7 +474,7 @@ class StreamGenerator:
         in_order = _increases if distinct else _never_falls
         if (
             (self._greatest is None or first > before)
-            and (self.watermark is None or first >= self.watermark)
+            and (self._watermark is None or first >= self._watermark)
             and in_order(available)
         ):  # the common case: nothing is late, nothing can be there already
             self._greatest = int(available[-1])
@@ -448,26 +486,26 @@ class StreamGenerator:
             greatest[:-1] < TIME_MIN + self.lateness, TIME_MIN, greatest[:-1] - self.lateness
         )
         late = available < limit
-        if self.watermark is not None:
-            late |= available < self.watermark
+        if self._watermark is not None:
+            late |= available < self._watermark
         if bool(late.any()):
-            self.counters.late += int(late.sum())
+            self._counters.late += int(late.sum())
             if self.late_stream is not None:
                 self._pass_late(self.late_stream, batch.take(late), greatest[:-1][late])
             batch = batch.take(~late)
         if not distinct or not len(batch):
             return _in_order(batch)
-        again = self._duplicates.among(batch, self.stream, self.pending)
+        again = self._duplicates.among(batch, self._stream, self.pending)
         count = int(np.count_nonzero(again))
-        self.counters.duplicate += count
+        self._counters.duplicate += count
         return _in_order(batch.take(~again) if count else batch)
 
     def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
         """Late samples go on with their valid times and values. Each is available when it came, in
         the time of the stream: that is the greatest available time ``reached`` before it, or the
         watermark where that is further (`stamps_at`)."""
-        if self.watermark is not None:
-            reached = np.maximum(reached, self.watermark)
+        if self._watermark is not None:
+            reached = np.maximum(reached, self._watermark)
         side.emit(batch.with_available(side.stamps_at(reached)))
 
     def _flush_until(self, due: int) -> None:
@@ -482,15 +520,15 @@ class StreamGenerator:
         pending = self._pending
         assert pending is not None
         self._pending = pending.take(slice(count, None)) if count < len(pending) else None
-        self.counters.pending = len(pending) - count
+        self._counters.pending = len(pending) - count
         if count:
             self._release(pending.take(slice(0, count)))
 
     def _release(self, batch: SampleBatch) -> None:
-        if batch.available[-1] != self.stream.last_available:
+        if batch.available[-1] != self._stream.last_available:
             self._duplicates.forget()
-        self.stream.append(batch)
-        self.counters.used += len(batch)
+        self._stream.append(batch)
+        self._counters.used += len(batch)
         self._greatest = (
             int(batch.available[-1])
             if self._greatest is None
@@ -509,12 +547,12 @@ class StreamGenerator:
         keeps codes. Cost: O(receivers), and what `FluentStream.forget_texts` costs."""
         if any(receiver.knows_codes for receiver in self._receivers):
             return
-        self._pending = self.stream.forget_texts(self._pending)
+        self._pending = self._stream.forget_texts(self._pending)
 
     def _announce(self, watermark: int) -> None:
         """Send the subscribers a watermark that is greater than the last one."""
-        if self.watermark is None or watermark > self.watermark:
-            self.watermark = watermark
+        if self._watermark is None or watermark > self._watermark:
+            self._watermark = watermark
             for receiver in tuple(self._receivers):
                 receiver.advance(self, watermark)
             if self.late_stream is not None:

@@ -32,19 +32,21 @@ from ..algebra.plan_text import describe, describe_query
 from ..algebra.rewrite_rules import optimize
 from ..algebra.template_parameters import Joint, Step, Unfit, build_joint
 from ..algebra.unsupported import Unsupported
+from ..columns.budget import BudgetExceeded
 from ..columns.expression_evaluation import evaluate, holds
 from ..columns.relation import NeedsOxigraph, Relation
 from ..estimation.costs import cost_table
 from ..estimation.estimates import estimate
 from ..estimation.input_rates import Flow
 from ..estimation.pattern_sizes import Known
+from ..evaluation.bulk_execution import ROWS, BulkPlan
 from ..evaluation.execution import Execution, WindowRows
 from ..evaluation.solver import QueryBody, Solver
-from ..operators.executor import distinct, execute, united
-from ..operators.result_forms import finish
+from ..operators.executor import distinct, execute, run, united
+from ..operators.result_forms import END, finish
 from ..operators.sources import StaticSide
 from ..windows.window_schedule import OpenWindows
-from .instance_results import CommonResult, JoinedResults, SeparateResults
+from .instance_results import CommonResult, InstancesInBulk, JoinedResults, SeparateResults
 from .instance_table import INSTANCE, InstanceTable
 
 
@@ -127,6 +129,7 @@ class JoinedCohort:
         if alone:
             self._execution.join_patterns(outputs(joint.plan))
         self._alone: dict[int, Solver] = {}
+        self._bulk = BulkPlan.of(self._execution, joint.head)
 
     def explain(self) -> str:
         """Describe the shared plan, its execution, and the steps after the join."""
@@ -185,6 +188,27 @@ class JoinedCohort:
             return (JoinedResults(start, shown, head, relation, numbers, alive, self.terms),)
         return (self._solve_each(rows),)
 
+    def in_bulk(self, ends: Sequence[int]) -> InstancesInBulk | None:
+        """Return the results of the windows that end at some of ``ends``, from the first on,
+        instead of `fold` and `results` of each; None if they must be evaluated one by one."""
+        if isinstance(self._bulk, str) or not self.table.columns:
+            return None
+        numbers, alive = self.table.members()
+        try:
+            found = self._execution.in_bulk(ends, ROWS)
+            if found is None:
+                return None
+            bulk, aggregated = found
+            relation = self._solutions(run(self._bulk.steps, aggregated, self.terms))
+            self.terms.budget.check(relation.rows, "a join with the instances")
+        except (NeedsOxigraph, BudgetExceeded):
+            # The window that is concerned raises it again, by itself.
+            return None
+        self._execution.follow(bulk)
+        self._alone = {}
+        spans = [self.windows.span(end) for end in bulk.ends]
+        return InstancesInBulk(spans, self.joint.head, relation, numbers, alive, self.terms)
+
     def _solutions(self, relation: Relation) -> Relation:
         """Join the plan's solutions with the table, and apply the remaining steps."""
         pieces: list[Relation] = []
@@ -227,7 +251,7 @@ class JoinedCohort:
                 return Relation({**columns, variable: value}, relation.rows, relation.key)
             case Project(variables):
                 # Parameters are in scope everywhere in a template, so a subquery keeps them.
-                own = (*self.joint.joined, *self.joint.compared, INSTANCE)
+                own = (*self.joint.joined, *self.joint.compared, INSTANCE, END)
                 kept = {name: relation.column(name) for name in variables}
                 kept |= {name: columns[name] for name in own if name in columns}
                 key = relation.key

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -19,8 +19,8 @@ from ..columns.relation import (
     first_rows,
     key_codes,
 )
-from ..operators.result_forms import finish, instantiated
-from ..operators.results import Solutions, WindowResult
+from ..operators.result_forms import END, construct, finish, instantiated
+from ..operators.results import ResultBatch, Solutions, WindowResult
 from .instance_table import INSTANCE
 
 Numbers: TypeAlias = NDArray[np.int64]
@@ -138,6 +138,11 @@ class JoinedResults:
         found = _of_one(self.relation.take(order[low:high]))
         return finish(self.head, found, self.start, self.end, self.terms)
 
+    def batch(self) -> ResultBatch | None:
+        """Return the results of all instances that have solutions as one batch, with the numbers of
+        the instances in place of the windows' ends; None for ASK. Cost: numpy per column."""
+        return _by_key(self.head, self.relation, self._numbers, self.terms)
+
     def __post_init__(self) -> None:
         self.terms.dictionary.hold(self)
 
@@ -207,6 +212,10 @@ class JoinedResults:
         return order, rows[order]
 
 
+InstancePart: TypeAlias = CommonResult | SeparateResults | JoinedResults
+"""The results of some instances in a window."""
+
+
 @dataclass(frozen=True, eq=False)
 class InstanceResults:
     """The results of the window with end ``end`` (ns) for all present instances.
@@ -218,7 +227,7 @@ class InstanceResults:
 
     start: int
     end: int
-    parts: tuple[CommonResult | SeparateResults | JoinedResults, ...]
+    parts: tuple[InstancePart, ...]
 
     def of(self, instance: int) -> WindowResult | None:
         """Return the result of one instance; None if it did not exist when the window closed."""
@@ -260,7 +269,68 @@ class InstanceResults:
         return np.sort(np.concatenate([_NONE, *(part.holding() for part in self.parts)]))
 
 
+@dataclass(frozen=True, eq=False)
+class InstancesInBulk:
+    """The results of successive windows with these ``spans`` (start and end, ns) for all instances
+    of a cohort. `END` is the number of a row's window in ``relation``, and the rest as in
+    `JoinedResults`."""
+
+    spans: Sequence[tuple[int, int]]
+    head: Head
+    relation: Relation
+    numbers: Numbers
+    alive: NDArray[np.bool_]
+    terms: TermValues
+
+    def __post_init__(self) -> None:
+        self.terms.dictionary.hold(self)
+
+    def held_ids(self) -> Iterator[NDArray[np.int32]]:
+        """See `dictionary.Holder`."""
+        for column in self.relation.columns.values():
+            yield column.held_ids
+
+    def batch(self) -> ResultBatch | None:
+        """Return the results of all instances in all windows as one batch, with ``number * windows
+        + window`` in place of the windows' ends; see `JoinedResults.batch`."""
+        columns = self.relation.columns
+        own = self.numbers[columns[INSTANCE].values] * len(self.spans) + columns[END].values
+        return _by_key(self.head, self.relation, own, self.terms)
+
+    def windows(self) -> Iterator[InstanceResults]:
+        """Yield the results of each window."""
+        windows = self.relation.columns[END].values
+        order = np.argsort(windows, kind="stable")
+        first = np.searchsorted(windows[order], np.arange(len(self.spans) + 1)).tolist()
+        key = self.relation.key
+        relation = replace(self.relation, key=None if key is None else key - {END})
+        for i, (start, end) in enumerate(self.spans):
+            rows = relation.take(order[first[i] : first[i + 1]])
+            part = JoinedResults(start, end, self.head, rows, self.numbers, self.alive, self.terms)
+            yield InstanceResults(start, end, (part,))
+
+
 _NONE: Numbers = np.zeros(0, np.int64)
+
+
+def _by_key(head: Head, relation: Relation, keys: Numbers, terms: TermValues) -> ResultBatch | None:
+    """Return a result for each distinct key (of each solution), which stands in place of a window's
+    end. None for ASK."""
+    if isinstance(head, Ask):
+        return None
+    order = np.argsort(keys, kind="stable")
+    relation, keys = relation.take(order), keys[order]
+    first = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])
+    places = keys[first].tolist()
+    if isinstance(head, Select):
+        columns = {name: relation.columns[name] for name in head.variables}
+        found = Solutions(head.variables, columns, terms.dictionary, relation.rows)
+        offsets = [*first.tolist(), relation.rows]
+        return ResultBatch(places, places, solutions=found, offsets=offsets)
+    if relation.key is not None:
+        # Equal triples of two keys are two triples, as those of two windows are.
+        relation = replace(relation, key=relation.key - {INSTANCE} | {END})
+    return ResultBatch(places, places, triples=construct(head, relation, keys, terms))
 
 
 def _of_one(relation: Relation) -> Relation:

@@ -14,7 +14,9 @@ from ..algebra.plan import Blank, Construct, Order, Query, expressions_of, walk
 from ..algebra.volatile_functions import is_volatile
 from ..evaluation.windowed_evaluator import WindowedEvaluator
 from ..windows.grid import Schedule
-from .instance_results import InstanceResults
+from ..windows.window_schedule import EvaluateWindows
+from .cohorts import JoinedCohort
+from .instance_results import InstanceResults, InstancesInBulk
 
 
 def own_windows(query: ContinuousQuery, schedule: Schedule, options: Options) -> str:
@@ -42,12 +44,47 @@ def own_solutions(query: Query) -> str:
     return ""
 
 
-class SharedWindows(WindowedEvaluator[InstanceResults]):
-    """The windows of ``query`` over named inputs, with the results of many queries."""
+class SharedWindows(WindowedEvaluator[InstanceResults | InstancesInBulk]):
+    """The windows of ``query`` over named inputs, with the results of many queries.
+
+    Windows that are due at once are evaluated in one pass if all queries are of one cohort.
+    """
+
+    splits = True
+    """Whether each window has its own `InstanceResults`; else windows that were evaluated in one
+    pass have an `InstancesInBulk`."""
 
     @abstractmethod
     def remove(self, instance: int) -> None:
         """Remove a query by its number; raises ``KeyError`` if there is none."""
+
+    @property
+    @abstractmethod
+    def only_cohort(self) -> JoinedCohort | None:
+        """The cohort of all queries; None if there are several, or none that is joined."""
+
+    def take_results(self) -> list[InstanceResults | InstancesInBulk]:
+        """Remove and return the results since the last call."""
+        results = super().take_results()
+        if not self.splits:
+            return results
+        split: list[InstanceResults | InstancesInBulk] = []
+        for one in results:
+            split += one.windows() if isinstance(one, InstancesInBulk) else [one]
+        return split
+
+    def _in_bulk(self) -> EvaluateWindows | None:
+        return None if self.only_cohort is None else self._close_many
+
+    def _close_many(self, ends: list[int]) -> tuple[int, bool] | None:
+        cohort = self.only_cohort
+        results = None if cohort is None else cohort.in_bulk(ends)
+        if results is None:
+            return None
+        self._in_a_row = 0
+        self._results.append(results)
+        # See `_evaluate`.
+        return len(results.spans), True
 
     @abstractmethod
     def explain(self) -> str:

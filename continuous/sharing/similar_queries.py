@@ -219,6 +219,10 @@ class SimilarQueriesEvaluator(SharedWindows):
         del self._queries[instance]
         self._cohort.remove(instance)
 
+    @property
+    def only_cohort(self) -> JoinedCohort | None:
+        return self._cohort if self._queries else None
+
     def explain(self) -> str:
         """Describe the differences of the queries, and the plan that is computed once."""
         lines = [f"one of {len(self)} queries that differ in constants, computed together"]

@@ -139,6 +139,13 @@ class TemplateEvaluator(SharedWindows):
         if not cohort.live:
             del self._serials[cohort.place.serial], self._cohorts[cohort.place.key]
 
+    @property
+    def only_cohort(self) -> JoinedCohort | None:
+        if len(self._cohorts) != 1:
+            return None
+        (cohort,) = self._cohorts.values()
+        return cohort if isinstance(cohort, JoinedCohort) else None
+
     def explain(self) -> str:
         """Describe what is shared among which instances, and the plans of some cohorts."""
         lines = [f"{len(self)} instances in {len(self._cohorts)} cohorts"]

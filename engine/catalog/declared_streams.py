@@ -34,6 +34,7 @@ from ..configuration.configuration import (
     RETENTION,
     SELECT_INSTANCE,
     SELECT_OBJECT,
+    SELECT_OBJECTS,
     SYNCHRONIZE,
     Configuration,
 )
@@ -50,6 +51,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _SYSTEM_NAMES = (
     STATUS,
     SELECT_OBJECT,
+    SELECT_OBJECTS,
     SELECT_INSTANCE,
     SYNCHRONIZE,
     MERGE,

@@ -42,6 +42,8 @@ BUILT_IN = (POLICY, *PROCESSES)
 """Transformations of KPL; users cannot take their names."""
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
+SELECT_OBJECTS = "selectObjects"
+"""The transformation that selects the samples of all objects that requests ask for."""
 SYNCHRONIZE = "synchronize"
 """The transformation that joins the values of an object from several streams."""
 MERGE = "merge"
@@ -349,7 +351,7 @@ class Configuration:
         """Whether the inputs of a unit still exist and were not replaced, also the inputs of
         policies and of a shared query before it. A unit that copies its input must also have all
         fields of the input, which may have got more."""
-        copies = unit.transformation in (POLICY, SELECT_OBJECT)
+        copies = unit.transformation in (POLICY, SELECT_OBJECT, SELECT_OBJECTS)
         for source in unit.inputs:
             if self.streams.get(source.name) is not source:
                 return False

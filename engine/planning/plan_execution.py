@@ -7,12 +7,10 @@ like any other stream, so matching finds it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import assert_never
-
-from pyoxigraph import NamedNode
 
 from ...continuous.columns.budget import UNLIMITED, Budget
 from ...converters.objects import ObjectTable
@@ -26,17 +24,19 @@ from ...matching.plan import (
     Edge,
     Node,
     SelectObject,
+    SelectObjects,
     Supply,
     Synchronize,
     UseStream,
     annotation_of,
     expanded,
+    is_for_some_objects,
     nodes_of,
 )
 from ...matching.space import StreamSpace
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
-from ...rdf.dictionary import HeldTerms, TermDictionary
+from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import DYKNOW, shorten
 from ...streams.generator import StreamGenerator
 from ...streams.past_queries import Moment
@@ -51,6 +51,7 @@ from ..catalog.transformation_library import (
 )
 from ..configuration.configuration import (
     SELECT_OBJECT,
+    SELECT_OBJECTS,
     SYNCHRONIZE,
     Configuration,
 )
@@ -149,6 +150,10 @@ class Plans:
     def is_shared(self, node: Node, since: Beginning) -> bool:
         """Whether a plan that begins with ``since`` would find a unit for ``node``."""
         return self._configuration.is_shared((node, _unit_beginning(node, since)))
+
+    def find_shared(self, key: Hashable) -> ComputationalUnit | None:
+        """Return the running unit for ``key`` (`Configuration.share`), if there is one."""
+        return self._configuration.find_shared(key)
 
     def match(
         self,
@@ -274,14 +279,21 @@ class Plans:
                 self._sources.pop(change.stream, None)
 
     def _build(
-        self, node: SelectObject | Synchronize | Compute | Detect, since: Beginning
+        self,
+        node: SelectObject | SelectObjects | Synchronize | Compute | Detect,
+        since: Beginning,
     ) -> ComputationalUnit:
         if isinstance(node, Detect):
             return self._detect(node, since)
         unit: ComputationalUnit
         match node:
             case SelectObject(source, id_field, object):
-                unit = self._select(self.obtain(source, since), id_field, object)
+                parameters = {"field": id_field, "object": shorten(object)}
+                one = self._select(source, since, id_field, SELECT_OBJECT, parameters)
+                one.add(object)
+                unit = one
+            case SelectObjects(source, id_field):
+                unit = self._select(source, since, id_field, SELECT_OBJECTS, {"field": id_field})
             case Synchronize():
                 unit = self._synchronize(node, since)
             case Compute():
@@ -289,7 +301,9 @@ class Plans:
             case _:
                 assert_never(node)
         self._configuration.start(unit, since)
-        if not isinstance(node, SelectObject):  # matching finds its objects in the source stream
+        # Matching finds the objects of a selection in its source stream. It must not find a stream
+        # that lacks objects.
+        if not isinstance(node, SelectObject) and not is_for_some_objects(node):
             self._annotate(node, unit, since)
         return unit
 
@@ -350,17 +364,25 @@ class Plans:
         ``source`` lacks no samples."""
         return max(self._complete_since.get(source.name, TIME_MIN), source.stream.complete_since)
 
-    def _select(self, source: StreamGenerator, id_field: str, object: str) -> ComputationalUnit:
+    def _select(
+        self,
+        node: Node,
+        since: Beginning,
+        id_field: str,
+        transformation: str,
+        parameters: Mapping[str, str],
+    ) -> SelectionUnit:
+        """Make a unit that selects samples of ``node`` by the object that ``id_field`` names."""
+        source = self.obtain(node, since)
         namespace = self._configuration.namespaces[source.name]
         output = self._configuration.reserved_stream(
             source.schema, namespace, dict(source.stream.pools)
         )
-        parameters = {"field": id_field, "object": shorten(object)}
         return SelectionUnit(
-            *self._configuration.identity(SELECT_OBJECT, [source], output, parameters),
+            *self._configuration.identity(transformation, [source], output, parameters),
             id_field=id_field,
-            object=HeldTerms(self._dictionary, [NamedNode(object)]),
             objects=ObjectTable(self._dictionary, namespace),
+            dictionary=self._dictionary,
         )
 
     def _synchronize(self, node: Synchronize, since: Beginning) -> ComputationalUnit:

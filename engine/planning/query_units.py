@@ -28,6 +28,7 @@ from ...languages.csparql.ast import ContinuousQuery
 from ...languages.ssl.annotation import Content, StreamAnnotation
 from ...matching.plan import (
     Node,
+    SelectObjects,
     Supply,
     SupplySource,
     own_annotation,
@@ -47,6 +48,7 @@ from ..model.beginning import Beginning, check_retained
 from ..model.result_schema import ResultForm, result_form
 from ..model.views import Since
 from ..units.query import QueryUnit
+from ..units.selection import SelectionUnit
 from ..units.sharing.instances import TALLY
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from .query_sharing import FormInstance
@@ -116,12 +118,27 @@ class Queries:
         unit = self._start(query, inputs, converters, form, since, settings)
         return _started(unit, query, form, supplies)
 
-    def start_template(self, query: ContinuousQuery, supplies: Sequence[Supply]) -> TemplateUnit:
-        """Start the query of a template, its parameters free, over the streams of the supplies."""
+    def selection(self, node: SelectObjects) -> SelectionUnit | None:
+        """Return the running unit of ``node``, if there is one."""
+        unit = self._configuration.find_shared((node, Since.NOW))
+        assert unit is None or isinstance(unit, SelectionUnit)
+        return unit
+
+    def start_template(
+        self,
+        query: ContinuousQuery,
+        supplies: Sequence[Supply],
+        selections: Sequence[SelectObjects] = (),
+    ) -> TemplateUnit:
+        """Start the query of a template, its parameters free, over the streams of the supplies,
+        which rest on the ``selections``."""
+        names = [self._obtain(node, Since.NOW).name for node in selections]
+        units = [self._configuration.units[name] for name in names]
+        selecting = [unit for unit in units if isinstance(unit, SelectionUnit)]
         inputs, converters = self._start_inputs(supplies, Since.NOW)
         query = with_streams(query, list(inputs))
         evaluator = self._evaluator(query, list(inputs))
-        return self._start_shared(query, inputs, converters, evaluator)
+        return self._start_shared(query, inputs, converters, evaluator, selections=selecting)
 
     def start_instance(
         self,
@@ -129,9 +146,11 @@ class Queries:
         query: ContinuousQuery,
         supplies: Sequence[Supply],
         request: str,
+        objects: Sequence[str] = (),
     ) -> StartedUnit[QueryInstance]:
         """Start ``query`` as an instance of the template, with the arguments of ``request`` (its
-        text). ``supplies`` are those that it would have alone; its annotation needs their roles."""
+        text). ``supplies`` are those that it would have alone; its annotation needs their roles.
+        ``objects`` (IRIs) are those of the template's selections."""
         evaluator = template.evaluator
         assert isinstance(evaluator, TemplateEvaluator)
         form = self.form(query)
@@ -147,7 +166,8 @@ class Queries:
                 template=template,
                 enter=partial(evaluator.add, query.bindings),
                 evaluation=evaluator.explain,
-                results=form.converter(output.stream.pools),
+                form=form,
+                objects=objects,
             )
 
         unit = self._configuration.start_query(form.schema, make)
@@ -201,7 +221,7 @@ class Queries:
                 template=shared,
                 enter=partial(evaluator.add, query, instance.constants),
                 evaluation=lambda: evaluator.explain_of(instance.constants, shared.flows()),
-                results=form.converter(output.stream.pools),
+                form=form,
                 on_result=settings.on_result,
             )
 
@@ -232,6 +252,7 @@ class Queries:
         converters: Mapping[str, Sequence[ToTriples]],
         evaluator: SharedWindows,
         parameters: str = "",
+        selections: Sequence[SelectionUnit] = (),
     ) -> TemplateUnit:
         def make(output: StreamGenerator) -> TemplateUnit:
             text = parameters + format_query(replace(query, name=output.name))
@@ -240,6 +261,7 @@ class Queries:
                 *self._configuration.identity(C_SPARQL, sources, output, {"query": text}),
                 evaluator=evaluator,
                 converters=converters,
+                selections=selections,
             )
 
         return self._configuration.start_query(TALLY, make)

@@ -1,15 +1,17 @@
 """Requests of a template that share one query (DESIGN §3 "Sharing").
 
 Requests share a query if they differ in arguments and read the same streams, or differ only in the
-objects that each selects from these streams. Sharing begins with some number of requests: selecting
-a few objects is cheaper than computing all.
+objects that each selects from these streams. The shared plan then selects the objects of all these
+requests (`matching.plan.SelectObjects`), so it costs what they need, not what all objects need.
+Sharing begins with the second request; the first one goes on by itself.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 from typing import TypeAlias
 
 from pyoxigraph import NamedNode, Variable
@@ -19,12 +21,13 @@ from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.plan import (
     Compute,
+    Edge,
     Node,
     SelectObject,
+    SelectObjects,
     Supply,
     Synchronize,
     below_of,
-    nodes_of,
     nodes_of_supply,
 )
 from ...ontology.entailment import Rules
@@ -36,14 +39,13 @@ from ...templates.library import TemplateLibrary
 from ...templates.needs import NeedsError
 from ...templates.reasoning import Bound
 from ..model.views import Since
+from ..units.sharing.shared_query import TemplateUnit, can_enter
 from .pattern_sharing import PatternSharing
 from .pattern_start import ShareablePattern
 from .plan_execution import Plans
 
-SAME_STREAMS = 4
-"""The number of requests with the same streams from which on one query evaluates them."""
-OWN_OBJECTS = 32
-"""The same for requests that each select objects of their own."""
+MIN_SHARED = 2
+"""The number of requests from which on one query evaluates them."""
 _MAX_CACHED = 1_000
 """Kinds of requests of one template whose agreement is cached."""
 
@@ -51,13 +53,40 @@ _MAX_CACHED = 1_000
 @dataclass(frozen=True, slots=True)
 class ShareableQuery:
     """The query that requests with an equal ``key`` can share, over the streams of ``supplies``;
-    worth it from ``least`` requests on.
+    worth it from ``least`` requests on. ``keys`` are all those for which a request counts while it
+    is evaluated alone, ``key`` first.
+
+    ``selections`` are the nodes in ``supplies`` that select the objects of the requests, each with
+    the object (an IRI) of this request. Their ``generation`` is the first that the objects can
+    enter.
     """
 
-    key: Hashable
+    keys: tuple[Hashable, ...]
     query: ContinuousQuery
     supplies: tuple[Supply, ...]
     least: int
+    selections: tuple[tuple[SelectObjects, str], ...] = ()
+    generation: int = 0
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for requests that can share the query."""
+        return self.keys[0]
+
+    @property
+    def unit_key(self) -> Hashable:
+        """The key of the unit that evaluates the query."""
+        return self.key, self.generation
+
+    @property
+    def nodes(self) -> tuple[SelectObjects, ...]:
+        """The nodes that select objects."""
+        return tuple(node for node, _ in self.selections)
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The objects of the request (IRIs), in the order of the nodes."""
+        return tuple(object for _, object in self.selections)
 
 
 Shareable: TypeAlias = ShareableQuery | ShareablePattern
@@ -103,21 +132,64 @@ class RequestSharing:
             return None
         own = self._plans.expand_supplies(matches)
         selected = _selected(own, query.bindings)
-        fixed = self._agreement(template, query, own, selected)
+        alike = self._shareable(template, query, own)
+        if not selected or (alike is not None and self._is_begun(alike)):
+            return alike
+        together = self._select_together(template, request, query, own, selected, strategy)
+        if together is None or alike is None:
+            return together or alike
+        # The next request may have the same objects, or others.
+        return replace(together, keys=(together.key, alike.key))
+
+    def _shareable(
+        self,
+        template: Template,
+        query: ContinuousQuery,
+        supplies: tuple[Supply, ...],
+        selected: frozenset[str] = frozenset(),
+    ) -> ShareableQuery | None:
+        """Return the query that requests over ``supplies`` share, which select their own terms for
+        the parameters ``selected``; None if they cannot share."""
+        fixed = self._agreement(template, query, supplies, selected)
         if fixed is None:
             return None
-        supplies = own
-        if selected:
-            all_objects = self._supplies_without_selection(
-                template, request, own, selected, strategy
-            )
-            if all_objects is None:
-                return None
-            supplies = all_objects
         terms = tuple((v.value, t if v.value in fixed else None) for v, t in query.bindings.items())
-        kind = (template.source, terms, selected, supplies)
-        least = OWN_OBJECTS if selected else SAME_STREAMS
-        return ShareableQuery(kind, template.query, supplies, least)
+        key = (template.source, terms, selected, supplies)
+        return ShareableQuery((key,), template.query, supplies, MIN_SHARED)
+
+    def _select_together(
+        self,
+        template: Template,
+        request: EventRequest,
+        query: ContinuousQuery,
+        own: tuple[Supply, ...],
+        selected: frozenset[str],
+        strategy: str,
+    ) -> ShareableQuery | None:
+        """Return the query that requests share which differ in objects that they select from the
+        same streams; None if they cannot share."""
+        if self._agreement(template, query, own, selected) is None:
+            return None
+        all_objects = self._supplies_without_selection(template, request, own, selected, strategy)
+        if all_objects is None:
+            return None
+        shareable = self._shareable(template, query, all_objects, selected)
+        for generation in count():
+            together = _select_together(own, all_objects, generation)
+            if shareable is None or together is None:
+                return None
+            supplies, selections = together
+            found = replace(
+                shareable, supplies=supplies, selections=selections, generation=generation
+            )
+            if self._can_enter(found):
+                return found
+        raise AssertionError("a generation without running requests takes any object")
+
+    def _is_begun(self, shareable: ShareableQuery) -> bool:
+        """Whether a request runs, shared or alone, that can share this."""
+        running = self._plans.find_shared(shareable.unit_key)
+        return running is not None or self._alone[shareable.key] > 0
 
     def find_shareable_pattern(
         self,
@@ -133,19 +205,28 @@ class RequestSharing:
             return None
         return self._patterns.find_shareable(template, request, bound, matches, strategy)
 
+    def _can_enter(self, shareable: ShareableQuery) -> bool:
+        """Whether the objects of a request can enter the running units of a generation."""
+        unit = self._plans.find_shared(shareable.unit_key)
+        if isinstance(unit, TemplateUnit):
+            return can_enter(unit.selections, shareable.objects)
+        running = map(self._plans.queries.selection, shareable.nodes)
+        return can_enter(running, shareable.objects)
+
     def is_worth_it(self, shareable: Shareable) -> bool:
         """Whether one request more makes sharing worth it."""
         return self._alone[shareable.key] + 1 >= shareable.least
 
     def add_alone(self, shareable: Shareable) -> None:
         """Count a request that is evaluated alone."""
-        self._alone[shareable.key] += 1
+        self._alone.update(_keys(shareable))
 
     def remove_alone(self, shareable: Shareable) -> None:
         """Stop counting a request that was evaluated alone."""
-        self._alone[shareable.key] -= 1
-        if not self._alone[shareable.key]:
-            del self._alone[shareable.key]
+        for key in _keys(shareable):
+            self._alone[key] -= 1
+            if not self._alone[key]:
+                del self._alone[key]
 
     def forget(self, template: AnyTemplate) -> None:
         """Drop the cache of a removed template."""
@@ -205,13 +286,12 @@ class RequestSharing:
         all_objects = self._plans.expand_supplies(matches)
         if len(all_objects) != len(supplies) or _count_reads(all_objects) != _count_reads(supplies):
             return None
-        outlines = _Outlines()
-        same = all(
-            [outlines.of(one.node) for one in mine.sources]
-            == [outlines.of(one.node) for one in other.sources]
-            for mine, other in zip(supplies, all_objects, strict=True)
-        )
-        return all_objects if same else None
+        return all_objects
+
+
+def _keys(shareable: Shareable) -> tuple[Hashable, ...]:
+    """Return the keys for which a request counts while it is evaluated alone."""
+    return shareable.keys if isinstance(shareable, ShareableQuery) else (shareable.key,)
 
 
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:
@@ -241,28 +321,82 @@ def _count_reads(supplies: Sequence[Supply]) -> int:
     )
 
 
-class _Outlines:
-    """Numbers nodes by their outline, that is the node without its selections of objects: equal
-    outlines have equal numbers. Cost: O(distinct nodes)."""
+class _Selections:
+    """Selects the objects of requests in the plans for all objects. Each pair of nodes has one
+    result, since a plan shares nodes."""
 
-    def __init__(self) -> None:
-        self._numbers: dict[Hashable, int] = {}
-        self._known: dict[Node, int] = {}
+    def __init__(self, generation: int) -> None:
+        self._generation = generation
+        self._known: dict[tuple[Node, Node], Node | None] = {}
+        self.objects: dict[SelectObjects, str] = {}
+        """The object of the request that each selection has to select."""
 
-    def of(self, source: Node) -> int:
-        """Return the number of a node's outline."""
-        for node in nodes_of(source):
-            if node not in self._known:
-                self._known[node] = self._number(node)
-        return self._known[source]
+    def of(self, own: Node, every: Node) -> Node | None:
+        """Return ``every``, the node for all objects, with the objects selected that ``own``
+        selects. None if the nodes differ in more."""
+        # Without recursion: a plan may be some hundred nodes deep.
+        waiting = [(own, every)]
+        while waiting:
+            pair = waiting[-1]
+            missing = [each for each in _below(*pair) if each not in self._known]
+            if pair in self._known or not missing:
+                self._known.setdefault(pair, self._select(*pair))
+                waiting.pop()
+            else:
+                waiting += missing
+        return self._known[own, every]
 
-    def _number(self, node: Node) -> int:
-        below = tuple(self._known[each] for each in below_of(node))
-        if isinstance(node, SelectObject):
-            return below[0]
-        outline: Hashable = node
-        if isinstance(node, Compute):
-            outline = (node.transformation, node.parameters, below)
-        elif isinstance(node, Synchronize):
-            outline = below
-        return self._numbers.setdefault(outline, len(self._numbers))
+    def _select(self, own: Node, every: Node) -> Node | None:
+        if own == every:
+            return every
+        below = [self._known[pair] for pair in _below(own, every)]
+        nodes = [node for node in below if node is not None]
+        if len(nodes) < len(below):
+            return None
+        if isinstance(own, SelectObject):
+            selection = SelectObjects(nodes[0], own.id_field, self._generation)
+            object = self.objects.setdefault(selection, own.object)
+            return selection if object == own.object else None
+        if len(below_of(own)) != len(below_of(every)):
+            return None
+        match own, every:
+            case (Compute(name, parameters=parameters), Compute()):
+                if (name, parameters) == (every.transformation, every.parameters):
+                    return replace(every, inputs=_edges(every.inputs, nodes))
+            case (Synchronize(), Synchronize()):
+                return replace(every, inputs=_edges(every.inputs, nodes))
+        return None
+
+
+def _below(own: Node, every: Node) -> Sequence[tuple[Node, Node]]:
+    """Return the pairs of nodes that a pair of nodes reads."""
+    if own == every:
+        return ()
+    if isinstance(own, SelectObject):
+        return ((own.source, every),)
+    return tuple(zip(below_of(own), below_of(every), strict=False))
+
+
+def _edges(edges: Sequence[Edge], nodes: Sequence[Node]) -> tuple[Edge, ...]:
+    """Return the edges from other nodes."""
+    return tuple(replace(edge, node=node) for edge, node in zip(edges, nodes, strict=True))
+
+
+def _select_together(
+    own: Sequence[Supply], all_objects: Sequence[Supply], generation: int
+) -> tuple[tuple[Supply, ...], tuple[tuple[SelectObjects, str], ...]] | None:
+    """Return the supplies for all objects, with the objects of requests selected where ``own``
+    selects its objects, and these selections. None if the plans differ in more."""
+    selections = _Selections(generation)
+    supplies = []
+    for mine, other in zip(own, all_objects, strict=True):
+        if len(mine.sources) != len(other.sources):
+            return None
+        sources = []
+        for one, another in zip(mine.sources, other.sources, strict=True):
+            node = selections.of(one.node, another.node)
+            if node is None:
+                return None
+            sources.append(replace(another, node=node))
+        supplies.append(replace(other, sources=tuple(sources)))
+    return tuple(supplies), tuple(selections.objects.items())

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from ...languages.kpl import format_policy
 from ...languages.ssl.annotation import TransformationAnnotation
-from ...matching.plan import Compute, Edge, SelectObject, Synchronize
+from ...matching.plan import Compute, Edge, SelectObject, Synchronize, is_for_some_objects
 from ...rdf.namespaces import shorten
 from ...streams.generator import StreamGenerator
 from ...streams.past_queries import Moment
@@ -163,6 +163,8 @@ class RunningShapes:
             case (SelectObject(_, field, object), Since() | Moment()):
                 parameters = (("field", field), ("object", shorten(object)))
                 return self._shape_over(unit, SELECT_OBJECT, parameters, named)
+            case (Compute() | Synchronize() as node, _) if is_for_some_objects(node):
+                return None
             case (Synchronize(), Since() | Moment()):
                 return self._shape_over(unit, SYNCHRONIZE, (), named)
             case (Compute() as node, Since() | Moment()):

@@ -42,7 +42,7 @@ from ..planning.pattern_start import ShareablePattern
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
 from ..planning.reasoning_start import ReasoningUnit, result_annotation
-from ..planning.request_sharing import RequestSharing, Shareable
+from ..planning.request_sharing import RequestSharing, Shareable, ShareableQuery
 from ..planning.stream_binding import (
     check_graphs,
     find_streams,
@@ -314,12 +314,16 @@ class EventRequests:
         shareable = None
         if since is Since.NOW:
             shareable = self._sharing.find_shareable(template, request, query, matches, strategy)
-        if shareable is not None and self._sharing.is_worth_it(shareable):
-            start = partial(self._plans.queries.start_template, shareable.query, shareable.supplies)
-            unit = self._configuration.share(shareable.key, start)
+        if shareable is not None and self._shares_query(shareable):
+            queries = self._plans.queries
+            start = partial(
+                queries.start_template, shareable.query, shareable.supplies, shareable.nodes
+            )
+            unit = self._configuration.share(shareable.unit_key, start)
             assert isinstance(unit, TemplateUnit)
-            built: StartedUnit[Any] = self._plans.queries.start_instance(
-                unit, query, supplies, request.source.strip()
+            text = request.source.strip()
+            built: StartedUnit[Any] = queries.start_instance(
+                unit, query, supplies, text, shareable.objects
             )
             shareable = None
         else:
@@ -355,6 +359,13 @@ class EventRequests:
         unit = starter.start(bound, supplies_of(matches), since, request=text)
         annotation = result_annotation(request.event, unit)
         return _Running(unit, tuple(matches), annotation, annotation, shareable)
+
+    def _shares_query(self, shareable: ShareableQuery) -> bool:
+        """Whether a request joins the shared query that runs, or begins one."""
+        shared = self._configuration.find_shared(shareable.unit_key)
+        if isinstance(shared, TemplateUnit):
+            return shared.can_enter(shareable.objects)
+        return self._sharing.is_worth_it(shareable)
 
     def _shares(self, shareable: ShareablePattern) -> bool:
         """Whether a request joins the shared evaluation that runs, or begins one."""

@@ -13,6 +13,7 @@ from ...matching.plan import (
     Detect,
     Node,
     SelectObject,
+    SelectObjects,
     Supply,
     Synchronize,
     UseStream,
@@ -61,7 +62,7 @@ class _PlanShapes:
                 return self._shape_over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
             case Compute():
                 return self._shape_over(node.transformation, node.parameters, self._inputs(node))
-            case Detect():
+            case Detect() | SelectObjects():
                 self.has_query = True
                 return ""
             case _:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from dyknow.engine.planning.request_sharing import _Outlines
+from dyknow.engine.planning.request_sharing import _select_together
 from dyknow.languages.ssl.annotation import (
     Content,
     PortAnnotation,
@@ -16,7 +16,14 @@ from dyknow.languages.ssl.annotation import (
     StreamAnnotation,
 )
 from dyknow.matching.match import Match, match, render
-from dyknow.matching.plan import below_of, nodes_of, nodes_of_supply
+from dyknow.matching.plan import (
+    SelectObject,
+    UseStream,
+    below_of,
+    expanded,
+    nodes_of,
+    nodes_of_supply,
+)
 from dyknow.matching.render import MOST_LINES
 from dyknow.matching.space import StreamSpace, TransformationDescription
 from dyknow.matching.tree import Alternative, Outcome
@@ -128,9 +135,20 @@ def test_a_long_chain_is_compared(vocabulary):
     assert chain() == chain()
 
 
-def test_outlines_cost_distinct_nodes(vocabulary):
-    outlines = _Outlines()
-    one, another = (mesh(vocabulary).supply.sources[0].node for _ in range(2))
-    other = mesh(vocabulary, layers=LAYERS - 1).supply.sources[0].node
-    assert outlines.of(one) == outlines.of(another)
-    assert outlines.of(one) != outlines.of(other)
+def selecting(supply):
+    """The supply with its streams selected by an object."""
+    streams = {node: node for node in nodes_of_supply(supply) if isinstance(node, UseStream)}
+    made = {node.stream: SelectObject(node, "id", DYKNOW + "uav1") for node in streams}
+    return expanded(supply, made)
+
+
+def test_selecting_together_costs_distinct_nodes(vocabulary):
+    all_objects, others = (mesh(vocabulary).supply for _ in range(2))
+    supplies, selections = _select_together([selecting(others)], [all_objects], 0)
+    ((node, object),) = selections
+    assert (node.id_field, node.generation, object) == ("id", 0, DYKNOW + "uav1")
+    assert expanded(all_objects, {"ends": node}) == supplies[0]
+    # What selects nothing is the same plan.
+    assert _select_together([others], [all_objects], 0) == ((all_objects,), ())
+    other = mesh(vocabulary, layers=LAYERS - 1).supply
+    assert _select_together([selecting(others)], [other], 0) is None

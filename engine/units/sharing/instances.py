@@ -11,9 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....streams.generator import StreamGenerator
-from ....streams.sample import Column, Field, FieldType, SampleBatch, Schema
+from ....streams.sample import Column, Field, FieldType, SampleBatch, Schema, Times
 from ..base import ComputationalUnit
 
 TALLY = Schema(
@@ -111,12 +112,17 @@ class SharingUnit(ComputationalUnit, Generic[Instance]):
 
     def emit_tally(self, available: int, valid: int, answered: int) -> None:
         """Emit how many instances have a result at the ``valid`` time (ns)."""
+        given = (np.array([each], np.int64) for each in (available, valid, answered))
+        self.emit_tallies(*given)
+
+    def emit_tallies(self, available: Times, valid: Times, answered: NDArray[np.int64]) -> None:
+        """Emit how many instances have a result at each of the ``valid`` times (ns)."""
+        count = np.full(len(valid), len(self._instances), np.int64)
         columns = {
-            name: Column(FieldType.INTEGER, np.array([count], np.int64))
-            for name, count in (("instances", len(self._instances)), ("answered", answered))
+            "instances": Column(FieldType.INTEGER, count),
+            "answered": Column(FieldType.INTEGER, answered),
         }
-        times = np.array([available], np.int64), np.array([valid], np.int64)
-        self.output.emit(SampleBatch(*times, columns))
+        self.output.emit(SampleBatch(available, valid, columns))
 
 
 class InstanceUnit(ComputationalUnit):

@@ -12,11 +12,8 @@ SPEEDS = "stream speeds contains speed(UAV) = v for every UAV = id"
 
 
 @pytest.fixture
-def shared(engine, high_speed, monkeypatch):
-    """An engine in which requests for the same streams share from the second one on, and those for
-    objects of their own from the third one on."""
-    monkeypatch.setattr(request_sharing, "SAME_STREAMS", 2)
-    monkeypatch.setattr(request_sharing, "OWN_OBJECTS", 3)
+def shared(engine, high_speed):
+    """An engine in which requests share from the second one on."""
     engine.annotate(SPEEDS)
     engine.register_template(high_speed)
     return engine
@@ -74,8 +71,10 @@ def test_each_is_told_what_it_asked_for(shared):
 
 def test_own_objects_are_selected_by_the_template(shared):
     views = [ask(shared, f"dyknow:uav{i}", 100) for i in (1, 2, 3, 4)]
-    assert made_by(views[1]) == ["selectObject", "cSparql"]
-    assert made_by(views[2]) == made_by(views[3]) == ["cSparql", "selectInstance"]
+    assert made_by(views[0]) == ["selectObject", "cSparql"]
+    together = ["selectObjects", "cSparql", "selectInstance"]
+    assert made_by(views[1]) == made_by(views[2]) == made_by(views[3]) == together
+    assert "selectObjects(field=id, objects=3)" in shared.event(views[3].id).plan.text
     fly(shared, 7, uav1=130, uav2=130, uav3=130, uav4=50)
     told = [{values["id"] for _, values in samples(shared, view.stream)} for view in views]
     assert told == [{"uav1"}, {"uav2"}, {"uav3"}, set()]
@@ -110,18 +109,17 @@ def test_what_is_a_requests_own_is_not_shared(shared, body, window):
     assert [made_by(view) for view in views] == [["cSparql"]] * 3
 
 
-def test_streams_that_are_made_for_somebody_are_the_same_streams(engine, high_speed, monkeypatch):
-    monkeypatch.setattr(request_sharing, "SAME_STREAMS", 2)
-    monkeypatch.setattr(request_sharing, "OWN_OBJECTS", 3)
+def test_streams_that_are_made_for_somebody_are_the_same_streams(engine, high_speed):
     engine.annotate(
         "stream coordinates contains latitude(UAV) = lat [deg], longitude(UAV) = lon [deg] "
         "for every UAV = id"
     )
     engine.register_template(high_speed)
     views = [ask(engine, f"dyknow:uav{i}", 100) for i in range(6)]
-    assert made_by(views[1]) == ["selectObject", "coordinatesToSpeed", "cSparql"]
-    shared = [view.plan.units[-2].name for view in views[2:]]
-    assert made_by(views[5]) == ["coordinatesToSpeed", "cSparql", "selectInstance"]
+    assert made_by(views[0]) == ["selectObject", "coordinatesToSpeed", "cSparql"]
+    shared = [view.plan.units[-2].name for view in views[1:]]
+    together = ["selectObjects", "coordinatesToSpeed", "cSparql", "selectInstance"]
+    assert made_by(views[5]) == together
     assert len(set(shared)) == 1
     views += [ask(engine, "?o", limit) for limit in (100, 110)]
     assert [made_by(view)[-1] for view in views[6:]] == ["cSparql", "selectInstance"]
@@ -200,13 +198,13 @@ def test_what_fails_in_one_fails_in_no_other(shared):
     _, second, third = (ask(shared, "?o", limit) for limit in (100, 110, 120))
     unit = shared._parts.configuration.units[second.stream]
 
-    def fail(result, available):
+    def fail(batch):
         raise RuntimeError("no more")
 
-    unit._emitter.results.convert = fail
+    unit.output.emit = fail
     fly(shared, 7, uav1=130)
-    assert unit.failure == "RuntimeError: no more"
     assert samples(shared, third.stream)
+    assert unit.failure == "RuntimeError: no more"
     # Who asks for the same gets another unit, which works.
     again = ask(shared, "?o", 110)
     assert again.stream != second.stream
@@ -236,7 +234,7 @@ def test_what_fails_in_the_template_fails_in_all(shared):
 @pytest.fixture
 def two_streams(engine, high_speed, monkeypatch):
     """Requests over two streams, one of which may fall idle."""
-    monkeypatch.setattr(request_sharing, "SAME_STREAMS", 1)
+    monkeypatch.setattr(request_sharing, "MIN_SHARED", 1)
     fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
     for name, sort, idle in (("rmaxes", "RMAX", 5 * SECOND), ("cars", "Car", None)):
         engine.declare(StreamDeclaration(name, fields, idle=idle))

@@ -16,7 +16,9 @@ from pyoxigraph import Literal, Variable
 from dyknow.continuous.algebra.options import Options
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.sharing import instance_kernel, instance_table
+from dyknow.continuous.sharing.instance_results import InstancesInBulk
 from dyknow.continuous.sharing.template_instances import TemplateEvaluator
+from dyknow.continuous.windows import window_schedule
 from dyknow.languages.csparql import bind, parse_template
 from dyknow.rdf.dictionary import TermDictionary
 
@@ -206,6 +208,40 @@ def test_many_instances_come_and_go(body, size, elements, cuts, some) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(instance_table, "RECENT", 1)
         check(body, size, elements, cuts, some, Options())
+
+
+def of_one_cohort(names: dict) -> st.SearchStrategy:
+    """Instances that bind the same parameters, and agree on the sort."""
+    given = st.fixed_dictionaries({"k": st.just(UAV), "t": laws.numbers, **names})
+    one = st.tuples(st.integers(0, 25), given, st.integers(1, 25) | st.none())
+    return st.lists(one, min_size=1, max_size=6)
+
+
+@law
+@given(
+    st.sampled_from(BODIES[:2]),
+    sizes,
+    laws.elements_of(values, 40, 10),
+    st.lists(st.integers(0, 40), max_size=2),
+    st.one_of(of_one_cohort({}), of_one_cohort({"o": st.sampled_from(laws.OBJECTS)})),
+)
+def test_windows_that_are_due_at_once_change_nothing(body, size, elements, cuts, some) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(window_schedule, "FEWEST", 2)
+        check(body, size, elements, cuts, some, Options(semantics="bag"))
+
+
+def test_windows_are_evaluated_in_one_pass_in_the_law(monkeypatch) -> None:
+    monkeypatch.setattr(window_schedule, "FEWEST", 2)
+    dictionary = TermDictionary()
+    evaluator = TemplateEvaluator(
+        template(BODIES[0], (3, 1)), dictionary, laws.background(), [INPUT]
+    )
+    evaluator.splits = False
+    evaluator.add({Variable("k"): UAV, Variable("t"): Literal(0)})
+    said = [laws.Element(i, laws.OBJECTS[0], A, Literal(1.0), UAV) for i in range(9)]
+    found = fed(evaluator, dictionary, said, [])
+    assert any(isinstance(one, InstancesInBulk) for one in found)
 
 
 limits = st.lists(st.sampled_from([-1.0, 0.0, 0.5, 2.0, float("nan"), float("inf")]), max_size=12)

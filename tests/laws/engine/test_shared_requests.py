@@ -6,8 +6,12 @@ from feeding import feed, samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dyknow.continuous.windows import window_schedule
+from dyknow.engine.durability.checkpoint import Outside, engine_of, state_of
 from dyknow.engine.engine import Engine
 from dyknow.engine.planning import request_sharing
+from dyknow.engine.processes.registry import Processes
+from dyknow.engine.processes.supervision import DIRECT
 
 RANGE = 3
 TEMPLATES = [
@@ -78,7 +82,9 @@ rows = st.lists(
     max_size=6,
 )
 steps = st.lists(
-    st.one_of(rows, rows, requests(), requests(), st.integers(0, 8)), min_size=4, max_size=14
+    st.one_of(rows, rows, requests(), requests(), st.integers(0, 8), st.just(("restart",))),
+    min_size=4,
+    max_size=14,
 )
 STREAMS = [
     "stream s contains speed(UAV) = v, heading(UAV) = h for every UAV = id",
@@ -87,21 +93,43 @@ STREAMS = [
 ]
 
 
-def told(given, streams, least):
-    """What each request is told, with the time at which it was made."""
+class Follower:
+    """Counts the samples of a stream."""
+
+    def __init__(self):
+        self.heard = 0
+
+    def receive(self, source, batch):
+        self.heard += len(batch)
+
+    def ended(self, source):
+        pass
+
+
+def told(given, streams, least, *, followed=False):
+    """What each request is told, with the time at which it was made. ``followed``: somebody listens
+    to the stream of every second request."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(request_sharing, "SAME_STREAMS", least)
-        patch.setattr(request_sharing, "OWN_OBJECTS", least)
+        patch.setattr(window_schedule, "FEWEST", 2)
+        patch.setattr(request_sharing, "MIN_SHARED", least)
         engine = Engine(epoch="law")
         engine.annotate(streams)
         for template in TEMPLATES:
             engine.register_template(template)
-        now, running, ended = 0.0, {}, []
+        now, running, ended, followers = 0.0, {}, [], {}
         for i, step in enumerate(given):
             match step:
                 case str():
                     view = engine.request_event(engine.parse_request(step))
                     running[i] = (view.id, step, now, view.stream)
+                    if followed and i % 2:
+                        follower, generator = Follower(), engine.generator(view.stream)
+                        followers[i] = follower, generator.counters.used
+                        generator.listen(follower)
+                case ("restart",):
+                    outside = Outside(Processes(), DIRECT)
+                    engine, _ = engine_of(state_of(engine, None, outside).data, outside)
+                    followers.clear()
                 case int():
                     if step in running:
                         ended.append((step, *seen(engine, running[step])))
@@ -114,6 +142,10 @@ def told(given, streams, least):
         )
         # Two windows close that are complete.
         publish(engine, [(1.0, "uav1", 3.0, 3.0)] * (RANGE + 2), now)
+        for number, (follower, before) in followers.items():
+            if number in running:
+                used = engine.generator(running[number][3]).counters.used
+                assert follower.heard == used - before
         for number, request in running.items():
             ended.append((number, *seen(engine, request)))
         for id, *_ in running.values():
@@ -147,10 +179,10 @@ def seen(engine, request):
 
 
 @settings(deadline=None, max_examples=60)
-@given(steps, st.sampled_from(STREAMS))
-def test_sharing_changes_nothing(given, streams):
+@given(steps, st.sampled_from(STREAMS), st.sampled_from([1, 2]), st.booleans())
+def test_sharing_changes_nothing(given, streams, least, followed):
     alone, _ = told(given, streams, 10**9)
-    shared, _ = told(given, streams, 1)
+    shared, _ = told(given, streams, least, followed=followed)
     assert shared == alone
 
 
