@@ -36,6 +36,7 @@ from ...streams.time_arithmetic import earlier, later
 from ..states.states import States, Term
 from . import windows
 from .formulas import parts_of
+from .timelines import Timelines
 from .windows import NEVER, Moments
 
 Axes: TypeAlias = tuple[str, ...]
@@ -67,7 +68,9 @@ class Pass:
 
     states: States
     sorts: Mapping[str, str]
-    first: int
+    timelines: Timelines
+    values: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """The value of each parameter at each state, where each timeline has one of its own."""
     memo: dict[tuple[int, bool], Node] = field(default_factory=dict)
     atoms: dict[int, tuple[Axes, Mask, Mask | None]] = field(default_factory=dict)
 
@@ -153,32 +156,32 @@ class Pass:
     def _previous(self, child: Node) -> Node:
         """The child at the state before; false at the first state of all."""
         known = _column(np.arange(self.rows), child.true.ndim)
-        is_first = self.first == 0
-        true = np.concatenate([np.full_like(child.true[:1], NEVER), child.true[:-1]])
-        false = np.concatenate(
-            [np.full_like(child.false[:1], 0 if is_first else NEVER), child.false[:-1]]
-        )
+        true, false = np.roll(child.true, 1, axis=0), np.roll(child.false, 1, axis=0)
+        first = self.timelines.first
+        is_whole = _column(self.timelines.is_whole[first], child.true.ndim)
+        true[first], false[first] = NEVER, np.where(is_whole, 0, NEVER)
         return Node(child.axes, np.maximum(true, known), np.maximum(false, known))
 
     def bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
         """The rows in the interval of each state: the first, and the one after the last."""
-        valid = self.states.valid
+        valid, rows = self.states.valid, self.timelines
         if is_past:
-            last = windows.places(valid, earlier(valid, interval.start), after=True)
+            last = rows.places(valid, earlier(valid, interval.start), after=True)
             if interval.end is None:
-                return np.zeros(self.rows, np.int64), last
-            return windows.places(valid, earlier(valid, interval.end), after=False), last
-        first = windows.places(valid, later(valid, interval.start), after=False)
+                return rows.begin, last
+            return rows.places(valid, earlier(valid, interval.end), after=False), last
+        first = rows.places(valid, later(valid, interval.start), after=False)
         if interval.end is None:
-            return first, np.full(self.rows, self.rows)
-        return first, windows.places(valid, later(valid, interval.end), after=True)
+            return first, rows.end
+        return first, rows.places(valid, later(valid, interval.end), after=True)
 
     def over(self, reach: int | None) -> Moments:
         """From which state on no later state is valid up to ``reach`` (ns) after each state; None:
         no later state comes at all."""
         end = np.full(self.rows, END) if reach is None else later(self.states.valid, reach)
-        closed = windows.places(self.states.horizon, end, after=False)
-        return np.where(closed == self.rows, NEVER, np.maximum(closed, np.arange(self.rows)))
+        closed = self.timelines.places(self.states.horizon, end, after=False)
+        is_open = closed == self.timelines.end
+        return np.where(is_open, NEVER, np.maximum(closed, np.arange(self.rows)))
 
     def _exists(self, variable: str, sort: str, child: Node) -> Node:
         """Over the objects of the sort that are there at each state."""
@@ -233,7 +236,8 @@ class Pass:
             case Reading():
                 return self._reading(value)
             case Parameter(name):
-                raise AssertionError(f"?{name} of a template has no value")
+                made = self.values[name]
+                return (), made, np.ones(len(made), np.bool_)
             case _:
                 assert_never(value)
 

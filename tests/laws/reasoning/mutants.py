@@ -32,7 +32,7 @@ MUTANTS = (
     ("mtl/nodes.py", "later(valid, interval.start), after=False", "later(valid, interval.start), after=True", PROGRESSION),
     ("mtl/nodes.py", "earlier(valid, interval.end), after=False", "earlier(valid, interval.end), after=True", PROGRESSION),
     # `previous` is false at the first state of all.
-    ("mtl/nodes.py", "is_first = self.first == 0", "is_first = False", PROGRESSION),
+    ("mtl/nodes.py", "np.where(is_whole, 0, NEVER)", "NEVER", PROGRESSION),
     # Nothing is known of a start before it.
     ("mtl/nodes.py", "np.maximum(true, known), np.maximum(false, known))\n\n    def _until", "true, false)\n\n    def _until", PROGRESSION),
     # A left part that fails makes `until` false at once.
@@ -44,7 +44,7 @@ MUTANTS = (
     # Unknown needs both readings.
     ("mtl/evaluator.py", "np.maximum(lower.false, upper.true)", "np.minimum(lower.false, upper.true)", PROGRESSION),
     # States that a later verdict needs are kept.
-    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, states.valid) if count else 0", "keep = oldest", PROGRESSION),
+    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, once)", "keep = oldest", PROGRESSION),
     # The state of a witness.
     ("mtl/witness.py", "(a <= b) if is_or is is_true else (a >= b)", "a <= b", PROGRESSION),
     ("mtl/windows.py", "least < max(held, closed[i])", "least <= max(held, closed[i])", PROGRESSION),
@@ -52,9 +52,9 @@ MUTANTS = (
     ("mtl/robustness.py", "np.inf if is_upper else -np.inf", "-np.inf", ROBUSTNESS),
     ("mtl/robustness.py", "return axes, -table", "return axes, table", ROBUSTNESS),
     # A state leaves with the samples of its instant.
-    ("states/state_maker.py", 'np.searchsorted(left, rows.available, "left")', 'np.searchsorted(left, rows.available, "right")', STATES),
+    ("states/kept_samples.py", 'np.searchsorted(left, rows.available, "left")', 'np.searchsorted(left, rows.available, "right")', STATES),
     ("states/departures.py", "moments > last", "moments >= last", STATES),
-    ("mtl/monitoring.py", "self.evaluator.advance(steps.latest - 1)", "self.evaluator.advance(steps.latest)", MONITORING),
+    ("mtl/monitoring.py", "self._evaluator.advance(latest - 1)", "self._evaluator.advance(latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
     # SEQ is strict; EQUALS is of both times.
     ("patterns/compilation/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
