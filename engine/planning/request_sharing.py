@@ -30,15 +30,12 @@ from ...matching.plan import (
 from ...ontology.entailment import Rules
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import Term
-from ...templates.formulas import BoundFormula
 from ...templates.instantiate import ArgumentError, instantiate
 from ...templates.library import TemplateLibrary
 from ...templates.needs import NeedsError
-from ...templates.reasoning import Bound
 from ..model.views import Since
-from .pattern_sharing import PatternSharing
-from .pattern_start import ShareablePattern
 from .plan_execution import Plans
+from .reasoning_start import ShareableEvaluation
 
 SAME_STREAMS = 4
 """The number of requests with the same streams from which on one query evaluates them."""
@@ -60,7 +57,7 @@ class ShareableQuery:
     least: int
 
 
-Shareable: TypeAlias = ShareableQuery | ShareablePattern
+Shareable: TypeAlias = ShareableQuery | ShareableEvaluation
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +80,6 @@ class RequestSharing:
         self._agreements: dict[str, _Agreements] = {}
         """By the template's name."""
         self._alone: Counter[Hashable] = Counter()
-        self._patterns = PatternSharing(templates, plans)
 
     def find_shareable(
         self,
@@ -118,20 +114,6 @@ class RequestSharing:
         kind = (template.source, terms, selected, supplies)
         least = OWN_OBJECTS if selected else SAME_STREAMS
         return ShareableQuery(kind, template.query, supplies, least)
-
-    def find_shareable_pattern(
-        self,
-        template: AnyTemplate,
-        request: EventRequest,
-        bound: Bound,
-        matches: Sequence[Match],
-        strategy: str,
-    ) -> ShareablePattern | None:
-        """Return the pattern that ``request`` can share; see `PatternSharing.find_shareable`. None
-        for a formula."""
-        if isinstance(bound, BoundFormula):
-            return None
-        return self._patterns.find_shareable(template, request, bound, matches, strategy)
 
     def is_worth_it(self, shareable: Shareable) -> bool:
         """Whether one request more makes sharing worth it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,9 +165,7 @@ class Monitoring:
             named = np.isin(objects[:, 0], self._only)
             available, valid, values = available[named], valid[named], values[named]
             objects = objects[named]
-        part = _numbered(objects[:, 0], self._part)
-        self._make_room_for(len(self._parts))
-        self._own.add(term, source, available, valid, part, values)
+        self._own.add(term, source, available, valid, self._parts_of(objects), values)
 
     def came(self, source: int, available: Times, valid: Times) -> None:
         """Take the times of all samples of a stream, in order of available time."""
@@ -210,8 +208,17 @@ class Monitoring:
             return states
         return replace(states, objects=dict.fromkeys(states.objects, tuple(objects)))
 
-    def _part(self, iri: str) -> int:
-        return self._parts.setdefault(iri, len(self._parts))
+    def _parts_of(self, objects: NDArray[Any]) -> NDArray[np.int64]:
+        """The parts of objects; shape ``(n, 1)``."""
+        known = self._parts
+        found = _numbered(objects[:, 0], lambda iri: known.setdefault(iri, len(known)))
+        self._make_room_for(len(known))
+        return found
+
+    @property
+    def _names(self) -> NDArray[Any]:
+        """The IRIs of the parts."""
+        return np.array(list(self._parts), object)
 
     def _make_room_for(self, parts: int) -> None:
         self._own.make_room_for(parts)
@@ -229,7 +236,7 @@ class Monitoring:
 
     def _push(self, made: MadeStates) -> Reported:
         if self.has_own_states:
-            self._objects = [np.array(list(self._parts), object)]
+            self._objects = [self._names]
         else:
             sorts = [sort for _, sort in self.monitor.parameters]
             self._objects = [np.array(made.states.objects[sort], object) for sort in sorts]
@@ -291,13 +298,17 @@ class _Run(NamedTuple):
     witness: int
 
 
+_Binding: TypeAlias = tuple[Any, ...]
+"""The objects of the parameters."""
+
+
 class _Runs:
     """Runs of equal verdicts of one binding, each reported once the verdict after it is known."""
 
     def __init__(self) -> None:
-        self._held: dict[tuple[str, ...], list[_Start]] = {}
+        self._held: dict[_Binding, list[_Start]] = {}
         """By objects."""
-        self._open: dict[tuple[str, ...], _Run] = {}
+        self._open: dict[_Binding, _Run] = {}
         """By objects: the run that may go on."""
 
     def take(
@@ -308,7 +319,7 @@ class _Runs:
         columns = found.valid, found.value, found.decided, found.available, found.witness
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             self._held.setdefault(tuple(found.objects[:, i]), []).append(_Start(*row))
-        ended: list[tuple[tuple[str, ...], _Run]] = []
+        ended: list[tuple[_Binding, _Run]] = []
         for place in np.ndindex(*map(len, names)):
             binding = tuple(own[at] for own, at in zip(names, place, strict=True))
             if binding in self._held:
@@ -321,9 +332,12 @@ class _Runs:
         self._open = {}
         return _of_runs(ended, len(ended[0][0]) if ended else 0)
 
-    def _release(
-        self, binding: tuple[str, ...], before: int
-    ) -> Iterator[tuple[tuple[str, ...], _Run]]:
+    def drop(self, binding: _Binding) -> None:
+        """Forget the verdicts of a binding."""
+        self._held.pop(binding, None)
+        self._open.pop(binding, None)
+
+    def _release(self, binding: _Binding, before: int) -> Iterator[tuple[_Binding, _Run]]:
         held = sorted(self._held.get(binding, ()))
         count = len([start for start in held if start.valid < before])
         for start in held[:count]:
@@ -350,7 +364,7 @@ class _Runs:
             self._held.pop(binding, None)
 
 
-def _of_runs(runs: Sequence[tuple[tuple[str, ...], _Run]], parameters: int) -> Reported:
+def _of_runs(runs: Sequence[tuple[_Binding, _Run]], parameters: int) -> Reported:
     rows = np.array([run for _, run in runs], np.int64).reshape(len(runs), len(_Run._fields))
     objects = np.empty((parameters, len(runs)), object)
     for i, (binding, _) in enumerate(runs):
