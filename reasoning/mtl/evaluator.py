@@ -40,6 +40,8 @@ from .timelines import Timelines
 from .windows import NEVER, Moments
 from .witness import NONE, Witnesses
 
+Constants: TypeAlias = Mapping[str, Constant | ObjectConstant]
+"""Values of parameters, by their names."""
 _Places: TypeAlias = tuple[NDArray[np.int64], ...]
 """Cells of tables: the state, and the object of each axis."""
 
@@ -229,8 +231,8 @@ class MonitorEvaluator:
             grown = np.zeros(max(16, more, len(self.states_of)), np.int64)
             self.states_of = np.concatenate([self.states_of, grown])
 
-    def set_values(self, part: int, values: Mapping[str, Constant | ObjectConstant]) -> None:
-        """Give the parameters of the formula their values for a part."""
+    def set_values(self, part: int, values: Constants) -> None:
+        """Give parameters of the formula, or variables, their values for a part."""
         for name, value in values.items():
             constant = value.value if isinstance(value, Constant) else value.iri
             known = self._values.get(name)

@@ -50,6 +50,11 @@ def bound_sorts(formula: Any) -> dict[str, str]:
     return own
 
 
+def compares_objects(node: Any) -> bool:
+    """Whether a formula or value reads a variable as an object, and not only features of it."""
+    return isinstance(node, ObjectVariable) or any(map(compares_objects, parts_of(node)))
+
+
 def is_of_one_object(monitor: CheckedMonitor) -> bool:
     """Whether a formula is about the object of its one parameter alone."""
     if len(monitor.parameters) != 1 or bound_sorts(monitor.formula):

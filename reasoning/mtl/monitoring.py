@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Report
-from ...languages.mtl.checked import CheckedMonitor
+from ...languages.mtl.checked import CheckedMonitor, ObjectConstant
 from ...streams.sample import Times
 from ..states.departures import Departures
 from ..states.kept_samples import Rows
 from ..states.part_states import CommonSteps, PartStates
 from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
-from .evaluator import MonitorEvaluator, StateKeeper, Verdicts
-from .formulas import is_of_one_object
+from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
+from .formulas import compares_objects, is_of_one_object
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
 LAST, ROBUSTNESS = "last", "robustness"
@@ -210,19 +210,26 @@ class Monitoring:
 
     def _parts_of(self, objects: NDArray[Any]) -> NDArray[np.int64]:
         """The parts of objects; shape ``(n, 1)``."""
-        known = self._parts
-        found = _numbered(objects[:, 0], lambda iri: known.setdefault(iri, len(known)))
-        self._make_room_for(len(known))
-        return found
+        return _numbered(objects[:, 0], self._part)
+
+    def _part(self, iri: str) -> int:
+        if iri not in self._parts:
+            self._parts[iri] = len(self._parts)
+            self._begin_part(self._parts[iri], iri, {})
+        return self._parts[iri]
+
+    def _begin_part(self, part: int, iri: str, values: Constants) -> None:
+        """Let there be a part for an object, with its ``values`` of the formula's parameters."""
+        self._own.make_room_for(part + 1)
+        self._evaluator.make_room_for(part + 1)
+        if compares_objects(self.monitor.formula):
+            values = {**values, self.monitor.parameters[0][0]: ObjectConstant(iri)}
+        self._evaluator.set_values(part, values)
 
     @property
     def _names(self) -> NDArray[Any]:
         """The IRIs of the parts."""
         return np.array(list(self._parts), object)
-
-    def _make_room_for(self, parts: int) -> None:
-        self._own.make_room_for(parts)
-        self._evaluator.make_room_for(parts)
 
     def _decided(
         self, made: Iterator[MadeStates], latest: int | Times, tick: int | None

@@ -70,7 +70,8 @@ class Pass:
     sorts: Mapping[str, str]
     timelines: Timelines
     values: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """The value of each parameter at each state, where each timeline has one of its own."""
+    """The value of each parameter at each state, where each timeline has one of its own: of a
+    template's parameter, or the object of a variable."""
     memo: dict[tuple[int, bool], Node] = field(default_factory=dict)
     atoms: dict[int, tuple[Axes, Mask, Mask | None]] = field(default_factory=dict)
 
@@ -225,6 +226,9 @@ class Pass:
             case Constant(constant, kind):
                 made = np.asarray([constant], object if kind is Kind.TEXT else None)
                 return (), made, np.ones(1, np.bool_)
+            case ObjectVariable(name) if name in self.values:
+                names = self.values[name].reshape(-1, 1)
+                return (name,), names, np.ones(names.shape, np.bool_)
             case ObjectVariable(name):
                 # Sorts overlap, so objects are compared by name and not by place.
                 names = np.array([self.states.objects[self.sorts[name]]], object)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...languages.mtl.checked import CheckedMonitor, Constant, ObjectConstant
+from ...languages.mtl.checked import CheckedMonitor
 from ...streams.sample import Times
 from ..states.part_departures import PartDepartures, Parts
 from ..states.part_states import CommonSteps, StepsOfParts
+from .evaluator import Constants
 from .monitoring import WORDS, Monitoring, Reported
 
 
@@ -45,13 +46,12 @@ class PartMonitoring(Monitoring):
         """The samples of each part that came after the state of their valid time had left."""
         return self._own.late_of
 
-    def add_part(self, values: Mapping[str, Constant | ObjectConstant] | None = None) -> int:
-        """Return the number of a new part, whose samples may follow, with its ``values`` of the
-        formula's parameters."""
+    def add_part(self, object: str, values: Constants) -> int:
+        """Return the number of a new part for an ``object`` (an IRI), whose samples may follow,
+        with its ``values`` of the formula's parameters."""
         part = self._part_departures.add_part()
         self._count = part + 1
-        self._make_room_for(self._count)
-        self._evaluator.set_values(part, values or {})
+        self._begin_part(part, object, values)
         if part == len(self.samples_of):
             more = np.zeros(max(16, part), np.int64)
             self.samples_of = np.concatenate([self.samples_of, more])

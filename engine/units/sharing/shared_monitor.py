@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....languages.mtl.ast import Monitor
-from ....languages.mtl.checked import CheckedMonitor, Constant, ObjectConstant
+from ....languages.mtl.checked import CheckedMonitor
+from ....reasoning.mtl.evaluator import Constants
 from ....reasoning.mtl.monitoring import Reported
 from ....reasoning.mtl.part_monitoring import MonitoredPart, PartMonitoring
 from ....streams.generator import StreamGenerator
@@ -19,8 +20,6 @@ from ..reasoning.monitor import RecalledSamples, explain_verdicts
 from ..reasoning.term_readers import TermInput, term_readers
 from ..reasoning.verdict_samples import VerdictWriter
 from .shared_reasoner import ReasoningInstance, SharedReasoner
-
-Values = Mapping[str, Constant | ObjectConstant]
 
 
 class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
@@ -53,9 +52,9 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
     def reasoning(self) -> PartMonitoring:
         return self.monitoring
 
-    def enter(self, object: str, values: Values) -> int:
+    def enter(self, object: str, values: Constants) -> int:
         """Evaluate the formula for ``object`` (an IRI) from now on; return its number."""
-        return self.ask_for(object, self.monitoring.add_part(values))
+        return self.ask_for(object, self.monitoring.add_part(object, values))
 
     def recall(
         self, number: int, since: Mapping[StreamGenerator, int], monitor: CheckedMonitor
@@ -99,7 +98,7 @@ class MonitorInstance(ReasoningInstance):
         object: str,
         monitor: CheckedMonitor,
         of_all: CheckedMonitor,
-        values: Values,
+        values: Constants,
     ) -> None:
         super().__init__(
             *args, template=template, object=object, enter=lambda: template.enter(object, values)
