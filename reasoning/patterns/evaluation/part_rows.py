@@ -5,6 +5,8 @@ Requests for one object each share an evaluation so: a part has the rows of one 
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,33 +16,17 @@ from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.plan import PatternPlan
 from ..plans.rows import Matches
 from .all_rows import AllRows
+from .evaluator import Evaluator
 from .store import DECISIONS, SMALLEST, WATERMARKS
 
 Integers = NDArray[np.int64]
 
 
-class PartRows(AllRows):
-    """Every match of a plan, in order of decision within each part.
+OWN_TIMES: Final = ", for each object at its own time"
 
-    ``part``: the column of keys that numbers the part of a row. Contract: all elements and probes
-    of the plan have it equal.
 
-    Law (tests/laws/reasoning/test_pattern_parts.py): the matches of a part are those of `AllRows`
-    over its rows and watermarks, in the same order. The limits are those of all parts together.
-
-    Cost: as `AllRows`, and O(matches that wait) a batch. Memory: 16 bytes for each part.
-    """
-
-    def __init__(
-        self,
-        plan: PatternPlan,
-        part: str,
-        *,
-        is_ordered: bool = True,
-        limits: Limits = DEFAULT_LIMITS,
-        capacity: int = SMALLEST,
-    ) -> None:
-        super().__init__(plan, is_ordered=is_ordered, limits=limits, capacity=capacity, part=part)
+class InParts(Evaluator):
+    """An evaluation whose rows fall into parts, each with its own time."""
 
     def make_room_for(self, parts: int) -> None:
         """Take rows of parts below ``parts`` from now on."""
@@ -83,5 +69,29 @@ class PartRows(AllRows):
         parts = store.table[waiting.rows[:, 0], store.part_word]
         return waiting.take_where(waiting.dues <= store.times[WATERMARKS, parts])
 
+
+class PartRows(InParts, AllRows):
+    """Every match of a plan, in order of decision within each part.
+
+    ``part``: the column of keys that numbers the part of a row. Contract: all elements and probes
+    of the plan have it equal.
+
+    Law (tests/laws/reasoning/test_pattern_parts.py): the matches of a part are those of `AllRows`
+    over its rows and watermarks, in the same order. The limits are those of all parts together.
+
+    Cost: as `AllRows`, and O(matches that wait) a batch. Memory: 16 bytes for each part.
+    """
+
+    def __init__(
+        self,
+        plan: PatternPlan,
+        part: str,
+        *,
+        is_ordered: bool = True,
+        limits: Limits = DEFAULT_LIMITS,
+        capacity: int = SMALLEST,
+    ) -> None:
+        super().__init__(plan, is_ordered=is_ordered, limits=limits, capacity=capacity, part=part)
+
     def _way(self) -> str:
-        return super()._way() + ", for each object at its own time"
+        return super()._way() + OWN_TIMES

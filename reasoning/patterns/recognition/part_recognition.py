@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from ....streams.sample import Times
 from ...states.part_departures import PartDepartures, PartSteps
-from ..evaluation.part_rows import PartRows
+from ..evaluation.part_rows import InParts, PartRows
 from ..plans.by_object import PART, PatternByObject
 from ..plans.limits import DEFAULT_LIMITS, Limits
+from ..plans.plan import Selection
 from ..plans.query import Keys
 from ..plans.rows import Values, concatenated
-from .combined import CombinedRows, StaticSolutions
+from ..sequences.next_rows import PartNextRows
+from .combined import StaticSolutions
 from .recognition import Batch, Recognition, Recognized, joined
 
 Parts: TypeAlias = NDArray[np.int64]
@@ -29,7 +31,7 @@ class PartRecognition(Recognition):
     together. Cost: that of one `Recognition` over all samples.
     """
 
-    evaluator: PartRows
+    evaluator: InParts
 
     def __init__(
         self,
@@ -121,8 +123,10 @@ class PartRecognition(Recognition):
         reached = steps.reaching(found.outputs[PART], found.decided)
         return self._decided(found, reached, rows, first)
 
-    def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> PartRows | CombinedRows:
+    def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> InParts:
         (plan,) = self.plans
+        if plan.selection is not Selection.ANY_MATCH:
+            return PartNextRows(plan, self._column, limits=limits)
         return PartRows(plan, self._column, is_ordered=self.is_ordered, limits=limits)
 
     def _part_of(self, rows: Batch) -> Parts:

@@ -26,6 +26,7 @@ from ..evaluation.packing import HIGH, HIGH_OFFSET, HIGH_START, RETAINED
 from ..evaluation.store import (
     CUT_SHORT,
     DECIDED,
+    DECISIONS,
     FIRST_OUT,
     IS_FULL,
     IS_OUT_FULL,
@@ -38,6 +39,7 @@ from ..evaluation.store import (
     UNSTORED,
     VECTOR_KEYS,
     WATERMARK,
+    WATERMARKS,
     hashed,
     put,
     vector_of,
@@ -81,6 +83,8 @@ from .runs import (
 # Settings of a plan as a whole: elements, how long a run lasts (ns), whether it needs contiguous
 # rows, the elements that are Kleene and those whose rows are kept (bits), limits.
 COUNT, LASTS, IS_CONTIGUOUS, KLEENE, LISTED, MOST_MATCHES, MOST_CANDIDATES, MOST_RUNS = range(8)
+# The word of a row that numbers its part, or 0 (`store.Store`).
+PART_WORD: Final = 8
 # The rows of `scratch`: what is bound; nodes; vectors; the ends before which rows are dead; keys; a
 # stack; the lists whose runs may take a row, and go on with it.
 BOUND, CURSORS, FOUND, DEAD, KEYS, INTEGERS, TAKING, GOING = range(8)
@@ -397,6 +401,7 @@ def _runs_loop(
     vectors: Any,
     heads: Any,
     marks: Any,
+    times: Any,
     # The runs; their records as floats, too.
     runs: Any,
     sums: Any,
@@ -432,10 +437,18 @@ def _runs_loop(
         dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
+        if settings[PART_WORD]:
+            # The row's part has its own time.
+            part = batch[i, settings[PART_WORD]]
+            marks[WATERMARK], marks[DECIDED] = times[WATERMARKS, part], times[DECISIONS, part]
+            for b in range(buffers.shape[0]):
+                dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
         if batch[i, END] < marks[WATERMARK]:
             marks[LATE] += suits != 0
             continue
         marks[WATERMARK] = batch[i, END]
+        if settings[PART_WORD]:
+            times[WATERMARKS, batch[i, settings[PART_WORD]]] = batch[i, END]
         if suits == 0 and not is_contiguous:
             continue
         if marks[IS_FULL]:
@@ -567,7 +580,7 @@ def _runs_signature() -> Any:
     types, row, table, floats, numbers = _types()
     plan = (row, row, row, table, table, row, table, table, table, table)
     conditions = (table, floats, table, numbers)
-    store = (table, floats, row, row, table, row, row)
+    store = (table, floats, row, row, table, row, row, table)
     state = (table, floats, table, row, table, row)
     given = (table, floats, row)
     return types.int64(

@@ -36,6 +36,12 @@ TEMPLATES = (
     "hold(speed[?x]:< 100, (t1, t2)); t2 - t1 in [-2s, 2s]; }",
     "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, ~altitude b, speed c) WHERE "
     "{ [id = ?x] and a.value > ?limit and b.value < 10 } WITHIN 3 seconds",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[], speed c) "
+    "WHERE skip_till_next_match [id = ?x] AND a.value > ?limit AND b[i].value > 3 WITHIN 4 seconds "
+    "RETURN count(b[]) AS n, b[].value AS all",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed+ a[], ~altitude b, speed c) "
+    "WHERE partition_contiguity [id = ?x] AND a[i].value > ?limit AND b.value < 4 WITHIN 3 seconds "
+    "RETURN avg(a[].value) AS mean",
     f"{EP}REGISTER TEMPLATE dyknow:Odd(?x, ?limit) AS SELECT ?x ?v WHERE {{ ?x dyknow:speed ?v }} "
     "SEQ { ?x dyknow:altitude ?w FILTER (?w > ?limit) } WITHIN 3 s",
 )

@@ -3,6 +3,7 @@ evaluation of its own, in the same order."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
@@ -12,11 +13,14 @@ from hypothesis import strategies as st
 from pattern_cuts import found_in
 from pattern_definition import Row, Watermark
 from pattern_drawing import PatternDrawing, parted, rows_of
+from pattern_run_drawing import RunDrawing
 
 from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
+from dyknow.reasoning.patterns.evaluation.evaluator import Evaluator
 from dyknow.reasoning.patterns.evaluation.part_rows import PartRows
 from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
 from dyknow.reasoning.patterns.plans.rows import Matches, Rows
+from dyknow.reasoning.patterns.sequences.next_rows import NextRows, PartNextRows
 
 PARTS = 3
 PART = "part"
@@ -34,9 +38,38 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
     plan, draw = case.plan, Random(seed)
     if draw.random() < 0.5:
         plan = replace(plan, within=4)
+    compare(
+        case,
+        draw,
+        lambda: AllRows(plan, is_ordered=is_ordered, capacity=8),
+        lambda: PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8),
+    )
+
+
+@settings(deadline=None, max_examples=400)
+@given(st.integers(0, 2**32))
+def test_runs_of_a_part_are_those_of_its_own(seed: int) -> None:
+    case = RunDrawing(seed, most_elements=3)
+    plan, draw = case.plan, Random(seed)
+    if draw.random() < 0.5:
+        plan = replace(plan, within=4)
+    compare(
+        case,
+        draw,
+        lambda: NextRows(plan, capacity=8),
+        lambda: PartNextRows(parted(plan, PART, PART), PART, capacity=8),
+    )
+
+
+def compare(
+    case: PatternDrawing,
+    draw: Random,
+    own: Callable[[], Evaluator],
+    shared: Callable[[], PartRows | PartNextRows],
+) -> None:
     try:
-        alone = [AllRows(plan, is_ordered=is_ordered, capacity=8) for _ in range(PARTS)]
-        running = PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8)
+        alone = [own() for _ in range(PARTS)]
+        running = shared()
     except (UnboundedRetention, ContradictoryTimes):
         assume(False)
     wanted: list[list] = [[] for _ in range(PARTS)]
@@ -75,7 +108,7 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
                 batch = []
         if draw.random() < 0.1:
             state = running.state()
-            running = PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8)
+            running = shared()
             running.restore(state)
     take(running.push(rows_with_parts(batch)))
     assert running.pending == sum(each.pending for each in alone)

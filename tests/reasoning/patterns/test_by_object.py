@@ -68,10 +68,13 @@ def test_the_column_of_the_object(text, column, objects):
             "t2 - t1 in [0s, 3s];"
         ),
         CHRONICLE.format(f"{EVENTS} noevent(speed[uav2]:(?, < 5), (t1, t2));"),
-        # Which event is next depends on the others; events repeat; results are aggregates.
+        # Events repeat; results are aggregates; the objects of several events are listed.
+        SASE.format("SEQ(speed+ a[], altitude b) WHERE [id = ?x] AND b.value > ?limit")
+        + " LIMIT 3",
         SASE.format(
-            "SEQ(speed a, altitude b) WHERE skip_till_next_match [id = ?x] AND a.value > ?limit"
-        ),
+            "SEQ(speed+ a[], altitude b) WHERE skip_till_next_match [id = ?x] AND b.value > ?limit"
+        )
+        + " RETURN a[].id AS all",
         SASE.format("SEQ(speed+ a[], altitude b) WHERE [id = ?x] AND b.value > ?limit")
         + " RETURN COUNT(*) AS n",
         # With a maximal delay; over the streams of a sort.
