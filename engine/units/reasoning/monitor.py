@@ -35,7 +35,7 @@ from ....streams.sample import (
     column_from_values,
 )
 from ....streams.time import TIME_MIN, format_time
-from .sample_reasoner import SampleReasoner
+from .sample_reasoner import SampleReasoner, is_by_clock
 from .term_readers import TermInput, term_readers
 
 
@@ -99,6 +99,7 @@ class MonitorUnit(SampleReasoner):
         """Return the retained samples that it has read, for explanations."""
         past, evicting = self._past()
         watermark = self._end + 1 if self.all_ended else self.least_watermark
+        newest = self._newest(*self.sources)
         return RecalledSamples(
             self.monitoring.monitor,
             self.text,
@@ -111,7 +112,7 @@ class MonitorUnit(SampleReasoner):
             {self.sources.index(source): self._newest(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
-            watermark is not None and not self.all_ended and self._is_by_clock(watermark),
+            watermark is not None and not self.all_ended and is_by_clock(watermark, newest),
         )
 
     @property
