@@ -14,7 +14,9 @@ lower one false and the upper one true.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -41,6 +43,8 @@ _Places: TypeAlias = tuple[NDArray[np.int64], ...]
 """Cells of tables: the state, and the object of each axis."""
 
 
+CELLS: Final = 1 << 13
+"""Cells of a table that are made at once: some dozens of such tables fit into a core's cache."""
 MOST_VALUES: Final = 10_000_000
 """The values of features that an explanation keeps: some hundred megabytes with its tables."""
 
@@ -100,9 +104,10 @@ class _Moments:
 
     def value(self, places: _Places, moment: Times) -> NDArray[np.int8]:
         """The verdict at each place as it is at a moment."""
-        return np.where(
-            self.true[places] <= moment, 1, np.where(self.false[places] <= moment, 0, -1)
-        ).astype(np.int8)
+        is_true = self.true[places] <= moment
+        if self.unknown is None:
+            return is_true.astype(np.int8)
+        return np.where(is_true, 1, np.where(self.false[places] <= moment, 0, -1)).astype(np.int8)
 
 
 class MonitorEvaluator:
@@ -123,6 +128,7 @@ class MonitorEvaluator:
         self._limit = limit
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
+        self._looks_back = _looks_back(monitor.formula)
         self._kept: _Rows | None = None
 
     @property
@@ -158,8 +164,15 @@ class MonitorEvaluator:
 
     def push(self, states: States) -> Verdicts:
         """Take states; return the verdicts that they determine. Raises `TooManyStates`."""
-        self._kept = self._joined(states)
-        return self._decide()
+        most = self._most_at_once(states)
+        if len(states.valid) <= most:
+            self._kept = self._joined(states)
+            return self._decide()
+        found = []
+        for start in range(0, len(states.valid), most):
+            self._kept = self._joined(states.part(slice(start, start + most)))
+            found.append(self._decide())
+        return _concatenated(found)
 
     def advance(self, horizon: int) -> Verdicts:
         """Learn that every later state is valid after ``horizon``."""
@@ -172,6 +185,13 @@ class MonitorEvaluator:
     def end(self) -> Verdicts:
         """Learn that no further state comes."""
         return self.advance(END)
+
+    def _most_at_once(self, states: States) -> int:
+        """How many states to take at once. Those kept are evaluated each time: they stay few beside
+        the new ones."""
+        columns = prod(states.present[sort].shape[1] for sort in self._sorts.values())
+        most: int = max(1, CELLS // max(columns, 1), 4 * self.pending)
+        return most
 
     def _joined(self, new: States) -> _Rows:
         """The states kept, and the new ones after them."""
@@ -218,33 +238,40 @@ class MonitorEvaluator:
             moments = self._moments(once)
             decided = moments.decided()
         new = (decided < NEVER) & ~rows.is_decided & is_there
-        places = np.nonzero(new)
         robustness = None
+        # The places are in the order of axes; parameters are in that of the text.
+        axes = [1 + self._axes.index(name) for name, _ in self._monitor.parameters]
+        *columns, start = np.nonzero(np.ascontiguousarray(new.transpose(*axes, 0)))
+        places = self._places(start, columns)
+        moment = over[start] if self._monitor.robustness else decided[places]
+        if np.count_nonzero(moment[1:] < moment[:-1]):
+            order = np.argsort(moment, kind="stable")
+            moment, start = moment[order], start[order]
+            columns = [each[order] for each in columns]
+            places = self._places(start, columns)
         if self._monitor.robustness:
-            moment = over[places[0]]
             value, robustness = self._by_margins(once, places)
         else:
-            moment = decided[places]
             value = moments.value(places, moment)
         rows.is_decided |= new | ~is_there
-        # The places are in the order of axes; parameters are in that of the text.
-        by_name = dict(zip(self._axes, places[1:], strict=True))
-        columns = [by_name[name] for name, _ in self._monitor.parameters]
         binding = np.stack(columns, axis=1) if columns else np.empty((len(moment), 0), np.int64)
-        order = np.lexsort((places[0], *(column for column in reversed(columns)), moment))
-        start = places[0][order]
         found = Verdicts(
             start + rows.first,
             states.valid[start],
-            moment[order] + rows.first,
-            states.valid[moment[order]],
-            value[order],
-            binding[order],
-            self._witness_times(once, value, places)[order],
-            None if robustness is None else robustness[order],
+            moment + rows.first,
+            states.valid[moment],
+            value,
+            binding,
+            self._witness_times(once, value, places),
+            robustness,
         )
         self._forget(rows)
         return found
+
+    def _places(self, start: NDArray[np.int64], columns: Sequence[NDArray[np.int64]]) -> _Places:
+        """Cells of tables, of the objects of each parameter."""
+        names = [name for name, _ in self._monitor.parameters]
+        return start, *(columns[names.index(name)] for name in self._axes)
 
     def _witness_times(
         self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
@@ -299,6 +326,8 @@ class MonitorEvaluator:
 
     def _present(self, states: States) -> Mask:
         """Whether all objects of each binding are there at each state."""
+        if len(self._axes) == 1:
+            return states.present[self._sorts[self._axes[0]]]
         found = np.ones((len(states.valid), *(1 for _ in self._axes)), np.bool_)
         for i, name in enumerate(self._axes):
             own = states.present[self._sorts[name]]
@@ -314,18 +343,13 @@ class MonitorEvaluator:
         open_rows = np.flatnonzero(~rows.is_decided.reshape(count, -1).all(axis=1))
         # The last state stays: `advance` raises its horizon, and past operators look back from it.
         oldest = int(open_rows[0]) if len(open_rows) else count - 1
-        keep = earliest(self._monitor.formula, oldest, states.valid) if count else 0
-        if not keep:
+        keep = oldest
+        if self._looks_back and count:
+            keep = earliest(self._monitor.formula, oldest, states.valid)
+        if keep < 1:
             return
-        rest = slice(keep, None)
-        rows.states = States(
-            states.valid[rest],
-            states.horizon[rest],
-            states.objects,
-            {sort: part[rest] for sort, part in states.present.items()},
-            {t: Values(v.values[rest], v.known[rest]) for t, v in states.values.items()},
-        )
-        rows.is_decided = rows.is_decided[rest]
+        rows.states = states.part(slice(keep, None))
+        rows.is_decided = rows.is_decided[keep:]
         rows.first += keep
 
 
@@ -360,6 +384,17 @@ def earliest(formula: Any, row: int, valid: Times) -> int:
     return min([row, *(earliest(part, row, valid) for part in parts_of(formula))])
 
 
+def _looks_back(formula: Any) -> bool:
+    """Whether the formula has an operator of the past."""
+    match formula:
+        case Previous() | Until(True):
+            return True
+        case Within(operator) if operator.is_past:
+            return True
+        case _:
+            return any(map(_looks_back, parts_of(formula)))
+
+
 def _rows_back(interval: Interval, row: int, valid: Times) -> int:
     if interval.end is None:
         return 0
@@ -368,10 +403,25 @@ def _rows_back(interval: Interval, row: int, valid: Times) -> int:
 
 def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
     """Rows kept, with the columns that new objects added, and new rows after them."""
-    wider = [(0, 0), *((0, n - k) for k, n in zip(kept.shape[1:], new.shape[1:], strict=True))]
-    if any(right for _, right in wider):
-        kept = np.pad(kept, wider)
+    if kept.shape[1:] != new.shape[1:]:
+        more = zip(kept.shape[1:], new.shape[1:], strict=True)
+        kept = np.pad(kept, [(0, 0), *((0, n - k) for k, n in more)])
     return np.concatenate([kept, new])
+
+
+def _concatenated(parts: Sequence[Verdicts]) -> Verdicts:
+    """The verdicts of all parts, in order."""
+    margins = [each.robustness for each in parts if each.robustness is not None]
+    return Verdicts(
+        np.concatenate([each.start for each in parts]),
+        np.concatenate([each.start_time for each in parts]),
+        np.concatenate([each.decided for each in parts]),
+        np.concatenate([each.decided_time for each in parts]),
+        np.concatenate([each.value for each in parts]),
+        np.concatenate([each.binding for each in parts]),
+        np.concatenate([each.witness_time for each in parts]),
+        np.concatenate(margins) if margins else None,
+    )
 
 
 def _no_verdicts(parameters: int) -> Verdicts:

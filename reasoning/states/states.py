@@ -38,3 +38,13 @@ class States:
     objects: Mapping[str, Sequence[str]]
     present: Mapping[str, Mask]
     values: Mapping[Term, Values]
+
+    def part(self, rows: slice) -> States:
+        """The states of some rows."""
+        return States(
+            self.valid[rows],
+            self.horizon[rows],
+            self.objects,
+            {sort: present[rows] for sort, present in self.present.items()},
+            {t: Values(each.values[rows], each.known[rows]) for t, each in self.values.items()},
+        )
