@@ -96,6 +96,10 @@ class Monitoring:
         self._departures = Departures(monitor.policy.max_delay, sources)
         self._timelines: dict[str, _Timeline] = {}
         self._shared = None if self.has_own_states else self._timeline()
+        self._queued: dict[_Timeline, None] = {}
+        """Objects with states of their own that have not left, or samples for these."""
+        self.late = 0
+        """Samples that came after the state of their valid time had left."""
         self._verdicts = dict.fromkeys(WORDS, 0)
         # A single start is a run by itself.
         has_runs = monitor.report is Report.CHANGES and not monitor.once
@@ -110,11 +114,6 @@ class Monitoring:
     def states(self) -> int:
         """The number of states by now."""
         return sum(each.states for each in self._all())
-
-    @property
-    def late(self) -> int:
-        """Samples that came after the state of their valid time had left."""
-        return sum(each.maker.late for each in self._all())
 
     @property
     def retained(self) -> int:
@@ -165,6 +164,7 @@ class Monitoring:
             if timeline is None:
                 timeline = self._timelines[iri] = self._timeline()
                 timeline.maker.place(sorts[0], iri)
+            self._queued[timeline] = None
             mine = np.flatnonzero(group == i)
             none = np.zeros((len(mine), 1), np.int64)
             timeline.maker.add(term, source, Rows(available[mine], valid[mine], none, values[mine]))
@@ -187,12 +187,20 @@ class Monitoring:
         come are later."""
         steps = self._departures.advance(watermark, by_clock=by_clock)
         tick = watermark if by_clock else None
-        return self._report(found for each in self._all() for found in each.advance(steps, tick))
+        # The clock decides starts of all objects, samples those of their own.
+        advanced = self._all() if by_clock or self._shared is not None else list(self._queued)
+        found: list[Reported] = []
+        for each in advanced:
+            before = each.maker.late
+            found += each.advance(steps, tick)
+            self.late += each.maker.late - before
+        self._queued = {each: None for each in advanced if each.maker.is_waiting}
+        return self._report(found, advanced)
 
     def finish(self, moment: int) -> Reported:
         """Return the verdicts at the end of all streams, which is at ``moment``."""
         found = [part for each in self._all() for part in each.finish(moment)]
-        reported = self._report(found)
+        reported = self._report(found, self._all())
         if self._runs is None:
             return reported
         parts = [reported, self._runs.rest(moment)]
@@ -216,14 +224,15 @@ class Monitoring:
     def _all(self) -> Sequence[_Timeline]:
         return [self._shared] if self._shared is not None else list(self._timelines.values())
 
-    def _report(self, found: Iterable[Reported]) -> Reported:
-        joined = _in_order(_joined(list(found), len(self.monitor.parameters)))
+    def _report(self, found: Sequence[Reported], advanced: Iterable[_Timeline]) -> Reported:
+        """What to report of the verdicts found, which are those of timelines that ``advanced``."""
+        joined = _in_order(_joined(found, len(self.monitor.parameters)))
         for value in WORDS:
             self._verdicts[value] += int(np.count_nonzero(joined.value == value))
         if self.monitor.report is Report.VIOLATIONS:
             return joined.take(joined.value == 0)
         if self._runs is not None:
-            begun = [each for each in self._all() if each.states]
+            begun = [each for each in advanced if each.states]
             settled = [(each.objects, each.evaluator.settled()) for each in begun]
             return self._runs.take(joined, settled)
         return joined
@@ -380,6 +389,8 @@ def _of_runs(runs: Sequence[tuple[tuple[str, ...], _Run]], parameters: int) -> R
 
 
 def _in_order(found: Reported) -> Reported:
+    if len(found) < 2:
+        return found
     return found.take(np.lexsort((found.valid, *reversed(found.objects), found.available)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any, Final
 
 import numpy as np
@@ -119,6 +120,11 @@ class StateMaker:
         """The number of samples in memory."""
         return sum(len(kept) for kept in self._kept.values())
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether, without a grid, samples or times of states wait for `advance`."""
+        return len(self._candidates) > 0 or any(kept.is_waiting for kept in self._kept.values())
+
     def add(self, term: Term, source: int, rows: Rows) -> None:
         """Take samples of a term from a stream, in order of available time. Where samples of two
         streams are equal in both times, that of the greater ``source`` counts as newer."""
@@ -189,10 +195,10 @@ class StateMaker:
 
     def _states(self, due: Times, left: Times) -> Iterator[MadeStates]:
         """Make the states at ``due`` some at a time."""
+        if not len(due):
+            return
         sizes = [len(names) for names in self._names.values()]
-        columns = [
-            int(np.prod([len(self._names[s]) for s in variables_of(term)])) for term in self._kept
-        ]
+        columns = [prod(len(self._names[s]) for s in variables_of(term)) for term in self._kept]
         step = max(1, CELLS // max([1, *sizes, *columns]))
         for start in range(0, len(due), step):
             part = slice(start, start + step)
@@ -214,8 +220,9 @@ class StateMaker:
             values[term] = Values(found, known)
             for axis, sort in enumerate(sorts, 1):
                 others = tuple(i for i in range(1, valid.ndim) if i != axis)
-                newest = valid.max(axis=others, initial=TIME_MIN)
-                for each in (sort, *self._wider[sort]):
+                newest = valid.max(axis=others, initial=TIME_MIN) if others else valid
+                np.maximum(last_valid[sort], newest, out=last_valid[sort])
+                for each in self._wider[sort]:
                     places = [self._places[each][iri] for iri in self._names[sort]]
                     mine = last_valid[each]
                     mine[:, places] = np.maximum(mine[:, places], newest)
@@ -250,13 +257,17 @@ class _Kept:
     def __init__(self, variables: int) -> None:
         self._variables = variables
         self._waiting: list[tuple[int, Rows]] = []
-        self._rows = _no_rows(variables)
+        self._rows = self._none = _no_rows(variables)
         self._order: NDArray[np.int64] = np.empty(0, np.int64)
         """The rank of each row by available time, source and arrival."""
         self._entered = 0
 
     def __len__(self) -> int:
         return len(self._order) + sum(len(rows.valid) for _, rows in self._waiting)
+
+    @property
+    def is_waiting(self) -> bool:
+        return bool(self._waiting)
 
     def add(self, source: int, rows: Rows) -> None:
         self._waiting.append((source, rows))
@@ -265,19 +276,22 @@ class _Kept:
         """Let the samples in that are available before ``watermark``; return them."""
         due, rest = [], []
         for source, rows in sorted(self._waiting, key=lambda each: each[0]):
-            cut = int(np.searchsorted(rows.available, watermark, "left"))
-            due.append(rows.take(slice(None, cut)))
+            cut = int(rows.available.searchsorted(watermark, "left"))
+            if cut:
+                due.append(rows.take(slice(None, cut)))
             if cut < len(rows.available):
                 rest.append((source, rows.take(slice(cut, None))))
         self._waiting = rest
+        if not due:
+            return self._none
         new = _joined(due, self._variables)
-        # Stable: parts of one source came in order.
-        new = new.take(np.argsort(new.available, kind="stable"))
+        if len(due) > 1:
+            # Stable: parts of one source came in order.
+            new = new.take(np.argsort(new.available, kind="stable"))
         order = self._entered + np.arange(len(new.valid), dtype=np.int64)
         self._entered += len(order)
-        if len(order):
-            self._rows = _joined([self._rows, new], self._variables)
-            self._order = np.concatenate([self._order, order])
+        self._rows = _joined([self._rows, new], self._variables)
+        self._order = np.concatenate([self._order, order])
         return new
 
     def at(
@@ -288,8 +302,8 @@ class _Kept:
         rows, count = self._rows, len(due)
         # The first state that a sample counts for: it is valid then, and has come.
         first = np.maximum(
-            np.searchsorted(due, rows.valid, "left"),
-            np.searchsorted(left, rows.available, "left"),
+            due.searchsorted(rows.valid, "left"),
+            left.searchsorted(rows.available, "left"),
         )
         newest = np.lexsort((self._order, rows.valid))
         rank = np.empty(len(newest), np.int64)

@@ -33,6 +33,7 @@ from dyknow.languages.mtl.checked import (
 from dyknow.reasoning.mtl.formulas import bound_sorts, parts_of, readings_of
 from dyknow.reasoning.mtl.monitoring import Monitoring, Reported
 from dyknow.reasoning.mtl.nodes import term_of
+from dyknow.reasoning.states.state_maker import StateMaker
 from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
@@ -408,3 +409,19 @@ def test_a_single_start_is_a_run() -> None:
 def test_each_object_has_a_single_start() -> None:
     rows = [(1, "a", True), (2, "a", False), (5, "b", False), (6, "b", True)]
     assert rows_told(P, Report.VERDICTS, rows, once=True) == [(1, "a", 1, 1, 1), (5, "b", 5, 0, 5)]
+
+
+def test_samples_of_one_object_touch_no_other_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sample costs the same however many objects have states of their own."""
+    advanced: list[StateMaker] = []
+    advance = StateMaker.advance
+
+    def counted(maker: StateMaker, steps):
+        advanced.append(maker)
+        return advance(maker, steps)
+
+    monkeypatch.setattr(StateMaker, "advance", counted)
+    rows_told(P, Report.VERDICTS, [(time, f"o{time}", True) for time in range(1, 21)])
+    # At its own sample, and at the next ones, with which its state leaves and is decided.
+    assert max(Counter(advanced).values()) <= 3
+    assert len(set(advanced)) == 20
