@@ -14,8 +14,9 @@ lower one false and the upper one true.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -46,6 +47,8 @@ _Places: TypeAlias = tuple[NDArray[np.int64], ...]
 """Cells of tables: the state, and the object of each axis."""
 
 
+CELLS: Final = 1 << 13
+"""Cells of a table that are made at once: some dozens of such tables fit into a core's cache."""
 MOST_VALUES: Final = 10_000_000
 """The values of features that an explanation keeps: some hundred megabytes with its tables."""
 
@@ -58,17 +61,13 @@ class TooManyStates(Exception):
 class Verdicts:
     """Verdicts of a part, in order of the deciding state, then of the binding, then of the start.
 
-    All have shape ``(n,)``: ``start`` and ``decided`` are indices of states of the ``part`` from
-    the first one on, ``start_time`` and ``decided_time`` their valid times, ``left`` when the
-    deciding one left, ``value`` is 1 (true), 0 (false) or -1 (unknown), ``binding`` has shape ``(n,
-    parameters)``: the place of each parameter's object.
+    All have shape ``(n,)``: ``start_time`` and ``decided_time`` are the valid times of two states
+    of the ``part``, ``left`` when the deciding one left, ``value`` is 1 (true), 0 (false) or -1
+    (unknown), ``binding`` has shape ``(n, parameters)``: the place of each parameter's object.
     """
 
     part: NDArray[np.int64]
-
-    start: Times
     start_time: Times
-    decided: Times
     decided_time: Times
     left: Times
     value: NDArray[np.int8]
@@ -80,18 +79,17 @@ class Verdicts:
     for."""
 
     def __len__(self) -> int:
-        return len(self.start)
+        return len(self.part)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """States kept, as one `States`; for each whether the verdict of a binding is out, its part, its
-    index in this, and when it left. Those of a part are in order."""
+    """States kept, as one `States`; for each whether the verdict of a binding is out, its part, and
+    when it left. Those of a part are in order."""
 
     states: States
     is_decided: Mask
     part: NDArray[np.int64]
-    index: NDArray[np.int64]
     left: Times
 
     def take(self, rows: Any) -> _Rows:
@@ -99,7 +97,6 @@ class _Rows:
             self.states.take(rows),
             self.is_decided[rows],
             self.part[rows],
-            self.index[rows],
             self.left[rows],
         )
 
@@ -123,15 +120,14 @@ class _Rows:
             ),
             _extended(self.is_decided, new.is_decided),
             np.concatenate([self.part, new.part]),
-            np.concatenate([self.index, new.index]),
             np.concatenate([self.left, new.left]),
         )
 
     def by_part(self) -> _Rows:
         """The same in order of the parts."""
-        if not len(self.part) or self.part[0] == self.part.max() == self.part.min():
-            return self
-        return self.take(np.argsort(self.part, kind="stable"))
+        if np.count_nonzero(self.part[1:] < self.part[:-1]):
+            return self.take(np.argsort(self.part, kind="stable"))
+        return self
 
     def split(self, is_of: Mask) -> tuple[_Rows, _Rows | None]:
         """The states of these parts, and the others; None if there are none."""
@@ -155,9 +151,10 @@ class _Moments:
 
     def value(self, places: _Places, moment: Times) -> NDArray[np.int8]:
         """The verdict at each place as it is at a moment."""
-        return np.where(
-            self.true[places] <= moment, 1, np.where(self.false[places] <= moment, 0, -1)
-        ).astype(np.int8)
+        is_true = self.true[places] <= moment
+        if self.unknown is None:
+            return is_true.astype(np.int8)
+        return np.where(is_true, 1, np.where(self.false[places] <= moment, 0, -1)).astype(np.int8)
 
 
 class MonitorEvaluator:
@@ -179,6 +176,7 @@ class MonitorEvaluator:
         self._limit = limit
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
+        self._looks_back = _looks_back(monitor.formula)
         self._kept: _Rows | None = None
         self._values: dict[str, NDArray[Any]] = {}
         """The values of parameters of the formula, by part."""
@@ -259,24 +257,31 @@ class MonitorEvaluator:
             return _no_verdicts(len(self._axes))
         part = np.zeros(count, np.int64) if part is None else part
         left = states.valid if left is None else left
-        place = np.arange(count) - Timelines.of(part, part).begin
-        index = self.states_of[part] + place
+        most = self._most_at_once(states)
+        if count <= most:
+            return self._pushed(states, left, part)
+        cuts = [slice(start, start + most) for start in range(0, count, most)]
+        return _concatenated([self._pushed(states.take(cut), left[cut], part[cut]) for cut in cuts])
+
+    def _pushed(self, states: States, left: Times, part: NDArray[np.int64]) -> Verdicts:
+        count = len(states.valid)
         shape = tuple(states.present[self._sorts[name]].shape[1] for name in self._axes)
-        is_decided = np.zeros((count, *shape), np.bool_)
+        is_decided = np.full((count, *shape), self._monitor.once)
         if self._monitor.once:
-            # The first state is the only start.
-            is_decided[index > 0] = True
-        rows = _Rows(replace(states, horizon=states.horizon.copy()), is_decided, part, index, left)
+            # The first state of a part is its only start.
+            first = Timelines.of(part, self.states_of).first
+            is_decided[first[self.states_of[part[first]] == 0]] = False
+        rows = _Rows(states, is_decided, part, left)
         rest = None
         if self._kept is not None:
             mine, rest = self._kept.split(self._among(part))
             rows = mine.followed_by(rows).by_part()
-        if int(np.bincount(rows.part).max()) > self._limit:
+        if len(rows.part) > self._limit and np.bincount(rows.part).max() > self._limit:
             raise TooManyStates(
                 f"the formula needs more than {self._limit} states; give its intervals an end, or "
                 "sample less often"
             )
-        self.states_of[part] = index + 1
+        self.states_of += np.bincount(part, minlength=len(self.states_of))
         return self._decided(rows, rest)
 
     def advance(self, horizon: int | Times) -> Verdicts:
@@ -291,13 +296,21 @@ class MonitorEvaluator:
         rows = rows.by_part()
         last = np.flatnonzero(np.diff(rows.part, append=-1))
         reached = horizon if isinstance(horizon, int) else horizon[rows.part[last]]
-        known = rows.states.horizon
+        known = rows.states.horizon.copy()
         known[last] = np.maximum(known[last], reached)
+        rows = replace(rows, states=replace(rows.states, horizon=known))
         return self._decided(rows, rest)
 
     def end(self) -> Verdicts:
         """Learn that no further state comes."""
         return self.advance(END)
+
+    def _most_at_once(self, states: States) -> int:
+        """How many states to take at once. Those kept are evaluated or copied each time: they stay
+        few beside the new ones."""
+        columns = prod(states.present[sort].shape[1] for sort in self._sorts.values())
+        most: int = max(1, CELLS // max(columns, 1), 4 * self.pending)
+        return most
 
     def _among(self, parts: NDArray[np.int64]) -> Mask:
         """Whether each part is one of these."""
@@ -309,7 +322,7 @@ class MonitorEvaluator:
         """The verdicts that these states determine; keep those that are needed, and the ``rest``.
         Contract: they are in order of parts."""
         values = {name: known[rows.part] for name, known in self._values.items()}
-        timelines = Timelines.of(rows.part, rows.index)
+        timelines = Timelines.of(rows.part, self.states_of)
         once = Pass(rows.states, self._sorts, timelines, values)
         found = self._verdicts(rows, once)
         rows = self._needed(rows, once)
@@ -326,33 +339,38 @@ class MonitorEvaluator:
             moments = self._moments(once)
             decided = moments.decided()
         new = (decided < NEVER) & ~rows.is_decided & is_there
-        places = np.nonzero(new)
         robustness = None
+        # The places are in the order of axes; parameters are in that of the text.
+        axes = [1 + self._axes.index(name) for name, _ in self._monitor.parameters]
+        *columns, start = np.nonzero(np.ascontiguousarray(new.transpose(*axes, 0)))
+        places = self._places(start, columns)
+        moment = over[start] if self._monitor.robustness else decided[places]
+        if np.count_nonzero(moment[1:] < moment[:-1]):
+            order = np.argsort(moment, kind="stable")
+            moment, start = moment[order], start[order]
+            columns = [each[order] for each in columns]
+            places = self._places(start, columns)
         if self._monitor.robustness:
-            moment = over[places[0]]
             value, robustness = self._by_margins(once, places)
         else:
-            moment = decided[places]
             value = moments.value(places, moment)
         np.logical_or(rows.is_decided, new | ~is_there, out=rows.is_decided)
-        # The places are in the order of axes; parameters are in that of the text.
-        by_name = dict(zip(self._axes, places[1:], strict=True))
-        columns = [by_name[name] for name, _ in self._monitor.parameters]
         binding = np.stack(columns, axis=1) if columns else np.empty((len(moment), 0), np.int64)
-        order = np.lexsort((places[0], *(column for column in reversed(columns)), moment))
-        start, moment = places[0][order], moment[order]
         return Verdicts(
             rows.part[start],
-            rows.index[start],
             states.valid[start],
-            rows.index[moment],
             states.valid[moment],
             rows.left[moment],
-            value[order],
-            binding[order],
-            self._witness_times(once, value, places)[order],
-            None if robustness is None else robustness[order],
+            value,
+            binding,
+            self._witness_times(once, value, places),
+            robustness,
         )
+
+    def _places(self, start: NDArray[np.int64], columns: Sequence[NDArray[np.int64]]) -> _Places:
+        """Cells of tables, of the objects of each parameter."""
+        names = [name for name, _ in self._monitor.parameters]
+        return start, *(columns[names.index(name)] for name in self._axes)
 
     def _witness_times(
         self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
@@ -407,6 +425,8 @@ class MonitorEvaluator:
 
     def _present(self, states: States) -> Mask:
         """Whether all objects of each binding are there at each state."""
+        if len(self._axes) == 1:
+            return states.present[self._sorts[self._axes[0]]]
         found = np.ones((len(states.valid), *(1 for _ in self._axes)), np.bool_)
         for i, name in enumerate(self._axes):
             own = states.present[self._sorts[name]]
@@ -422,7 +442,11 @@ class MonitorEvaluator:
         # The last state stays: `advance` raises its horizon, and past operators look back from it.
         row = np.where(is_open, np.arange(count), timelines.end - 1)
         oldest = np.minimum.reduceat(row, timelines.first)
-        keep = earliest(self._monitor.formula, oldest, once)
+        keep = oldest
+        if self._looks_back:
+            keep = earliest(self._monitor.formula, oldest, once)
+        if len(keep) == 1:
+            return rows.take(slice(int(keep[0]), None)) if keep[0] else rows
         needed = np.arange(count) >= np.repeat(keep, np.diff(timelines.first, append=count))
         return rows if needed.all() else rows.take(needed)
 
@@ -460,15 +484,41 @@ def earliest(formula: Any, rows: NDArray[np.int64], once: Pass) -> NDArray[np.in
     return rows
 
 
+def _looks_back(formula: Any) -> bool:
+    """Whether the formula has an operator of the past."""
+    match formula:
+        case Previous() | Until(True):
+            return True
+        case Within(operator) if operator.is_past:
+            return True
+        case _:
+            return any(map(_looks_back, parts_of(formula)))
+
+
 def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
     """Rows kept, with the columns that new objects added, and new rows after them."""
-    wider = [(0, 0), *((0, n - k) for k, n in zip(kept.shape[1:], new.shape[1:], strict=True))]
-    if any(right for _, right in wider):
-        kept = np.pad(kept, wider)
+    if kept.shape[1:] != new.shape[1:]:
+        more = zip(kept.shape[1:], new.shape[1:], strict=True)
+        kept = np.pad(kept, [(0, 0), *((0, n - k) for k, n in more)])
     return np.concatenate([kept, new])
+
+
+def _concatenated(parts: Sequence[Verdicts]) -> Verdicts:
+    """The verdicts of states that were taken one after the other."""
+    margins = [each.robustness for each in parts if each.robustness is not None]
+    return Verdicts(
+        np.concatenate([each.part for each in parts]),
+        np.concatenate([each.start_time for each in parts]),
+        np.concatenate([each.decided_time for each in parts]),
+        np.concatenate([each.left for each in parts]),
+        np.concatenate([each.value for each in parts]),
+        np.concatenate([each.binding for each in parts]),
+        np.concatenate([each.witness_time for each in parts]),
+        np.concatenate(margins) if margins else None,
+    )
 
 
 def _no_verdicts(parameters: int) -> Verdicts:
     none = np.empty(0, np.int64)
     values, binding = np.empty(0, np.int8), np.empty((0, parameters), np.int64)
-    return Verdicts(none, none, none, none, none, none, values, binding, none)
+    return Verdicts(none, none, none, none, values, binding, none)

@@ -382,6 +382,8 @@ def _of_runs(runs: Sequence[tuple[_Binding, _Run]], parameters: int) -> Reported
 
 
 def _in_order(found: Reported) -> Reported:
+    if len(found) < 2:
+        return found
     return found.take(np.lexsort((found.valid, *reversed(found.objects), found.available)))
 
 

@@ -41,7 +41,7 @@ def greatest(table: Table, first: Moments, last: Moments) -> Table:
 
 def _least(table: Table, first: Moments, last: Moments, sign: int) -> Table:
     """The least of ``sign * table``, times ``sign``."""
-    out = np.empty_like(table)
+    out = np.empty(table.shape, table.dtype)
     rows, columns = table.shape
     is_margin = table.dtype.kind == "f"
     empty = np.inf if is_margin else NEVER
@@ -153,7 +153,10 @@ def places(
 
 
 def _run(kernel: Kernel, *arguments: Any) -> None:
-    arrays = (a if isinstance(a, int | float) else np.ascontiguousarray(a) for a in arguments)
+    arrays = [
+        np.ascontiguousarray(a) if isinstance(a, np.ndarray) and not a.flags.c_contiguous else a
+        for a in arguments
+    ]
     (kernel if JIT else kernel.py_func)(*arrays)
 
 

@@ -34,7 +34,7 @@ class KeptSamples:
     def __init__(self, variables: int) -> None:
         self._variables = variables
         self._waiting: list[tuple[int, Rows]] = []
-        self._rows = _no_rows(variables)
+        self._rows = self._none = _no_rows(variables)
         self._order: NDArray[np.int64] = np.empty(0, np.int64)
         """The rank of each row by available time, source and arrival."""
         self._entered = 0
@@ -49,19 +49,22 @@ class KeptSamples:
         """Let the samples in that are available before ``watermark``; return them."""
         due, rest = [], []
         for source, rows in sorted(self._waiting, key=lambda each: each[0]):
-            cut = int(np.searchsorted(rows.available, watermark, "left"))
-            due.append(rows.take(slice(None, cut)))
+            cut = int(rows.available.searchsorted(watermark, "left"))
+            if cut:
+                due.append(rows.take(slice(None, cut)))
             if cut < len(rows.available):
                 rest.append((source, rows.take(slice(cut, None))))
         self._waiting = rest
+        if not due:
+            return self._none
         new = _joined(due, self._variables)
-        # Stable: parts of one source came in order.
-        new = new.take(np.argsort(new.available, kind="stable"))
+        if len(due) > 1:
+            # Stable: parts of one source came in order.
+            new = new.take(np.argsort(new.available, kind="stable"))
         order = self._entered + np.arange(len(new.valid), dtype=np.int64)
         self._entered += len(order)
-        if len(order):
-            self._rows = _joined([self._rows, new], self._variables)
-            self._order = np.concatenate([self._order, order])
+        self._rows = _joined([self._rows, new], self._variables)
+        self._order = np.concatenate([self._order, order])
         return new
 
     def at(
@@ -72,8 +75,8 @@ class KeptSamples:
         rows, count = self._rows, len(due)
         # The first state that a sample counts for: it is valid then, and has come.
         first = np.maximum(
-            np.searchsorted(due, rows.valid, "left"),
-            np.searchsorted(left, rows.available, "left"),
+            due.searchsorted(rows.valid, "left"),
+            left.searchsorted(rows.available, "left"),
         )
         newest = np.lexsort((self._order, rows.valid))
         rank = np.empty(len(newest), np.int64)

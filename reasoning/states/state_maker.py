@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Final
 
 import numpy as np
@@ -178,10 +179,10 @@ class StateMaker:
 
     def _states(self, due: Times, left: Times) -> Iterator[MadeStates]:
         """Make the states at ``due`` some at a time."""
+        if not len(due):
+            return
         sizes = [len(names) for names in self._names.values()]
-        columns = [
-            int(np.prod([len(self._names[s]) for s in variables_of(term)])) for term in self._kept
-        ]
+        columns = [prod(len(self._names[s]) for s in variables_of(term)) for term in self._kept]
         step = max(1, CELLS // max([1, *sizes, *columns]))
         for start in range(0, len(due), step):
             part = slice(start, start + step)
@@ -203,8 +204,9 @@ class StateMaker:
             values[term] = Values(found, known)
             for axis, sort in enumerate(sorts, 1):
                 others = tuple(i for i in range(1, valid.ndim) if i != axis)
-                newest = valid.max(axis=others, initial=TIME_MIN)
-                for each in (sort, *self._wider[sort]):
+                newest = valid.max(axis=others, initial=TIME_MIN) if others else valid
+                np.maximum(last_valid[sort], newest, out=last_valid[sort])
+                for each in self._wider[sort]:
                     places = [self._places[each][iri] for iri in self._names[sort]]
                     mine = last_valid[each]
                     mine[:, places] = np.maximum(mine[:, places], newest)

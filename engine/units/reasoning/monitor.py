@@ -18,7 +18,7 @@ from ....streams.generator import StreamGenerator
 from ....streams.history import FluentStream
 from ....streams.past_queries import Forgotten
 from ....streams.sample import SampleBatch
-from .sample_reasoner import SampleReasoner
+from .sample_reasoner import SampleReasoner, is_by_clock
 from .term_readers import TermInput, term_readers
 from .verdict_samples import VerdictWriter
 
@@ -69,6 +69,7 @@ class MonitorUnit(SampleReasoner):
         """Return the retained samples that it has read, for explanations."""
         past, evicting = self._past()
         watermark = self._end + 1 if self.all_ended else self.least_watermark
+        newest = self._newest(*self.sources)
         return RecalledSamples(
             self.monitoring.monitor,
             self.text,
@@ -81,7 +82,7 @@ class MonitorUnit(SampleReasoner):
             {self.sources.index(source): self._newest(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
-            watermark is not None and not self.all_ended and self._is_by_clock(watermark),
+            watermark is not None and not self.all_ended and is_by_clock(watermark, newest),
         )
 
     @property

@@ -68,7 +68,7 @@ class PartRecognition(Recognition):
     def end_part(self, part: int) -> None:
         """Drop all that is known of a part. Cost: O(rows and matches that wait)."""
         self.evaluator.drop_part(part)
-        self._new, self._waiting = self._others(self._new, part), self._others(self._waiting, part)
+        self._waiting = self._others(self._waiting, part)
         self._parts = [self._others(each, part) for each in self._parts]
 
     def rows_of_part(self, part: int) -> dict[str, int]:

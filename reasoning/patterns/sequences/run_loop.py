@@ -255,12 +255,13 @@ def visit_list(
         goes and steps[s + 1, EACH] < steps[s + 1, EACH_BELOW]
     )
     is_used = False
+    start, end = table[row, START], table[row, END]
     target, before, r = -1, -1, lists[v, HEAD]
+    marks[LOOKED_AT] += lists[v, LENGTH]
     while r >= 0:
-        marks[LOOKED_AT] += 1
         after = runs[r, width + NEXT]
-        is_gone = table[row, END] - runs[r, width + BEGAN] > settings[LASTS]
-        fits = not is_gone and table[row, START] > table[runs[r, n + s], END]
+        is_gone = end - runs[r, width + BEGAN] > settings[LASTS]
+        fits = not is_gone and start > table[runs[r, n + s], END]
         take, go = fits and takes, fits and goes
         if is_tested and (take or go):
             bind(runs, sums, r, plan, tests, bound)
@@ -426,6 +427,7 @@ def _runs_loop(
     given = out, out_sums, due, marks
     n, kleene = settings[COUNT], settings[KLEENE]
     is_contiguous = settings[IS_CONTIGUOUS] != 0
+    every = (1 << n) - 1
     bound, keys, dead, taking, going = (
         work[BOUND],
         work[KEYS],
@@ -461,18 +463,24 @@ def _runs_loop(
         for word in range(table.shape[1]):
             table[row, word] = batch[i, word]
         mask = mask_of(row, suits, own, plan, tests, bound)
-        # The lists of runs that it may move, and room for what comes of them.
-        needed = 1
-        for s in range(n):
-            taking[s], going[s] = -1, -1
-            if is_contiguous or ((kleene & mask) >> s) & 1:
+        if mask == 0 and not is_contiguous:
+            continue
+        # The states whose runs it may move, as bits; the lists of these runs, and room for what
+        # comes of them.
+        takes_of = every if is_contiguous else kleene & mask
+        goes_of = (mask >> 1) & (every >> 1)
+        needed, s = 1, 0
+        while (takes_of | goes_of) >> s:
+            taking[s] = going[s] = -1
+            if (takes_of >> s) & 1:
                 taking[s] = list_with(s, s, row, plan, tests, state, keys)
-            if s + 1 < n and (mask >> (s + 1)) & 1:
+            if (goes_of >> s) & 1:
                 going[s] = list_with(s, s + 1, row, plan, tests, state, keys)
             if taking[s] >= 0:
                 needed += lists[taking[s], LENGTH]
             if going[s] >= 0 and going[s] != taking[s]:
                 needed += lists[going[s], LENGTH]
+            s += 1
         counts[NEEDED], counts[NODES_NEEDED] = needed, 2 * needed
         if marks[OUT] + needed > out.shape[0]:
             marks[IS_OUT_FULL] = 1
@@ -494,7 +502,8 @@ def _runs_loop(
             is_used = stored > 0
         marks[ROWS] = row + 1
         marks[FIRST_OUT], marks[IS_SHORT] = marks[OUT], 0
-        for s in range(n - 1, -1, -1):
+        while s > 0:
+            s -= 1
             takes = ((kleene & mask) >> s) & 1 != 0
             is_one = going[s] == taking[s]
             if going[s] >= 0 and lists[going[s], HEAD] >= 0:
