@@ -148,7 +148,7 @@ class Monitoring:
         if self._shared is not None:
             maker = self._shared.maker
             columns = [
-                _numbered(objects[:, i], lambda iri, sort=sort: maker.place(sort, iri))
+                np.array([maker.place(sort, iri) for iri in objects[:, i]], np.int64)
                 for i, sort in enumerate(sorts)
             ]
             places = np.stack(columns, axis=1) if columns else np.empty((len(valid), 0), np.int64)
@@ -158,14 +158,16 @@ class Monitoring:
             named = np.isin(objects[:, 0], self._only)
             available, valid, values = available[named], valid[named], values[named]
             objects = objects[named]
-        names, group = np.unique(objects[:, 0].astype(str), return_inverse=True)
-        for i, iri in enumerate(names.tolist()):
+        rows_of: dict[str, list[int]] = {}
+        for row, iri in enumerate(objects[:, 0]):
+            rows_of.setdefault(iri, []).append(row)
+        for iri, rows in rows_of.items():
             timeline = self._timelines.get(iri)
             if timeline is None:
                 timeline = self._timelines[iri] = self._timeline()
                 timeline.maker.place(sorts[0], iri)
             self._queued[timeline] = None
-            mine = np.flatnonzero(group == i)
+            mine = np.array(rows)
             none = np.zeros((len(mine), 1), np.int64)
             timeline.maker.add(term, source, Rows(available[mine], valid[mine], none, values[mine]))
 
@@ -419,10 +421,3 @@ def _has_own_states(monitor: CheckedMonitor) -> bool:
     own = (ObjectVariable(monitor.parameters[0][0]),)
     is_own = all(reading.arguments == own for reading in readings_of(monitor.formula))
     return is_own and not bound_sorts(monitor.formula)
-
-
-def _numbered(column: NDArray[Any], place: Any) -> NDArray[np.int64]:
-    """The place of each IRI of a column, shape ``(n,)``."""
-    names, group = np.unique(column.astype(str), return_inverse=True)
-    places = np.array([place(name) for name in names.tolist()], np.int64)
-    return places[group] if len(names) else np.empty(0, np.int64)
