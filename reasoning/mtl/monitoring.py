@@ -155,7 +155,7 @@ class Monitoring:
         if not self.has_own_states:
             maker = self._shared
             columns = [
-                _numbered(objects[:, i], lambda iri, sort=sort: maker.place(sort, iri))
+                np.array([maker.place(sort, iri) for iri in objects[:, i]], np.int64)
                 for i, sort in enumerate(variables_of(term))
             ]
             places = np.stack(columns, axis=1) if columns else np.empty((len(valid), 0), np.int64)
@@ -210,7 +210,7 @@ class Monitoring:
 
     def _parts_of(self, objects: NDArray[Any]) -> NDArray[np.int64]:
         """The parts of objects; shape ``(n, 1)``."""
-        return _numbered(objects[:, 0], self._part)
+        return np.array([self._part(iri) for iri in objects[:, 0]], np.int64)
 
     def _part(self, iri: str) -> int:
         if iri not in self._parts:
@@ -404,10 +404,3 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
         np.concatenate([part.witness for part in parts]),
         np.concatenate(found) if found else None,
     )
-
-
-def _numbered(column: NDArray[Any], place: Any) -> NDArray[np.int64]:
-    """The place of each IRI of a column, shape ``(n,)``."""
-    names, group = np.unique(column.astype(str), return_inverse=True)
-    places = np.array([place(name) for name in names.tolist()], np.int64)
-    return places[group] if len(names) else np.empty(0, np.int64)

@@ -84,10 +84,10 @@ class TermReader:
         rows = np.flatnonzero(present)
         if not len(rows):
             return
-        names = np.array(self._names, object)
+        names = self._names
         objects = np.empty((len(rows), len(self._variables)), object)
         for i, argument in enumerate(self._variables):
-            objects[:, i] = names[codes[argument][rows]]
+            objects[:, i] = [names[code] for code in codes[argument][rows].tolist()]
         values = self._values(column.take(rows))
         available, valid = batch.available[rows], batch.valid[rows]
         monitoring.add(place, self._term, available, valid, objects, values)
