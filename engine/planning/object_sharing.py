@@ -109,8 +109,8 @@ def _of_object(
     pattern = pattern_by_object(free.query({}), own.query({}), object)
     if pattern is None:
         raise Unshared(
-            "the pattern has next matches, repetition, aggregates, alternatives, static triples or "
-            "a maximal delay, or reads samples of other objects"
+            "the pattern has alternatives, static triples or a maximal delay, or reads samples of "
+            "other objects"
         )
     return pattern, lambda want: argument_of(free.sources[want], pattern.column)
 

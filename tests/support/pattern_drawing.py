@@ -198,7 +198,8 @@ def parted(plan: PatternPlan, column: str, output: str) -> PatternPlan:
     if selection is Selection.STRICT_CONTIGUITY:
         selection = Selection.PARTITION_CONTIGUITY
     is_contiguous = selection is Selection.PARTITION_CONTIGUITY
-    which = Position.FIRST if plan.elements[0].is_kleene else Position.EACH
+    which = Position.LAST if plan.elements[-1].is_kleene else Position.EACH
+    part = Output(output, Value(len(plan.elements) - 1, column, which))
     return replace(
         plan,
         selection=selection,
@@ -206,5 +207,5 @@ def parted(plan: PatternPlan, column: str, output: str) -> PatternPlan:
         columns=(*plan.columns, Column(column, ColumnType.KEY)),
         same=(*plan.same, *linked),
         probes=tuple(replace(p, same=(*p.same, Same(OWN, column, 0, column))) for p in plan.probes),
-        outputs=(*plan.outputs, Output(output, Value(0, column, which))),
+        outputs=(*plan.outputs, part),
     )

@@ -159,7 +159,7 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
 
     def _explain(self, evaluation: str, *more: str) -> str:
         """Describe the evaluation, and what has been done by now."""
-        shared = f"shared by    {len(self._instances):,} requests, each for an object of its own"
+        shared = f"shared by    {len(self._instances):,} requests that name an object each"
         return "\n".join(
             [evaluation, shared, f"read         {self.samples:,} samples of their objects", *more]
         )

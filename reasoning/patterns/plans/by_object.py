@@ -48,8 +48,8 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     """Return the pattern that serves ``own``, which is ``free`` for one ``object`` (an IRI); None
     if there is none.
 
-    There is none with more than one plan, with repetition or aggregates under any match, with a
-    maximal delay, over the streams of a sort, or where another object is compared with this one.
+    There is none with more than one plan, with a maximal delay, over the streams of a sort, or
+    where another object is compared with this one.
     """
     if (
         free.max_delay is not None
@@ -60,9 +60,6 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     ):
         return None
     (plan,) = free.plans
-    is_any = plan.selection is Selection.ANY_MATCH
-    if plan.trends or (is_any and any(each.is_kleene for each in plan.elements)):
-        return None
     column = _column_of(free, own, object)
     if column is None or not _is_everywhere(plan, column) or column in _columns_compared(plan):
         return None
@@ -74,8 +71,10 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     ):
         return None
     objects = tuple(each.name for each in plan.outputs if _is_value_of(each, column))
-    which = Position.FIRST if plan.elements[0].is_kleene else Position.EACH
-    parted = replace(plan, outputs=(*plan.outputs, Output(PART, Value(0, column, which))))
+    # Aggregates over all matches know the last row only.
+    which = Position.LAST if plan.elements[-1].is_kleene else Position.EACH
+    part = Output(PART, Value(len(plan.elements) - 1, column, which))
+    parted = replace(plan, outputs=(*plan.outputs, part))
     if plan.selection is Selection.STRICT_CONTIGUITY:
         # The next row of all is the next one of the object.
         contiguous = Selection.PARTITION_CONTIGUITY
@@ -112,7 +111,8 @@ def _columns_compared(plan: PatternPlan) -> set[str]:
     sides = [side for each in conditions for side in (each.left, each.right)]
     sides += [each.value for each in plan.outputs if isinstance(each.value, Arithmetic | Aggregate)]
     leaves = [leaf for side in sides for leaf in leaves_of(side)]
-    listed = [each.value.column for each in plan.outputs if isinstance(each.value, Listed)]
+    listed = [each.column for each in plan.trends if each.column is not None]
+    listed += [each.value.column for each in plan.outputs if isinstance(each.value, Listed)]
     columns = (leaf.column for leaf in leaves if isinstance(leaf, Value | Aggregate))
     return {*listed, *(column for column in columns if column is not None)}
 

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from ....streams.sample import Times
 from ...states.part_departures import PartDepartures, PartSteps
-from ..evaluation.part_rows import InParts, PartRows
+from ..evaluation.part_rows import InParts
 from ..plans.by_object import PART, PatternByObject
 from ..plans.limits import DEFAULT_LIMITS, Limits
-from ..plans.plan import Selection
 from ..plans.query import Keys
 from ..plans.rows import Values, concatenated
-from ..sequences.next_rows import PartNextRows
+from .choice import evaluator_of
 from .combined import StaticSolutions
 from .recognition import Batch, Recognition, Recognized, joined
 
@@ -70,6 +69,9 @@ class PartRecognition(Recognition):
         self.evaluator.drop_part(part)
         self._waiting = self._others(self._waiting, part)
         self._parts = [self._others(each, part) for each in self._parts]
+
+    def explain(self) -> str:
+        return f"{super().explain()}, for each object at its own time"
 
     def rows_of_part(self, part: int) -> dict[str, int]:
         """Return the rows of each kind that came of a part."""
@@ -125,9 +127,9 @@ class PartRecognition(Recognition):
 
     def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> InParts:
         (plan,) = self.plans
-        if plan.selection is not Selection.ANY_MATCH:
-            return PartNextRows(plan, self._column, limits=limits)
-        return PartRows(plan, self._column, is_ordered=self.is_ordered, limits=limits)
+        found = evaluator_of(plan, is_ordered=self.is_ordered, limits=limits, part=self._column)
+        assert isinstance(found, InParts)
+        return found
 
     def _part_of(self, rows: Batch) -> Parts:
         return np.asarray(rows.columns[self._column], np.int64)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.part_rows import OWN_TIMES, InParts
+from ..evaluation.part_rows import InParts
 from ..evaluation.store import SMALLEST
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.plan import PatternPlan, PlanError, Selection
@@ -96,22 +96,4 @@ class NextRows(Sequences):
 
 
 class PartNextRows(InParts, NextRows):
-    """The matches of runs, in order of decision within each part. ``part``: as for `PartRows`; runs
-    are looked up by it, too.
-
-    Law (tests/laws/reasoning/test_pattern_parts.py): the matches of a part are those of `NextRows`
-    over its rows and watermarks, in the same order. The limits are those of all parts together.
-    """
-
-    def __init__(
-        self,
-        plan: PatternPlan,
-        part: str,
-        *,
-        limits: Limits = DEFAULT_LIMITS,
-        capacity: int = SMALLEST,
-    ) -> None:
-        super().__init__(plan, limits=limits, capacity=capacity, part=part)
-
-    def _way(self) -> str:
-        return super()._way() + OWN_TIMES
+    """The same of each part; see `InParts`."""

@@ -94,6 +94,28 @@ SLOTS: Final = 3 * MOST_ELEMENTS + 2
 """The length of ``bound`` (`conditions`)."""
 
 
+def is_in_time(i: int, batch: Any, suits: int, part_word: int, marks: Any, times: Any) -> Any:
+    """Whether a row is not late; if so, no row ends before it any more. With parts, the times are
+    those of its part."""
+    part = 0
+    if part_word:
+        part = batch[i, part_word]
+        marks[WATERMARK], marks[DECIDED] = times[WATERMARKS, part], times[DECISIONS, part]
+    if batch[i, END] < marks[WATERMARK]:
+        marks[LATE] += suits != 0
+        return False
+    marks[WATERMARK] = batch[i, END]
+    if part_word:
+        times[WATERMARKS, part] = batch[i, END]
+    return True
+
+
+def mark_dead(buffers: Any, dead: Any, marks: Any) -> None:
+    """Write for each buffer the end before which its rows are dead."""
+    for b in range(buffers.shape[0]):
+        dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
+
+
 def bind(words: Any, sums: Any, r: int, plan: Any, tests: Any, bound: Any) -> None:
     """Bind the rows of a run or match, and write its aggregates to row 0 of the table."""
     settings, _, _, _, accumulators, aggregates, _, _ = plan
@@ -435,22 +457,13 @@ def _runs_loop(
         work[TAKING],
         work[GOING],
     )
-    for b in range(buffers.shape[0]):
-        dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
+    mark_dead(buffers, dead, marks)
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
-        if settings[PART_WORD]:
-            # The row's part has its own time.
-            part = batch[i, settings[PART_WORD]]
-            marks[WATERMARK], marks[DECIDED] = times[WATERMARKS, part], times[DECISIONS, part]
-            for b in range(buffers.shape[0]):
-                dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
-        if batch[i, END] < marks[WATERMARK]:
-            marks[LATE] += suits != 0
+        if not is_in_time(i, batch, suits, settings[PART_WORD], marks, times):
             continue
-        marks[WATERMARK] = batch[i, END]
         if settings[PART_WORD]:
-            times[WATERMARKS, batch[i, settings[PART_WORD]]] = batch[i, END]
+            mark_dead(buffers, dead, marks)
         if suits == 0 and not is_contiguous:
             continue
         if marks[IS_FULL]:
@@ -573,8 +586,8 @@ def _asks_loop(
 
 
 IN_LOOP: Final = (
-    *CALLED, *IN_RUNS, bind, add_row, all_hold, bind_next, give_out, visit_list, start_run, mask_of,
-    list_with,
+    *CALLED, *IN_RUNS, is_in_time, mark_dead, bind, add_row, all_hold, bind_next, give_out,
+    visit_list, start_run, mask_of, list_with,
 )  # fmt: skip
 
 

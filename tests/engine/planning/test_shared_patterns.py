@@ -138,9 +138,6 @@ def test_other_constants_are_groups_of_their_own(flying):
 @pytest.mark.parametrize(
     "template",
     [
-        # The aggregates are those of all matches.
-        "REGISTER TEMPLATE Odd(?x in UAV) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
-        "[id = ?x] AND a.value > 30 WITHIN 3 seconds RETURN COUNT(*) AS n",
         # The object is compared with another one.
         "REGISTER TEMPLATE Odd(?x in UAV) AS chronicle odd(?x, ?y) "
         "{ event(speed[?x]:(?, > 30), t1); event(altitude[?y], t2); ?x != ?y; "

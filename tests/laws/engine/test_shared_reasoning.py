@@ -42,6 +42,13 @@ TEMPLATES = (
     "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed+ a[], ~altitude b, speed c) "
     "WHERE partition_contiguity [id = ?x] AND a[i].value > ?limit AND b.value < 4 WITHIN 3 seconds "
     "RETURN avg(a[].value) AS mean",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
+    "[id = ?x] AND a.value > ?limit WITHIN 4 seconds RETURN COUNT(*) AS n, sum(b.value) AS total",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
+    "[id = ?x] AND a.value > ?limit AND b[i].value > b[i-1].value WITHIN 4 seconds "
+    "RETURN COUNT(*) AS n",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
+    "[id = ?x] AND a.value > ?limit WITHIN 2 seconds RETURN count(b[]) AS n LIMIT 4",
     f"{EP}REGISTER TEMPLATE dyknow:Odd(?x, ?limit) AS SELECT ?x ?v WHERE {{ ?x dyknow:speed ?v }} "
     "SEQ { ?x dyknow:altitude ?w FILTER (?w > ?limit) } WITHIN 3 s",
 )

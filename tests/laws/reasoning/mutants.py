@@ -19,6 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
 STATES, MONITORING = "test_states.py", "test_monitoring.py"
+PARTS = "test_part_monitoring.py"
 EPSPARQL, SASE = "test_epsparql.py", "test_sase.py"
 RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
 # ruff: noqa: E501
@@ -58,6 +59,11 @@ MUTANTS = (
     ("states/departures.py", "moments > last", "moments >= last", STATES),
     ("mtl/monitoring.py", "self._evaluator.advance(latest - 1)", "self._evaluator.advance(latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
+    # A timeline ends where the next one begins; a part has its own values, grid and first state.
+    ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PARTS),
+    ("mtl/evaluator.py", "known[rows.part] for name", "known[0 * rows.part] for name", PARTS),
+    ("states/part_states.py", "np.maximum(steps.left(part, due), self._begun[part])", "steps.left(part, due)", PARTS),
+    ("states/kept_samples.py", "(best >= 0) & (own[place] == part)", "best >= 0", PARTS),
     # SEQ is strict; EQUALS is of both times.
     ("patterns/compilation/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
     ("patterns/compilation/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),
