@@ -17,6 +17,7 @@ from ....reasoning.mtl.part_monitoring import MonitoredPart, PartMonitoring
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch
 from ..reasoning.monitor import RecalledSamples, explain_verdicts
+from ..reasoning.sample_reasoner import is_by_clock
 from ..reasoning.term_readers import TermInput, term_readers
 from ..reasoning.verdict_samples import VerdictWriter
 from .shared_reasoner import ReasoningInstance, SharedReasoner
@@ -63,6 +64,7 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
         those after the available time (ns) ``since``. ``monitor``: with its values."""
         own, evicting = self.past_of_part(number, since)
         watermark = self._end + 1 if self.all_ended else self.least_watermark
+        newest = self._newest(*self.sources)
         return RecalledSamples(
             monitor,
             self.text,
@@ -75,7 +77,7 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
             {self.sources.index(source): self._newest(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
-            watermark is not None and not self.all_ended and self._is_by_clock(watermark),
+            watermark is not None and not self.all_ended and is_by_clock(watermark, newest),
         )
 
     def _emit(self, found: Reported) -> None:
