@@ -2,10 +2,10 @@
 
     python bench/reasoning_requests.py
 
-1,000 objects have a sample each in a batch of 1,000; requests name the first of them. Printed is
-the processor time of a batch, without that of publishing alone: of one request for all objects,
-then of 1, 10, … requests for one object each, as they share an evaluation and with one each. One
-process; the median of some batches. Requests of a formula do not share.
+1,000 objects have a sample each in a batch of 1,000; requests name the first of them, or differ in
+a value. Printed is the processor time of a batch, without that of publishing alone: of one request
+for all objects (of one request, where they differ in a value), then of 1, 10, … requests, as they
+share an evaluation and with one each. One process; the median of some batches.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.planning import pattern_sharing
+from dyknow.engine.planning import object_sharing
 from dyknow.streams.sample import Column, FieldType, SampleBatch
 from dyknow.streams.string_pool import StringPool
 
@@ -33,12 +33,22 @@ TEMPLATES = {
     "chronicle": f"REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS chronicle Odd(?x) {{ {EVENTS} }}",
     "with noevent": f"REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS chronicle Odd(?x) {{ {EVENTS} "
     "noevent(speed[?x]:(?, < 10 [m.s-1]), (t1, t2)); }",
+    "next match": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS PATTERN SEQ(speed a, altitude b) "
+    "WHERE skip_till_next_match [id = ?x] AND a.value > 349 AND b.value > 70 WITHIN 3 seconds",
     "formula": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS always[0s, 3s] (speed(?x) > 97 [m.s-1] "
     "-> eventually[0s, 2s] altitude(?x) > 70 [m]) with report violations",
     "on a grid": "REGISTER TEMPLATE dyknow:Odd(?x in UAV) AS always[0s, 3s] "
     "(speed(?x) > 97 [m.s-1] -> eventually[0s, 2s] altitude(?x) > 70 [m]) "
     "with report violations, sample every 1s, use most recent, max delay 0s",
+    "in a value": "REGISTER TEMPLATE dyknow:Odd(?x in UAV, ?limit) AS always[0s, 3s] "
+    "(speed(?x) > ?limit [m.s-1] -> eventually[0s, 2s] altitude(?x) > 70 [m]) "
+    "with report violations",
 }
+
+
+def arguments(template: str, number: int) -> str:
+    """Return the arguments of a request: an object of its own, or one with a value of its own."""
+    return f"dyknow:uav0, {number / 10}" if template == "in a value" else f"dyknow:uav{number}"
 
 
 class Samples:
@@ -63,9 +73,9 @@ class Samples:
 
 def measured(template: str, arguments: list[str], *, shares: bool = True) -> tuple[float, int]:
     """Return the milliseconds of a batch, and the number of results."""
-    least = pattern_sharing.SAME_PATTERN
+    least = object_sharing.SAME_EVALUATION
     if not shares:
-        pattern_sharing.SAME_PATTERN = 1 << 62
+        object_sharing.SAME_EVALUATION = 1 << 62
     try:
         engine = Engine()
         engine.annotate(SSL)
@@ -74,7 +84,7 @@ def measured(template: str, arguments: list[str], *, shares: bool = True) -> tup
         for each in arguments:
             engine.request_event(engine.parse_request(f"dyknow:Odd({each})"))
     finally:
-        pattern_sharing.SAME_PATTERN = least
+        object_sharing.SAME_EVALUATION = least
     samples, taken = Samples(), []
     for second in range(WARM + BATCHES):
         batch = samples.of(second)
@@ -96,11 +106,15 @@ def main() -> None:
     )
     publishing, _ = measured("", [])
     for name in [given.only] if given.only else TEMPLATES:
-        whole, results = measured(TEMPLATES[name], ["?x"])
+        first = arguments(name, 0) if name == "in a value" else "?x"
+        whole, results = measured(TEMPLATES[name], [first])
         whole -= publishing
-        print(f"{name:<14}{'?x':>9}{whole:>9.2f}{'':>21}{results:>9,}", flush=True)
+        print(
+            f"{name:<14}{first.split(',')[0].removeprefix('dyknow:'):>9}{whole:>9.2f}{'':>21}{results:>9,}",
+            flush=True,
+        )
         for count in counts:
-            objects = [f"dyknow:uav{i}" for i in range(count)]
+            objects = [arguments(name, i) for i in range(count)]
             alone, results = measured(TEMPLATES[name], objects, shares=False)
             spent, same = measured(TEMPLATES[name], objects)
             assert same == results, (same, results)

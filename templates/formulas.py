@@ -17,7 +17,6 @@ from ..languages.mtl import (
     check_mtl,
 )
 from ..languages.mtl.checked import (
-    Constant,
     ObjectConstant,
     ObjectVariable,
     Parameter,
@@ -33,18 +32,21 @@ from ..reasoning.mtl.formulas import readings_of
 from ..reasoning.mtl.monitoring import RESULT_FIELDS
 from ..streams.sample import TIME_FIELDS
 from .needs import Needs, NeedsError
-from .slots import given_arguments
+from .slots import Values, given_arguments
 
 
 @dataclass(frozen=True, slots=True)
 class BoundFormula:
     """A formula whose parameters are objects, as a query. ``text``: as written, for explanations;
-    ``source``: all of the text. ``readings``: for each want the features that it serves."""
+    ``source``: all of the text. ``readings``: for each want the features that it serves. ``open``:
+    the monitor before the ``values`` of a request stand in it."""
 
     monitor: CheckedMonitor
     text: Monitor
     source: str
     readings: dict[Want, list[Reading]]
+    open: CheckedMonitor
+    values: Values
 
     @property
     def needs(self) -> Needs:
@@ -54,7 +56,8 @@ class BoundFormula:
 def bound_monitor(monitor: Monitor, source: str, vocabulary: Vocabulary) -> BoundFormula:
     """Return a monitor as a query. Raises `LanguageError`; `NeedsError` for a feature without an
     object, and for a parameter whose objects no feature gives."""
-    return _bound(check_mtl(monitor, source, vocabulary), monitor, source)
+    checked = check_mtl(monitor, source, vocabulary)
+    return _bound(checked, monitor, source, checked, {})
 
 
 def bound_formula_template(
@@ -72,22 +75,21 @@ def bound_formula_template(
     for name, iri in objects.items():
         # A sort of its own, so that quantifiers over the sort go on to mean all objects.
         sorts[name], fixed[iri] = iri, sorts[name]
-    monitor = replace(
-        checked.monitor,
-        parameters=tuple(sorts.items()),
-        formula=_with_values(checked.monitor.formula, values),
-        fixed=tuple(fixed.items()),
-    )
-    return _bound(monitor, template.monitor, template.source)
+    open = replace(checked.monitor, parameters=tuple(sorts.items()), fixed=tuple(fixed.items()))
+    monitor = replace(open, formula=_with_values(open.formula, values))
+    return _bound(monitor, template.monitor, template.source, open, values)
 
 
 def formula_template_wants(template: FormulaTemplate, vocabulary: Vocabulary) -> tuple[Want, ...]:
     """Return what a template needs for all objects. Raises `LanguageError` and `NeedsError`."""
     checked = check_formula_template(template, vocabulary)
-    return tuple(_bound(checked.monitor, template.monitor, template.source).readings)
+    monitor = checked.monitor
+    return tuple(_bound(monitor, template.monitor, template.source, monitor, {}).readings)
 
 
-def _bound(checked: CheckedMonitor, text: Monitor, source: str) -> BoundFormula:
+def _bound(
+    checked: CheckedMonitor, text: Monitor, source: str, open: CheckedMonitor, values: Values
+) -> BoundFormula:
     sorts, objects = sorts_of(checked), dict(checked.fixed)
     readings: dict[Want, list[Reading]] = {}
     for reading in dict.fromkeys(readings_of(checked.formula)):
@@ -113,7 +115,7 @@ def _bound(checked: CheckedMonitor, text: Monitor, source: str) -> BoundFormula:
                 f"`?{name}` cannot be a parameter: the verdicts have a field {name!r}",
                 "give the variable another name",
             )
-    return BoundFormula(checked, text, source, readings)
+    return BoundFormula(checked, text, source, readings, open, values)
 
 
 def _want(reading: Reading, sorts: dict[str, str], objects: dict[str, str]) -> Want:
@@ -127,7 +129,7 @@ def _want(reading: Reading, sorts: dict[str, str], objects: dict[str, str]) -> W
     return Want(reading.feature, first.sort, first.object, tuple(others))
 
 
-def _with_values(node: Any, values: dict[str, Constant | ObjectConstant]) -> Any:
+def _with_values(node: Any, values: Values) -> Any:
     """The formula with values in place of parameters."""
     if isinstance(node, Parameter):
         return values[node.name]

@@ -20,10 +20,14 @@ from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Approximation
 from ...streams.time import format_duration
 from ...templates.formulas import BoundFormula
-from ..configuration.configuration import MTL, Configuration
+from ..configuration.configuration import MTL, SELECT_INSTANCE, Configuration
 from ..model.beginning import Beginning
-from ..units.reasoning.monitor import MonitorUnit, verdict_schema
+from ..model.views import Since
+from ..units.reasoning.monitor import MonitorUnit
 from ..units.reasoning.term_readers import TermInput
+from ..units.reasoning.verdict_samples import verdict_schema
+from ..units.sharing.instances import TALLY
+from ..units.sharing.shared_monitor import MonitorInstance, SharedMonitorUnit
 from .supply_inputs import merge_inputs
 
 
@@ -73,6 +77,53 @@ class MonitorStarter:
             )
 
         return self._configuration.start_query(verdict_schema(formula.monitor), make, since, name)
+
+    def start_shared(
+        self, monitor: CheckedMonitor, free: BoundFormula, supplies: Sequence[Supply]
+    ) -> SharedMonitorUnit:
+        """Start the evaluation of a formula for each object that an instance asks for, over the
+        streams of all objects. ``monitor``: without values; ``free``: that of all objects."""
+        terms = [each for supply in supplies for each in self._inputs(free, supply, Since.NOW)]
+        objects = {each.input.source: each.input.objects[0] for each in terms}
+
+        def make(output: StreamGenerator) -> SharedMonitorUnit:
+            parameters = {"query": free.source}
+            return SharedMonitorUnit(
+                *self._configuration.identity(MTL, list(objects), output, parameters),
+                monitor=monitor,
+                terms=terms,
+                objects=objects,
+                dictionary=self._dictionary,
+                text=free.text,
+                explanation=explain_monitor(monitor),
+                newest=self._configuration.newest_sample,
+            )
+
+        return self._configuration.start_query(TALLY, make)
+
+    def start_instance(
+        self,
+        shared: SharedMonitorUnit,
+        own: BoundFormula,
+        free: BoundFormula,
+        object: str,
+        request: str,
+    ) -> MonitorInstance:
+        """Start an instance of a shared formula for an ``object`` (an IRI), with the arguments of
+        ``request`` (its text). ``own``: the formula of this object; ``free``: that of all."""
+
+        def make(output: StreamGenerator) -> MonitorInstance:
+            parameters = {"request": request, "query": own.source}
+            return MonitorInstance(
+                *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, parameters),
+                template=shared,
+                object=object,
+                monitor=own.monitor,
+                of_all=free.monitor,
+                values=own.values,
+            )
+
+        return self._configuration.start_query(verdict_schema(own.monitor), make)
 
     def _inputs(self, formula: BoundFormula, supply: Supply, since: Beginning) -> list[TermInput]:
         streams = [self._obtain(source.node, since) for source in supply.sources]

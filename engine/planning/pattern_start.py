@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from ...languages.mtl.checked import Kind
@@ -33,22 +32,6 @@ from ..units.sharing.instances import TALLY
 from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from .static_side import closed_ontology
 from .supply_inputs import merge_inputs
-
-
-@dataclass(frozen=True, slots=True)
-class ShareablePattern:
-    """The ``pattern`` that requests with an equal ``key`` can share, for an ``object`` (an IRI).
-    ``own`` is the pattern of this object, ``free`` that of all, over the streams of ``supplies``.
-    Worth it from ``least`` requests on.
-    """
-
-    key: Hashable
-    pattern: PatternByObject
-    object: str
-    own: PatternQuery
-    free: BoundPattern
-    supplies: tuple[Supply, ...]
-    least: int
 
 
 class PatternStarter:
@@ -114,13 +97,14 @@ class PatternStarter:
 
         return self._configuration.start_query(match_schema(query), make, since, name)
 
-    def start_shared(self, shareable: ShareablePattern) -> SharedPatternUnit:
+    def start_shared(
+        self, pattern: PatternByObject, free: BoundPattern, supplies: Sequence[Supply]
+    ) -> SharedPatternUnit:
         """Start the evaluation of a pattern for each object that an instance asks for, over the
-        streams of all objects."""
-        pattern, column = shareable.pattern, shareable.pattern.column
+        streams of all objects. ``free``: the pattern of all objects."""
         read = [
-            (shareable.free.sources[supply.want], each)
-            for supply in shareable.supplies
+            (free.sources[supply.want], each)
+            for supply in supplies
             for each in self._inputs(supply, Since.NOW)
         ]
         has_intervals = any(plan.has_intervals for plan in pattern.query.plans)
@@ -130,11 +114,12 @@ class PatternStarter:
             for source, input in read
         ]
         objects = {
-            input.source: input.objects[argument_of(source, column)] for source, input in read
+            input.source: input.objects[argument_of(source, pattern.column)]
+            for source, input in read
         }
 
         def make(output: StreamGenerator) -> SharedPatternUnit:
-            parameters = {"query": shareable.free.source}
+            parameters = {"query": free.source}
             return SharedPatternUnit(
                 *self._configuration.identity(PATTERN, list(objects), output, parameters),
                 pattern=pattern,
@@ -149,20 +134,22 @@ class PatternStarter:
         return self._configuration.start_query(TALLY, make)
 
     def start_instance(
-        self, shared: SharedPatternUnit, shareable: ShareablePattern, request: str
+        self, shared: SharedPatternUnit, own: BoundPattern, object: str, request: str
     ) -> PatternInstance:
-        """Start an instance of a shared pattern, with the arguments of ``request`` (its text)."""
+        """Start an instance of a shared pattern for an ``object`` (an IRI), with the arguments of
+        ``request`` (its text). ``own``: the pattern of this object."""
+        query = own.query({})
 
         def make(output: StreamGenerator) -> PatternInstance:
-            parameters = {"request": request, "query": shareable.free.source}
+            parameters = {"request": request, "query": own.source}
             return PatternInstance(
                 *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, parameters),
                 template=shared,
-                object=shareable.object,
-                query=shareable.own,
+                object=object,
+                query=query,
             )
 
-        return self._configuration.start_query(match_schema(shareable.own), make)
+        return self._configuration.start_query(match_schema(query), make)
 
     def _inputs(self, supply: Supply, since: Beginning) -> list[MergeInput]:
         streams = [self._obtain(source.node, since) for source in supply.sources]

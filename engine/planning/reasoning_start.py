@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
+from ...languages.mtl import CheckedMonitor
 from ...languages.ssl.annotation import StreamAnnotation
 from ...matching.plan import Node, Supply
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
+from ...reasoning.patterns.plans.by_object import PatternByObject
 from ...streams.generator import StreamGenerator
+from ...templates.event_patterns import BoundPattern
 from ...templates.formulas import BoundFormula
 from ...templates.needs import NeedsError, is_static_in
 from ...templates.reasoning import Bound, Reasoned, bound_text
@@ -18,11 +22,31 @@ from ..model.beginning import Beginning
 from ..model.errors import BadArguments
 from ..units.reasoning.monitor import MonitorUnit
 from ..units.reasoning.pattern import PatternUnit
-from ..units.sharing.shared_pattern import PatternInstance
+from ..units.sharing.shared_monitor import MonitorInstance, SharedMonitorUnit
+from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
 from .monitor_start import MonitorStarter, explain_monitor, verdict_annotation
 from .pattern_start import PatternStarter, explain_pattern, match_annotation
 
-ReasoningUnit: TypeAlias = MonitorUnit | PatternUnit | PatternInstance
+ReasoningUnit: TypeAlias = MonitorUnit | MonitorInstance | PatternUnit | PatternInstance
+EvaluationByObject: TypeAlias = CheckedMonitor | PatternByObject
+"""What is evaluated of each object by itself. A monitor has parameters instead of values."""
+SharedUnit: TypeAlias = SharedMonitorUnit | SharedPatternUnit
+
+
+@dataclass(frozen=True, slots=True)
+class ShareableEvaluation:
+    """The ``evaluation`` that requests with an equal ``key`` can share, for an ``object`` (an IRI).
+    ``own`` is the formula or pattern of this object, ``free`` that of all, over the streams of
+    ``supplies``. Worth it from ``least`` requests on.
+    """
+
+    key: Hashable
+    evaluation: EvaluationByObject
+    object: str
+    own: Bound
+    free: Bound
+    supplies: tuple[Supply, ...]
+    least: int
 
 
 class ReasoningStarter:
@@ -36,8 +60,7 @@ class ReasoningStarter:
         obtain: Callable[[Node, Beginning], StreamGenerator],
     ) -> None:
         self._monitors = MonitorStarter(ontology, dictionary, configuration, obtain)
-        self.patterns = PatternStarter(ontology, dictionary, configuration, obtain)
-        """Starts patterns, shared ones, too."""
+        self._patterns = PatternStarter(ontology, dictionary, configuration, obtain)
 
     def start(
         self,
@@ -53,7 +76,29 @@ class ReasoningStarter:
         has the arguments of a template. Raises `BadArguments` and `LanguageError`."""
         if isinstance(bound, BoundFormula):
             return self._monitors.start(bound, supplies, since, name=name, request=request)
-        return self.patterns.start(bound, supplies, since, name=name, request=request)
+        return self._patterns.start(bound, supplies, since, name=name, request=request)
+
+    def start_shared(self, shareable: ShareableEvaluation) -> SharedUnit:
+        """Start the evaluation that requests share."""
+        evaluation, free, supplies = shareable.evaluation, shareable.free, shareable.supplies
+        if isinstance(evaluation, CheckedMonitor):
+            assert isinstance(free, BoundFormula)
+            return self._monitors.start_shared(evaluation, free, supplies)
+        assert isinstance(free, BoundPattern)
+        return self._patterns.start_shared(evaluation, free, supplies)
+
+    def start_instance(
+        self, shared: SharedUnit, shareable: ShareableEvaluation, request: str
+    ) -> MonitorInstance | PatternInstance:
+        """Start the unit of a request that shares an evaluation, with the arguments of ``request``
+        (its text)."""
+        own, free, object = shareable.own, shareable.free, shareable.object
+        if isinstance(shared, SharedMonitorUnit):
+            assert isinstance(own, BoundFormula)
+            assert isinstance(free, BoundFormula)
+            return self._monitors.start_instance(shared, own, free, object, request)
+        assert isinstance(own, BoundPattern)
+        return self._patterns.start_instance(shared, own, object, request)
 
 
 def bound_of(reasoned: Reasoned, source: str, ontology: Ontology) -> Bound:
@@ -76,6 +121,6 @@ def explain_bound(bound: Bound) -> str:
 def result_annotation(event: str, unit: ReasoningUnit) -> StreamAnnotation | None:
     """Return the annotation of a unit's results as the ``event`` (an IRI); None without objects."""
     stream = unit.output.name
-    if isinstance(unit, MonitorUnit):
-        return verdict_annotation(stream, event, unit.monitoring.monitor)
+    if isinstance(unit, MonitorUnit | MonitorInstance):
+        return verdict_annotation(stream, event, unit.monitor)
     return match_annotation(stream, event, unit.query)

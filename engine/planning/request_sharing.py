@@ -33,16 +33,13 @@ from ...matching.plan import (
 from ...ontology.entailment import Rules
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import Term
-from ...templates.formulas import BoundFormula
 from ...templates.instantiate import ArgumentError, instantiate
 from ...templates.library import TemplateLibrary
 from ...templates.needs import NeedsError
-from ...templates.reasoning import Bound
 from ..model.views import Since
 from ..units.sharing.shared_query import TemplateUnit, can_enter
-from .pattern_sharing import PatternSharing
-from .pattern_start import ShareablePattern
 from .plan_execution import Plans
+from .reasoning_start import ShareableEvaluation
 
 MIN_SHARED = 2
 """The number of requests from which on one query evaluates them."""
@@ -89,7 +86,7 @@ class ShareableQuery:
         return tuple(object for _, object in self.selections)
 
 
-Shareable: TypeAlias = ShareableQuery | ShareablePattern
+Shareable: TypeAlias = ShareableQuery | ShareableEvaluation
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +109,6 @@ class RequestSharing:
         self._agreements: dict[str, _Agreements] = {}
         """By the template's name."""
         self._alone: Counter[Hashable] = Counter()
-        self._patterns = PatternSharing(templates, plans)
 
     def find_shareable(
         self,
@@ -190,20 +186,6 @@ class RequestSharing:
         """Whether a request runs, shared or alone, that can share this."""
         running = self._plans.find_shared(shareable.unit_key)
         return running is not None or self._alone[shareable.key] > 0
-
-    def find_shareable_pattern(
-        self,
-        template: AnyTemplate,
-        request: EventRequest,
-        bound: Bound,
-        matches: Sequence[Match],
-        strategy: str,
-    ) -> ShareablePattern | None:
-        """Return the pattern that ``request`` can share; see `PatternSharing.find_shareable`. None
-        for a formula."""
-        if isinstance(bound, BoundFormula):
-            return None
-        return self._patterns.find_shareable(template, request, bound, matches, strategy)
 
     def _can_enter(self, shareable: ShareableQuery) -> bool:
         """Whether the objects of a request can enter the running units of a generation."""

@@ -23,6 +23,7 @@ from ..units.base import ComputationalUnit
 from ..units.policy import AdaptationUnit
 from ..units.reasoning.monitor import MonitorUnit
 from ..units.reasoning.pattern import PatternUnit
+from ..units.sharing.shared_monitor import MonitorInstance
 from ..units.sharing.shared_pattern import PatternInstance
 from ..units.sharing.shared_query import QueryInstance
 from ..units.windowed import WindowUnit
@@ -40,7 +41,7 @@ def why_empty(
     has_given = unit.output.stream.last_available is not None
     if has_given:
         return None
-    if isinstance(evaluating, MonitorUnit):
+    if isinstance(evaluating, MonitorUnit | MonitorInstance):
         return _without_verdicts(evaluating)
     if isinstance(evaluating, PatternUnit | PatternInstance):
         return _without_matches(evaluating)
@@ -69,11 +70,11 @@ def why_empty(
     return f"{counts}: {'; '.join(dict.fromkeys([*causes, *dropped]))}"
 
 
-def _without_verdicts(unit: MonitorUnit) -> str:
+def _without_verdicts(unit: MonitorUnit | MonitorInstance) -> str:
     """Return why a monitor has reported nothing."""
-    run = unit.monitoring
     if not unit.samples:
         return f"no sample read yet from {', '.join(source.name for source in unit.reads)}"
+    run = unit.monitoring
     counts = f"{unit.samples:,} samples read, {run.states:,} states"
     if not run.states:
         return f"{counts}: each waits for later samples, or for `max delay` to pass"

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 from pyoxigraph import Variable
 
+from ...continuous.sharing.similar_queries import Unshared
 from ...languages.arguments import argument_text
 from ...languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ...languages.ssl.annotation import StreamAnnotation
@@ -38,10 +39,15 @@ from ..model.named_terms import names_any
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import EventView, Since
 from ..planning import explanations
-from ..planning.pattern_start import ShareablePattern
+from ..planning.object_sharing import ObjectSharing
 from ..planning.plan_execution import Plans
 from ..planning.query_units import StartedUnit
-from ..planning.reasoning_start import ReasoningUnit, result_annotation
+from ..planning.reasoning_start import (
+    ReasoningUnit,
+    ShareableEvaluation,
+    SharedUnit,
+    result_annotation,
+)
 from ..planning.request_sharing import RequestSharing, Shareable, ShareableQuery
 from ..planning.stream_binding import (
     check_graphs,
@@ -52,7 +58,8 @@ from ..planning.stream_binding import (
 from ..units.query import QueryUnit
 from ..units.reasoning.monitor import MonitorUnit
 from ..units.reasoning.pattern import PatternUnit
-from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
+from ..units.sharing.shared_monitor import MonitorInstance
+from ..units.sharing.shared_pattern import PatternInstance
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers
 from .empty_reasons import why_empty
@@ -64,7 +71,8 @@ Body: TypeAlias = ContinuousQuery | Bound
 @dataclass(frozen=True, slots=True, eq=False)
 class _Running:
     """A unit that answers requests. ``annotation`` is that of its stream; by ``rdf`` its
-    samples convert to triples; ``shareable`` is the query that it could share, while it runs alone.
+    samples convert to triples; ``shareable`` is the query that it could share, while it runs alone,
+    and ``alone`` says why it does.
     """
 
     unit: QueryUnit | QueryInstance | ReasoningUnit
@@ -72,6 +80,7 @@ class _Running:
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
     shareable: Shareable | None
+    alone: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +116,7 @@ class EventRequests:
         self._space = space
         self._report = changed
         self._sharing = RequestSharing(ontology, templates, plans)
+        self._by_object = ObjectSharing(templates, plans)
         self._requests: dict[str, _Request] = {}
         # `_running` is by key, for sharing, and `_answers` by output stream. A unit that is no
         # longer valid leaves the first when it is replaced, and the second when its users leave.
@@ -245,9 +255,12 @@ class EventRequests:
     def running_explanation(self, id: str) -> explanations.Explanation:
         """Explain the plan of a running request and the evaluation of its query. Raises
         `UnknownRequest`."""
-        unit = self._request(id).running.unit
-        view = explanations.plan_view(self._configuration, unit)
-        stages = ("units", view.text.rstrip()), ("evaluation", unit.explain())
+        running = self._request(id).running
+        view = explanations.plan_view(self._configuration, running.unit)
+        evaluation = running.unit.explain()
+        if running.alone:
+            evaluation += f"\nnot shared   {running.alone}"
+        stages = ("units", view.text.rstrip()), ("evaluation", evaluation)
         return explanations.Explanation("\n\n".join(text for _, text in stages), stages)
 
     def why(
@@ -343,22 +356,24 @@ class EventRequests:
         pattern."""
         text = request.source.strip()
         starter = self._plans.reasoning
-        shareable = None
-        if since is Since.NOW:
-            shareable = self._sharing.find_shareable_pattern(
-                template, request, bound, matches, strategy
-            )
-        if shareable is not None and self._shares(shareable):
+        shareable, alone = None, ""
+        unit: ReasoningUnit
+        try:
+            if since is not Since.NOW:
+                raise Unshared("it begins in the past")
+            shareable = self._by_object.find_shareable(template, request, bound, matches, strategy)
+            self._check_sharing(shareable)
+        except Unshared as reason:
+            alone = str(reason)
+            unit = starter.start(bound, supplies_of(matches), since, request=text)
+        else:
             shared = self._configuration.share(
-                shareable.key, partial(starter.patterns.start_shared, shareable)
+                shareable.key, partial(starter.start_shared, shareable)
             )
-            assert isinstance(shared, SharedPatternUnit)
-            instance = starter.patterns.start_instance(shared, shareable, text)
-            annotation = result_annotation(request.event, instance)
-            return _Running(instance, tuple(matches), annotation, annotation, None)
-        unit = starter.start(bound, supplies_of(matches), since, request=text)
+            assert isinstance(shared, SharedUnit)
+            unit, shareable = starter.start_instance(shared, shareable, text), None
         annotation = result_annotation(request.event, unit)
-        return _Running(unit, tuple(matches), annotation, annotation, shareable)
+        return _Running(unit, tuple(matches), annotation, annotation, shareable, alone)
 
     def _shares_query(self, shareable: ShareableQuery) -> bool:
         """Whether a request joins the shared query that runs, or begins one."""
@@ -367,12 +382,16 @@ class EventRequests:
             return shared.can_enter(shareable.objects)
         return self._sharing.is_worth_it(shareable)
 
-    def _shares(self, shareable: ShareablePattern) -> bool:
-        """Whether a request joins the shared evaluation that runs, or begins one."""
+    def _check_sharing(self, shareable: ShareableEvaluation) -> None:
+        """Raise `Unshared` unless a request joins the shared evaluation that runs, or begins
+        one."""
         shared = self._configuration.find_shared(shareable.key)
-        if shared is None:
-            return self._sharing.is_worth_it(shareable)
-        return isinstance(shared, SharedPatternUnit) and shared.can_enter(shareable.object)
+        if shared is None and not self._sharing.is_worth_it(shareable):
+            raise Unshared("it was the first of its kind")
+        if isinstance(shared, SharedUnit) and not shared.can_enter:
+            raise Unshared(
+                "a silent stream has gone on, which the shared evaluation had not waited for"
+            )
 
     def _is_valid(self, running: _Running) -> bool:
         """Whether the unit works, and its streams have the annotations that they had."""
@@ -401,7 +420,7 @@ def _completed(template: AnyTemplate, request: EventRequest) -> EventRequest:
 
 
 def _kind(unit: QueryUnit | QueryInstance | ReasoningUnit) -> str:
-    if isinstance(unit, MonitorUnit):
+    if isinstance(unit, MonitorUnit | MonitorInstance):
         return "MONITOR"
     return "PATTERN" if isinstance(unit, PatternUnit | PatternInstance) else "QUERY"
 

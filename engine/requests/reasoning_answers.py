@@ -15,6 +15,7 @@ from ..model.errors import BadArguments, NoResult, Refused
 from ..units.base import ComputationalUnit
 from ..units.reasoning.monitor import MonitorUnit, RecalledSamples
 from ..units.reasoning.pattern import PatternUnit, RecalledEvents
+from ..units.sharing.shared_monitor import MonitorInstance
 from ..units.sharing.shared_pattern import PatternInstance
 
 
@@ -35,13 +36,13 @@ def why(
             )
         recalled_events = unit.recall()
         return lambda: _matches(name, stream, recalled_events, objects, start)
-    if not isinstance(unit, MonitorUnit):
+    if not isinstance(unit, MonitorUnit | MonitorInstance):
         raise BadArguments(
             f"{name!r} is a query, and only verdicts of monitors and matches of patterns are "
             "explained",
             f"GET /explain?id={name} shows its stages",
         )
-    names = [f"?{parameter}" for parameter, _ in unit.monitoring.monitor.parameters]
+    names = [f"?{parameter}" for parameter, _ in unit.monitor.parameters]
     if len(names) != len(objects):
         raise BadArguments(
             f"{len(objects)} objects are given for a monitor of {len(names)} parameters",

@@ -265,10 +265,16 @@ class ComputationalUnit(ABC):
     def least_watermark(self) -> int | None:
         """The least watermark of the inputs that have not ended; None if there is none, or while
         one of them has no watermark yet."""
-        if self.waits_for:
-            return None
-        running = [w for source, w in self._watermarks.items() if source not in self._ended]
-        return min(running) if running else None
+        least = None
+        for source in self.sources:
+            if source in self._ended:
+                continue
+            known = self._watermarks.get(source)
+            if known is not None:
+                least = known if least is None else min(least, known)
+            elif not source.is_idle:
+                return None
+        return least
 
     @property
     def waits_for(self) -> tuple[StreamGenerator, ...]:

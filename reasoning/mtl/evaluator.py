@@ -14,33 +14,41 @@ lower one false and the upper one true.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import prod
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...languages.mtl.ast import Interval, Report
+from ...languages.mtl.ast import Report
 from ...languages.mtl.checked import (
     CheckedMonitor,
+    Constant,
+    ObjectConstant,
     Previous,
     Until,
     Within,
 )
 from ...streams.sample import Mask, Times
-from ...streams.time import TIME_MIN
-from ...streams.time_arithmetic import earlier
+from ...streams.time import TIME_MAX, TIME_MIN
 from ..states.states import States, Term, Values
 from .formulas import bound_sorts, parts_of, reach_of, readings_of
 from .nodes import END, Pass, spread_node, term_of
 from .robustness import Margins
+from .timelines import Timelines
 from .windows import NEVER, Moments
 from .witness import NONE, Witnesses
 
+Constants: TypeAlias = Mapping[str, Constant | ObjectConstant]
+"""Values of parameters, by their names."""
 _Places: TypeAlias = tuple[NDArray[np.int64], ...]
 """Cells of tables: the state, and the object of each axis."""
 
 
+CELLS: Final = 1 << 13
+"""Cells of a table that are made at once: some dozens of such tables fit into a core's cache."""
 MOST_VALUES: Final = 10_000_000
 """The values of features that an explanation keeps: some hundred megabytes with its tables."""
 
@@ -51,17 +59,17 @@ class TooManyStates(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdicts:
-    """Verdicts, in order of the deciding state, then of the binding, then of the start.
+    """Verdicts of a part, in order of the deciding state, then of the binding, then of the start.
 
-    All have shape ``(n,)``: ``start`` and ``decided`` are indices of states from the first one on,
-    ``start_time`` and ``decided_time`` their valid times, ``value`` is 1 (true), 0 (false) or -1
+    All have shape ``(n,)``: ``start_time`` and ``decided_time`` are the valid times of two states
+    of the ``part``, ``left`` when the deciding one left, ``value`` is 1 (true), 0 (false) or -1
     (unknown), ``binding`` has shape ``(n, parameters)``: the place of each parameter's object.
     """
 
-    start: Times
+    part: NDArray[np.int64]
     start_time: Times
-    decided: Times
     decided_time: Times
+    left: Times
     value: NDArray[np.int8]
     binding: NDArray[np.int64]
     witness_time: Times
@@ -71,17 +79,60 @@ class Verdicts:
     for."""
 
     def __len__(self) -> int:
-        return len(self.start)
+        return len(self.part)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """The states kept, as one `States`, and for each whether the verdict of a binding is out."""
+    """States kept, as one `States`; for each whether the verdict of a binding is out, its part, and
+    when it left. Those of a part are in order."""
 
     states: States
     is_decided: Mask
-    first: int = 0
-    """Index of the first state kept."""
+    part: NDArray[np.int64]
+    left: Times
+
+    def take(self, rows: Any) -> _Rows:
+        return _Rows(
+            self.states.take(rows),
+            self.is_decided[rows],
+            self.part[rows],
+            self.left[rows],
+        )
+
+    def followed_by(self, new: _Rows) -> _Rows:
+        """These states, and new ones after them, which may have further objects."""
+        kept, states = self.states, new.states
+        values = {
+            term: Values(
+                _extended(kept.values[term].values, part.values),
+                _extended(kept.values[term].known, part.known),
+            )
+            for term, part in states.values.items()
+        }
+        return _Rows(
+            States(
+                np.concatenate([kept.valid, states.valid]),
+                np.concatenate([kept.horizon, states.horizon]),
+                states.objects,
+                {s: _extended(kept.present[s], part) for s, part in states.present.items()},
+                values,
+            ),
+            _extended(self.is_decided, new.is_decided),
+            np.concatenate([self.part, new.part]),
+            np.concatenate([self.left, new.left]),
+        )
+
+    def by_part(self) -> _Rows:
+        """The same in order of the parts."""
+        if np.count_nonzero(self.part[1:] < self.part[:-1]):
+            return self.take(np.argsort(self.part, kind="stable"))
+        return self
+
+    def split(self, is_of: Mask) -> tuple[_Rows, _Rows | None]:
+        """The states of these parts, and the others; None if there are none."""
+        mine = is_of[self.part]
+        return (self, None) if mine.all() else (self.take(mine), self.take(~mine))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,22 +151,24 @@ class _Moments:
 
     def value(self, places: _Places, moment: Times) -> NDArray[np.int8]:
         """The verdict at each place as it is at a moment."""
-        return np.where(
-            self.true[places] <= moment, 1, np.where(self.false[places] <= moment, 0, -1)
-        ).astype(np.int8)
+        is_true = self.true[places] <= moment
+        if self.unknown is None:
+            return is_true.astype(np.int8)
+        return np.where(is_true, 1, np.where(self.false[places] <= moment, 0, -1)).astype(np.int8)
 
 
 class MonitorEvaluator:
-    """Verdicts of a monitor over states.
+    """Verdicts of a monitor over states; where parts have states of their own, of each by itself.
 
     Law (tests/laws/reasoning): each (binding, start) whose objects are present at the start has one
     verdict, at the state at which progression by the definition determines it, however the states
     are cut into batches. After `end` each has one.
 
-    Cost: O(states kept + new states) numpy and compiled loops for each node and push; `until` and
-    `since` that times the states of an interval. Memory: 17 bytes a node's binding and state kept.
-    Kept are states from the oldest start without a verdict on, and before it as far as the past
-    operators look; all of them if a past interval has no bound, at most ``limit``.
+    Cost: O(states kept + new states) numpy and compiled loops for each node and push, of the parts
+    that have new ones; `until` and `since` that times the states of an interval. Memory: 17 bytes a
+    node's binding and state kept. Kept are states from the oldest start without a verdict on, and
+    before it as far as the past operators look; all of them if a past interval has no bound, at
+    most ``limit`` of a part.
     """
 
     def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
@@ -123,7 +176,12 @@ class MonitorEvaluator:
         self._limit = limit
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
+        self._looks_back = _looks_back(monitor.formula)
         self._kept: _Rows | None = None
+        self._values: dict[str, NDArray[Any]] = {}
+        """The values of parameters of the formula, by part."""
+        self.states_of: NDArray[np.int64] = np.zeros(1, np.int64)
+        """The number of states of each part by now."""
 
     @property
     def terms(self) -> frozenset[Term]:
@@ -134,7 +192,7 @@ class MonitorEvaluator:
     @property
     def pending(self) -> int:
         """The states kept."""
-        return 0 if self._kept is None else len(self._kept.states.valid)
+        return 0 if self._kept is None else len(self._kept.part)
 
     @property
     def states(self) -> States | None:
@@ -146,70 +204,133 @@ class MonitorEvaluator:
         """Whether a start seen by now has no verdict yet."""
         return self._kept is not None and not bool(self._kept.is_decided.all())
 
+    def is_open_of(self, part: int) -> bool:
+        """Whether a start of a part has no verdict yet."""
+        kept = self._kept
+        return kept is not None and not bool(kept.is_decided[kept.part == part].all())
+
     def settled(self) -> NDArray[np.int64]:
-        """For each binding the valid time before which each start has its verdict, shape
-        ``(objects of each parameter in order)``."""
-        assert self._kept is not None
-        is_open = ~self._kept.is_decided
-        first = np.argmax(is_open, axis=0)
-        valid = self._kept.states.valid
-        found = np.asarray(np.where(is_open.any(axis=0), valid[first], valid[-1] + 1))
-        return found.transpose([self._axes.index(name) for name, _ in self._monitor.parameters])
+        """For each part and binding the valid time before which each start has its verdict, shape
+        ``(parts, objects of each parameter in order)``; `TIME_MIN` for a part without states."""
+        kept = self._kept
+        assert kept is not None
+        is_decided = kept.is_decided
+        valid = kept.states.valid.reshape((-1,) + (1,) * (is_decided.ndim - 1))
+        found = np.full((len(self.states_of), *is_decided.shape[1:]), TIME_MIN, np.int64)
+        np.maximum.at(found, kept.part, np.broadcast_to(valid + 1, is_decided.shape))
+        np.minimum.at(found, kept.part, np.where(is_decided, TIME_MAX, valid))
+        order = [self._axes.index(name) + 1 for name, _ in self._monitor.parameters]
+        return found.transpose([0, *order])
 
-    def push(self, states: States) -> Verdicts:
-        """Take states; return the verdicts that they determine. Raises `TooManyStates`."""
-        self._kept = self._joined(states)
-        return self._decide()
+    def make_room_for(self, parts: int) -> None:
+        """Let there be so many parts."""
+        more = parts - len(self.states_of)
+        if more > 0:
+            grown = np.zeros(max(16, more, len(self.states_of)), np.int64)
+            self.states_of = np.concatenate([self.states_of, grown])
 
-    def advance(self, horizon: int) -> Verdicts:
-        """Learn that every later state is valid after ``horizon``."""
-        if self._kept is None or not len(self._kept.states.valid):
+    def set_values(self, part: int, values: Constants) -> None:
+        """Give parameters of the formula, or variables, their values for a part."""
+        for name, value in values.items():
+            constant = value.value if isinstance(value, Constant) else value.iri
+            known = self._values.get(name)
+            if known is None or part >= len(known):
+                kind = object if isinstance(constant, str) else type(constant)
+                more = np.empty(max(16, part + 1), kind)
+                known = more if known is None else np.concatenate([known, more])
+                self._values[name] = known
+            known[part] = constant
+
+    def drop(self, part: int) -> None:
+        """Forget the states of a part."""
+        if self._kept is not None:
+            self._kept = self._kept.take(self._kept.part != part)
+
+    def push(
+        self, states: States, left: Times | None = None, part: NDArray[np.int64] | None = None
+    ) -> Verdicts:
+        """Take states; return the verdicts that they determine. ``left``: when each left; ``part``:
+        of which part each is, in order of parts and time; None: all are of one. Raises
+        `TooManyStates`."""
+        count = len(states.valid)
+        if not count:
             return _no_verdicts(len(self._axes))
-        known = self._kept.states.horizon
-        known[-1] = max(known[-1], horizon)
-        return self._decide()
+        part = np.zeros(count, np.int64) if part is None else part
+        left = states.valid if left is None else left
+        most = self._most_at_once(states)
+        if count <= most:
+            return self._pushed(states, left, part)
+        cuts = [slice(start, start + most) for start in range(0, count, most)]
+        return _concatenated([self._pushed(states.take(cut), left[cut], part[cut]) for cut in cuts])
+
+    def _pushed(self, states: States, left: Times, part: NDArray[np.int64]) -> Verdicts:
+        count = len(states.valid)
+        shape = tuple(states.present[self._sorts[name]].shape[1] for name in self._axes)
+        is_decided = np.full((count, *shape), self._monitor.once)
+        if self._monitor.once:
+            # The first state of a part is its only start.
+            first = Timelines.of(part, self.states_of).first
+            is_decided[first[self.states_of[part[first]] == 0]] = False
+        rows = _Rows(states, is_decided, part, left)
+        rest = None
+        if self._kept is not None:
+            mine, rest = self._kept.split(self._among(part))
+            rows = mine.followed_by(rows).by_part()
+        if len(rows.part) > self._limit and np.bincount(rows.part).max() > self._limit:
+            raise TooManyStates(
+                f"the formula needs more than {self._limit} states; give its intervals an end, or "
+                "sample less often"
+            )
+        self.states_of += np.bincount(part, minlength=len(self.states_of))
+        return self._decided(rows, rest)
+
+    def advance(self, horizon: int | Times) -> Verdicts:
+        """Learn that every later state is valid after ``horizon``, which may be one for each
+        part."""
+        if not self.is_open:
+            return _no_verdicts(len(self._axes))
+        kept = self._kept
+        assert kept is not None
+        is_open = ~kept.is_decided.reshape(len(kept.part), -1).all(axis=1)
+        rows, rest = kept.split(self._among(kept.part[is_open]))
+        rows = rows.by_part()
+        last = np.flatnonzero(np.diff(rows.part, append=-1))
+        reached = horizon if isinstance(horizon, int) else horizon[rows.part[last]]
+        known = rows.states.horizon.copy()
+        known[last] = np.maximum(known[last], reached)
+        rows = replace(rows, states=replace(rows.states, horizon=known))
+        return self._decided(rows, rest)
 
     def end(self) -> Verdicts:
         """Learn that no further state comes."""
         return self.advance(END)
 
-    def _joined(self, new: States) -> _Rows:
-        """The states kept, and the new ones after them."""
-        count = len(new.valid)
-        shape = tuple(new.present[self._sorts[name]].shape[1] for name in self._axes)
-        is_decided = np.zeros((count, *shape), np.bool_)
-        if self._monitor.once:
-            # The first state is the only start.
-            is_decided[1 if self._kept is None else 0 :] = True
-        if self._kept is None:
-            horizon = np.maximum.accumulate(new.horizon)
-            return _Rows(
-                States(new.valid, horizon, new.objects, new.present, new.values), is_decided
-            )
-        rows, kept = self._kept, self._kept.states
-        if len(kept.valid) + count > self._limit:
-            raise TooManyStates(
-                f"the formula needs more than {self._limit} states; give its intervals an end, or "
-                "sample less often"
-            )
-        values = {
-            term: Values(
-                _extended(kept.values[term].values, part.values),
-                _extended(kept.values[term].known, part.known),
-            )
-            for term, part in new.values.items()
-        }
-        present = {s: _extended(kept.present[s], part) for s, part in new.present.items()}
-        horizon = np.maximum.accumulate(np.concatenate([kept.horizon, new.horizon]))
-        valid = np.concatenate([kept.valid, new.valid])
-        states = States(valid, horizon, new.objects, present, values)
-        return _Rows(states, _extended(rows.is_decided, is_decided), rows.first)
+    def _most_at_once(self, states: States) -> int:
+        """How many states to take at once. Those kept are evaluated or copied each time: they stay
+        few beside the new ones."""
+        columns = prod(states.present[sort].shape[1] for sort in self._sorts.values())
+        most: int = max(1, CELLS // max(columns, 1), 4 * self.pending)
+        return most
 
-    def _decide(self) -> Verdicts:
-        rows = self._kept
-        assert rows is not None
+    def _among(self, parts: NDArray[np.int64]) -> Mask:
+        """Whether each part is one of these."""
+        found = np.zeros(len(self.states_of), np.bool_)
+        found[parts] = True
+        return found
+
+    def _decided(self, rows: _Rows, rest: _Rows | None) -> Verdicts:
+        """The verdicts that these states determine; keep those that are needed, and the ``rest``.
+        Contract: they are in order of parts."""
+        values = {name: known[rows.part] for name, known in self._values.items()}
+        timelines = Timelines.of(rows.part, self.states_of)
+        once = Pass(rows.states, self._sorts, timelines, values)
+        found = self._verdicts(rows, once)
+        rows = self._needed(rows, once)
+        self._kept = rows if rest is None else rest.followed_by(rows)
+        return found
+
+    def _verdicts(self, rows: _Rows, once: Pass) -> Verdicts:
         states = rows.states
-        once = Pass(states, self._sorts, rows.first)
         is_there = self._present(states)
         if self._monitor.robustness:
             over = once.over(reach_of(self._monitor.formula))
@@ -218,33 +339,38 @@ class MonitorEvaluator:
             moments = self._moments(once)
             decided = moments.decided()
         new = (decided < NEVER) & ~rows.is_decided & is_there
-        places = np.nonzero(new)
         robustness = None
+        # The places are in the order of axes; parameters are in that of the text.
+        axes = [1 + self._axes.index(name) for name, _ in self._monitor.parameters]
+        *columns, start = np.nonzero(np.ascontiguousarray(new.transpose(*axes, 0)))
+        places = self._places(start, columns)
+        moment = over[start] if self._monitor.robustness else decided[places]
+        if np.count_nonzero(moment[1:] < moment[:-1]):
+            order = np.argsort(moment, kind="stable")
+            moment, start = moment[order], start[order]
+            columns = [each[order] for each in columns]
+            places = self._places(start, columns)
         if self._monitor.robustness:
-            moment = over[places[0]]
             value, robustness = self._by_margins(once, places)
         else:
-            moment = decided[places]
             value = moments.value(places, moment)
-        rows.is_decided |= new | ~is_there
-        # The places are in the order of axes; parameters are in that of the text.
-        by_name = dict(zip(self._axes, places[1:], strict=True))
-        columns = [by_name[name] for name, _ in self._monitor.parameters]
+        np.logical_or(rows.is_decided, new | ~is_there, out=rows.is_decided)
         binding = np.stack(columns, axis=1) if columns else np.empty((len(moment), 0), np.int64)
-        order = np.lexsort((places[0], *(column for column in reversed(columns)), moment))
-        start = places[0][order]
-        found = Verdicts(
-            start + rows.first,
+        return Verdicts(
+            rows.part[start],
             states.valid[start],
-            moment[order] + rows.first,
-            states.valid[moment[order]],
-            value[order],
-            binding[order],
-            self._witness_times(once, value, places)[order],
-            None if robustness is None else robustness[order],
+            states.valid[moment],
+            rows.left[moment],
+            value,
+            binding,
+            self._witness_times(once, value, places),
+            robustness,
         )
-        self._forget(rows)
-        return found
+
+    def _places(self, start: NDArray[np.int64], columns: Sequence[NDArray[np.int64]]) -> _Places:
+        """Cells of tables, of the objects of each parameter."""
+        names = [name for name, _ in self._monitor.parameters]
+        return start, *(columns[names.index(name)] for name in self._axes)
 
     def _witness_times(
         self, once: Pass, value: NDArray[np.int8], places: tuple[NDArray[np.int64], ...]
@@ -299,6 +425,8 @@ class MonitorEvaluator:
 
     def _present(self, states: States) -> Mask:
         """Whether all objects of each binding are there at each state."""
+        if len(self._axes) == 1:
+            return states.present[self._sorts[self._axes[0]]]
         found = np.ones((len(states.valid), *(1 for _ in self._axes)), np.bool_)
         for i, name in enumerate(self._axes):
             own = states.present[self._sorts[name]]
@@ -307,34 +435,28 @@ class MonitorEvaluator:
             found = found & own.reshape(shape)
         return found
 
-    def _forget(self, rows: _Rows) -> None:
-        """Drop the states that no verdict to come needs."""
-        states = rows.states
-        count = len(states.valid)
-        open_rows = np.flatnonzero(~rows.is_decided.reshape(count, -1).all(axis=1))
+    def _needed(self, rows: _Rows, once: Pass) -> _Rows:
+        """The states that a verdict to come needs."""
+        count, timelines = len(rows.part), once.timelines
+        is_open = ~rows.is_decided.reshape(count, -1).all(axis=1)
         # The last state stays: `advance` raises its horizon, and past operators look back from it.
-        oldest = int(open_rows[0]) if len(open_rows) else count - 1
-        keep = earliest(self._monitor.formula, oldest, states.valid) if count else 0
-        if not keep:
-            return
-        rest = slice(keep, None)
-        rows.states = States(
-            states.valid[rest],
-            states.horizon[rest],
-            states.objects,
-            {sort: part[rest] for sort, part in states.present.items()},
-            {t: Values(v.values[rest], v.known[rest]) for t, v in states.values.items()},
-        )
-        rows.is_decided = rows.is_decided[rest]
-        rows.first += keep
+        row = np.where(is_open, np.arange(count), timelines.end - 1)
+        oldest = np.minimum.reduceat(row, timelines.first)
+        keep = oldest
+        if self._looks_back:
+            keep = earliest(self._monitor.formula, oldest, once)
+        if len(keep) == 1:
+            return rows.take(slice(int(keep[0]), None)) if keep[0] else rows
+        needed = np.arange(count) >= np.repeat(keep, np.diff(timelines.first, append=count))
+        return rows if needed.all() else rows.take(needed)
 
 
 class StateKeeper(MonitorEvaluator):
     """Keeps all states and decides nothing: an explanation evaluates them once. Raises
     `TooManyStates` for more than `MOST_VALUES` values of features."""
 
-    def _decide(self) -> Verdicts:
-        assert self._kept is not None
+    def _decided(self, rows: _Rows, rest: _Rows | None) -> Verdicts:
+        self._kept = rows if rest is None else rest.followed_by(rows)
         kept = self._kept.states.values
         if sum(each.values.size for each in kept.values()) > MOST_VALUES:
             raise TooManyStates("the states have too many values to keep all of them")
@@ -346,36 +468,57 @@ def sorts_of(monitor: CheckedMonitor) -> dict[str, str]:
     return {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
 
 
-def earliest(formula: Any, row: int, valid: Times) -> int:
-    """Return the first row that the formula looks at from ``row`` or later ones."""
+def earliest(formula: Any, rows: NDArray[np.int64], once: Pass) -> NDArray[np.int64]:
+    """Return the first row that the formula looks at from each of the ``rows`` or later ones."""
     match formula:
-        case Previous(operand):
-            return earliest(operand, max(0, row - 1), valid)
+        case Previous():
+            rows = np.maximum(once.timelines.begin[rows], rows - 1)
         case Within(operator, interval) if operator.is_past:
-            row = _rows_back(interval, row, valid)
+            rows = np.minimum(rows, once.bounds(True, interval)[0][rows])
         case Until(True, interval):
-            row = _rows_back(interval, row, valid)
+            rows = np.minimum(rows, once.bounds(True, interval)[0][rows])
         case _:
             pass
-    return min([row, *(earliest(part, row, valid) for part in parts_of(formula))])
+    for part in parts_of(formula):
+        rows = np.minimum(rows, earliest(part, rows, once))
+    return rows
 
 
-def _rows_back(interval: Interval, row: int, valid: Times) -> int:
-    if interval.end is None:
-        return 0
-    return int(np.searchsorted(valid, earlier(valid[row : row + 1], interval.end)[0], "left"))
+def _looks_back(formula: Any) -> bool:
+    """Whether the formula has an operator of the past."""
+    match formula:
+        case Previous() | Until(True):
+            return True
+        case Within(operator) if operator.is_past:
+            return True
+        case _:
+            return any(map(_looks_back, parts_of(formula)))
 
 
 def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
     """Rows kept, with the columns that new objects added, and new rows after them."""
-    wider = [(0, 0), *((0, n - k) for k, n in zip(kept.shape[1:], new.shape[1:], strict=True))]
-    if any(right for _, right in wider):
-        kept = np.pad(kept, wider)
+    if kept.shape[1:] != new.shape[1:]:
+        more = zip(kept.shape[1:], new.shape[1:], strict=True)
+        kept = np.pad(kept, [(0, 0), *((0, n - k) for k, n in more)])
     return np.concatenate([kept, new])
+
+
+def _concatenated(parts: Sequence[Verdicts]) -> Verdicts:
+    """The verdicts of states that were taken one after the other."""
+    margins = [each.robustness for each in parts if each.robustness is not None]
+    return Verdicts(
+        np.concatenate([each.part for each in parts]),
+        np.concatenate([each.start_time for each in parts]),
+        np.concatenate([each.decided_time for each in parts]),
+        np.concatenate([each.left for each in parts]),
+        np.concatenate([each.value for each in parts]),
+        np.concatenate([each.binding for each in parts]),
+        np.concatenate([each.witness_time for each in parts]),
+        np.concatenate(margins) if margins else None,
+    )
 
 
 def _no_verdicts(parameters: int) -> Verdicts:
     none = np.empty(0, np.int64)
-    return Verdicts(
-        none, none, none, none, np.empty(0, np.int8), np.empty((0, parameters), np.int64), none
-    )
+    values, binding = np.empty(0, np.int8), np.empty((0, parameters), np.int64)
+    return Verdicts(none, none, none, none, values, binding, none)

@@ -17,6 +17,7 @@ from ..states.states import States
 from .evaluator import earliest, sorts_of
 from .formulas import parts_of, reach_of, readings_of
 from .nodes import Axes, Pass
+from .timelines import Timelines
 from .windows import NEVER
 
 MOST_ROWS: Final = 10_000
@@ -70,7 +71,7 @@ def explain_verdict(
         raise NoStart("there is no state at this time", around)
     places = _places(monitor, states, row, objects)
     sorts = sorts_of(monitor)
-    once = Pass(states, sorts, 0)
+    once = Pass(states, sorts, Timelines.one(len(states.valid)))
     explained = _Reader(once, places)
     root = explained.moments(monitor.formula)
     assert root is not None
@@ -78,7 +79,7 @@ def explain_verdict(
     if monitor.robustness:
         at = max(at, once.over(reach_of(monitor.formula))[row])
     last = len(states.valid) - 1 if at == NEVER else int(at)
-    first = earliest(monitor.formula, row, states.valid)
+    first = int(earliest(monitor.formula, np.array([row]), once)[0])
     rows = slice(max(first, last + 1 - MOST_ROWS), last + 1)
     formulas = tuple(
         Shown(format_formula(part), depth, explained.values(checked, rows, last))

@@ -8,7 +8,9 @@ from ...languages.mtl.checked import (
     And,
     Atom,
     Calculation,
+    CheckedMonitor,
     Not,
+    ObjectVariable,
     Or,
     Previous,
     Quantified,
@@ -46,6 +48,19 @@ def bound_sorts(formula: Any) -> dict[str, str]:
     for part in parts_of(formula):
         own |= bound_sorts(part)
     return own
+
+
+def compares_objects(node: Any) -> bool:
+    """Whether a formula or value reads a variable as an object, and not only features of it."""
+    return isinstance(node, ObjectVariable) or any(map(compares_objects, parts_of(node)))
+
+
+def is_of_one_object(monitor: CheckedMonitor) -> bool:
+    """Whether a formula is about the object of its one parameter alone."""
+    if len(monitor.parameters) != 1 or bound_sorts(monitor.formula):
+        return False
+    own = (ObjectVariable(monitor.parameters[0][0]),)
+    return all(reading.arguments == own for reading in readings_of(monitor.formula))
 
 
 def reach_of(formula: Any) -> int | None:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Report
-from ...languages.mtl.checked import CheckedMonitor, ObjectVariable
+from ...languages.mtl.checked import CheckedMonitor, ObjectConstant
 from ...streams.sample import Times
-from ..states.departures import Departures, Steps
-from ..states.state_maker import MadeStates, Rows, StateMaker, variables_of
+from ..states.departures import Departures
+from ..states.kept_samples import Rows
+from ..states.part_states import CommonSteps, PartStates
+from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
-from .evaluator import MonitorEvaluator, StateKeeper, Verdicts
-from .formulas import bound_sorts, readings_of
+from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
+from .formulas import compares_objects, is_of_one_object
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
 LAST, ROBUSTNESS = "last", "robustness"
@@ -70,7 +72,7 @@ class Monitoring:
     objects share the states. ``wider`` as for `StateMaker`.
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: that of
-    `MonitorEvaluator`; with states of its own, once for each object that has samples.
+    `MonitorEvaluator`.
     """
 
     def __init__(
@@ -87,15 +89,21 @@ class Monitoring:
         (ns) of the grid of ``sample every``; None: as for `StateMaker`. ``only``: objects (IRIs);
         others have no states of their own."""
         self.monitor = monitor
-        self._wider = wider or {}
-        self._evaluator = MonitorEvaluator if decides else StateKeeper
-        self._grid = grid
+        self._evaluator = (MonitorEvaluator if decides else StateKeeper)(monitor)
         self._only = only
-        self.terms: tuple[Term, ...] = tuple(sorted(MonitorEvaluator(monitor).terms))
-        self.has_own_states = _has_own_states(monitor)
+        self.terms: tuple[Term, ...] = tuple(sorted(self._evaluator.terms))
+        self.has_own_states = monitor.policy.period is None and is_of_one_object(monitor)
         self._departures = Departures(monitor.policy.max_delay, sources)
-        self._timelines: dict[str, _Timeline] = {}
-        self._shared = None if self.has_own_states else self._timeline()
+        policy, present_for = monitor.policy, monitor.present_for
+        # One of both has samples.
+        self._own = PartStates(self.terms, policy, present_for=present_for)
+        self._shared = StateMaker(
+            self.terms, policy, present_for=present_for, wider=wider, grid=grid
+        )
+        self._parts: dict[str, int] = {}
+        """The parts of objects that have states of their own, by IRI."""
+        self._objects: list[NDArray[Any]] = [np.empty(0, object) for _ in monitor.parameters]
+        """The IRIs of each parameter's objects, by their places; one for each part."""
         self._verdicts = dict.fromkeys(WORDS, 0)
         # A single start is a run by itself.
         has_runs = monitor.report is Report.CHANGES and not monitor.once
@@ -104,22 +112,22 @@ class Monitoring:
     @property
     def grid(self) -> int | None:
         """A time (ns) of the grid, once it has begun."""
-        return None if self._shared is None else self._shared.maker.grid
+        return None if self.has_own_states else self._shared.grid
 
     @property
     def states(self) -> int:
         """The number of states by now."""
-        return sum(each.states for each in self._all())
+        return int(self._evaluator.states_of.sum())
 
     @property
     def late(self) -> int:
         """Samples that came after the state of their valid time had left."""
-        return sum(each.maker.late for each in self._all())
+        return int(self._own.late_of.sum()) + self._shared.late
 
     @property
     def retained(self) -> int:
         """The number of samples and states in memory."""
-        return sum(each.maker.retained + each.evaluator.pending for each in self._all())
+        return self._own.retained + self._shared.retained + self._evaluator.pending
 
     @property
     def verdicts(self) -> Mapping[str, int]:
@@ -129,14 +137,13 @@ class Monitoring:
     @property
     def has_open(self) -> bool:
         """Whether a state has no verdict yet."""
-        return any(each.evaluator.is_open for each in self._all())
+        return self._evaluator.is_open
 
     @property
     def is_over(self) -> bool:
         """Whether a monitor of a single start has its verdict. With states of its own each object
         has a start, and further objects may come."""
-        shared = self._shared
-        has_begun = self.monitor.once and shared is not None and shared.states > 0
+        has_begun = self.monitor.once and not self.has_own_states and self.states > 0
         return has_begun and not self.has_open
 
     def add(
@@ -145,12 +152,11 @@ class Monitoring:
     ) -> None:  # fmt: skip
         """Take samples of a term from a stream, in order of available time. ``objects``: the IRI of
         each variable argument, shape ``(n, variables)``. `came` must tell of them, too."""
-        sorts = variables_of(term)
-        if self._shared is not None:
-            maker = self._shared.maker
+        if not self.has_own_states:
+            maker = self._shared
             columns = [
-                _numbered(objects[:, i], lambda iri, sort=sort: maker.place(sort, iri))
-                for i, sort in enumerate(sorts)
+                np.array([maker.place(sort, iri) for iri in objects[:, i]], np.int64)
+                for i, sort in enumerate(variables_of(term))
             ]
             places = np.stack(columns, axis=1) if columns else np.empty((len(valid), 0), np.int64)
             maker.add(term, source, Rows(available, valid, places, values))
@@ -159,15 +165,7 @@ class Monitoring:
             named = np.isin(objects[:, 0], self._only)
             available, valid, values = available[named], valid[named], values[named]
             objects = objects[named]
-        names, group = np.unique(objects[:, 0].astype(str), return_inverse=True)
-        for i, iri in enumerate(names.tolist()):
-            timeline = self._timelines.get(iri)
-            if timeline is None:
-                timeline = self._timelines[iri] = self._timeline()
-                timeline.maker.place(sorts[0], iri)
-            mine = np.flatnonzero(group == i)
-            none = np.zeros((len(mine), 1), np.int64)
-            timeline.maker.add(term, source, Rows(available[mine], valid[mine], none, values[mine]))
+        self._own.add(term, source, available, valid, self._parts_of(objects), values)
 
     def came(self, source: int, available: Times, valid: Times) -> None:
         """Take the times of all samples of a stream, in order of available time."""
@@ -186,12 +184,16 @@ class Monitoring:
         added. ``by_clock``: the clock, and no sample, has brought the watermark, so all states to
         come are later."""
         steps = self._departures.advance(watermark, by_clock=by_clock)
-        tick = watermark if by_clock else None
-        return self._report(found for each in self._all() for found in each.advance(steps, tick))
+        if self.has_own_states:
+            made = self._own.advance(watermark, CommonSteps(steps))
+        else:
+            made = self._shared.advance(steps)
+        return self._report(self._decided(made, steps.latest, watermark if by_clock else None))
 
     def finish(self, moment: int) -> Reported:
         """Return the verdicts at the end of all streams, which is at ``moment``."""
-        found = [part for each in self._all() for part in each.finish(moment)]
+        made = self._own.end(moment) if self.has_own_states else self._shared.end(moment)
+        found = [*map(self._push, made), self._reported(self._evaluator.end(), moment)]
         reported = self._report(found)
         if self._runs is None:
             return reported
@@ -199,83 +201,57 @@ class Monitoring:
         return _in_order(_joined(parts, len(self.monitor.parameters)))
 
     def states_of(self, objects: Sequence[str]) -> States | None:
-        """The states in memory for the verdicts of these objects; None if there are none yet."""
-        timeline = self._shared or self._timelines.get(objects[0])
-        return None if timeline is None else timeline.evaluator.states
+        """The states in memory for the verdicts of these objects; None if there are none yet.
+        Contract: where objects have states of their own, no other object was taken."""
+        states = self._evaluator.states
+        if states is None or not self.has_own_states:
+            return states
+        return replace(states, objects=dict.fromkeys(states.objects, tuple(objects)))
 
-    def _timeline(self) -> _Timeline:
-        maker = StateMaker(
-            self.terms,
-            self.monitor.policy,
-            present_for=self.monitor.present_for,
-            wider=self._wider,
-            grid=self._grid,
-        )
-        return _Timeline(self.monitor, maker, self._evaluator(self.monitor))
+    def _parts_of(self, objects: NDArray[Any]) -> NDArray[np.int64]:
+        """The parts of objects; shape ``(n, 1)``."""
+        return np.array([self._part(iri) for iri in objects[:, 0]], np.int64)
 
-    def _all(self) -> Sequence[_Timeline]:
-        return [self._shared] if self._shared is not None else list(self._timelines.values())
+    def _part(self, iri: str) -> int:
+        if iri not in self._parts:
+            self._parts[iri] = len(self._parts)
+            self._begin_part(self._parts[iri], iri, {})
+        return self._parts[iri]
 
-    def _report(self, found: Iterable[Reported]) -> Reported:
-        joined = _in_order(_joined(list(found), len(self.monitor.parameters)))
-        for value in WORDS:
-            self._verdicts[value] += int(np.count_nonzero(joined.value == value))
-        if self.monitor.report is Report.VIOLATIONS:
-            return joined.take(joined.value == 0)
-        if self._runs is not None:
-            begun = [each for each in self._all() if each.states]
-            settled = [(each.objects, each.evaluator.settled()) for each in begun]
-            return self._runs.take(joined, settled)
-        return joined
+    def _begin_part(self, part: int, iri: str, values: Constants) -> None:
+        """Let there be a part for an object, with its ``values`` of the formula's parameters."""
+        self._own.make_room_for(part + 1)
+        self._evaluator.make_room_for(part + 1)
+        if compares_objects(self.monitor.formula):
+            values = {**values, self.monitor.parameters[0][0]: ObjectConstant(iri)}
+        self._evaluator.set_values(part, values)
 
+    @property
+    def _names(self) -> NDArray[Any]:
+        """The IRIs of the parts."""
+        return np.array(list(self._parts), object)
 
-class _Timeline:
-    """States, and their verdicts."""
-
-    def __init__(
-        self, monitor: CheckedMonitor, maker: StateMaker, evaluator: MonitorEvaluator
-    ) -> None:
-        self.maker = maker
-        self.evaluator = evaluator
-        self._sorts = [sort for _, sort in monitor.parameters]
-        self.states = 0
-        self.objects: list[NDArray[Any]] = [np.empty(0, object) for _ in self._sorts]
-        """The IRIs of each parameter's objects, by their places."""
-        self._left: Times = np.empty(0, np.int64)
-        """When the states at and after `_first` left; the last one stays."""
-        self._first = 0
-
-    def advance(self, steps: Steps, tick: int | None) -> Iterator[Reported]:
-        for made in self.maker.advance(steps):
-            yield self._push(made)
-        if tick is not None and self.states and self.evaluator.is_open:
-            found = self.evaluator.advance(steps.latest - 1)
-            if len(found):
-                yield self._reported(found, tick)
-
-    def finish(self, moment: int) -> Iterator[Reported]:
-        for made in self.maker.end(moment):
-            yield self._push(made)
-        if self.states:
-            yield self._reported(self.evaluator.end(), moment)
+    def _decided(
+        self, made: Iterator[MadeStates], latest: int | Times, tick: int | None
+    ) -> list[Reported]:
+        """What states decide that leave, and then the time ``latest``, which the clock has
+        reached at ``tick``."""
+        found = [*map(self._push, made)]
+        if tick is not None:
+            found.append(self._reported(self._evaluator.advance(latest - 1), tick))
+        return found
 
     def _push(self, made: MadeStates) -> Reported:
-        keep = self._left[-1:]
-        self._first = self.states - len(keep)
-        self._left = np.concatenate([keep, made.left])
-        self.states += len(made.left)
-        self.objects = [np.array(made.states.objects[sort], object) for sort in self._sorts]
-        return self._reported(self.evaluator.push(made.states), None)
+        if self.has_own_states:
+            self._objects = [self._names]
+        else:
+            sorts = [sort for _, sort in self.monitor.parameters]
+            self._objects = [np.array(made.states.objects[sort], object) for sort in sorts]
+        return self._reported(self._evaluator.push(made.states, made.left, made.part), None)
 
     def _reported(self, found: Verdicts, moment: int | None) -> Reported:
         """The verdicts at ``moment``, or when their deciding states left."""
-        available = (
-            self._left[found.decided - self._first]
-            if moment is None
-            else np.full(len(found), moment, np.int64)
-        )
-        columns = [names[found.binding[:, i]] for i, names in enumerate(self.objects)]
-        objects = np.stack(columns) if columns else np.empty((0, len(found)), object)
+        available = found.left if moment is None else np.full(len(found), moment, np.int64)
         start = found.start_time
         return Reported(
             available,
@@ -283,10 +259,29 @@ class _Timeline:
             found.decided_time,
             start,
             found.value,
-            objects,
+            self._objects_of(found),
             found.witness_time,
             found.robustness,
         )
+
+    def _objects_of(self, found: Verdicts) -> NDArray[Any]:
+        """The IRIs of each parameter's objects, shape ``(parameters, n)``."""
+        if self.has_own_states:
+            return self._objects[0][found.part].reshape(1, -1)
+        columns = [names[found.binding[:, i]] for i, names in enumerate(self._objects)]
+        return np.stack(columns) if columns else np.empty((0, len(found)), object)
+
+    def _report(self, found: Sequence[Reported]) -> Reported:
+        joined = _in_order(_joined(found, len(self.monitor.parameters)))
+        for value in WORDS:
+            self._verdicts[value] += int(np.count_nonzero(joined.value == value))
+        if self.monitor.report is Report.VIOLATIONS:
+            return joined.take(joined.value == 0)
+        if self._runs is not None and self.states:
+            settled = self._evaluator.settled()
+            before = settled[:, 0] if self.has_own_states else settled[0]
+            return self._runs.take(joined, self._objects, before)
+        return joined
 
 
 class _Start(NamedTuple):
@@ -310,27 +305,31 @@ class _Run(NamedTuple):
     witness: int
 
 
+_Binding: TypeAlias = tuple[Any, ...]
+"""The objects of the parameters."""
+
+
 class _Runs:
     """Runs of equal verdicts of one binding, each reported once the verdict after it is known."""
 
     def __init__(self) -> None:
-        self._held: dict[tuple[str, ...], list[_Start]] = {}
+        self._held: dict[_Binding, list[_Start]] = {}
         """By objects."""
-        self._open: dict[tuple[str, ...], _Run] = {}
+        self._open: dict[_Binding, _Run] = {}
         """By objects: the run that may go on."""
 
     def take(
-        self, found: Reported, settled: Iterable[tuple[Sequence[NDArray[Any]], NDArray[np.int64]]]
+        self, found: Reported, names: Sequence[NDArray[Any]], before: NDArray[np.int64]
     ) -> Reported:
-        """Take verdicts; ``settled``: by the places of objects, the valid time before which no
-        start of a binding is without a verdict."""
+        """Take verdicts. ``names``: the objects of each parameter; ``before``: by their places, the
+        valid time before which no start of a binding is without a verdict."""
         columns = found.valid, found.value, found.decided, found.available, found.witness
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             self._held.setdefault(tuple(found.objects[:, i]), []).append(_Start(*row))
-        ended: list[tuple[tuple[str, ...], _Run]] = []
-        for names, before in settled:
-            for place in np.ndindex(before.shape):
-                binding = tuple(own[at] for own, at in zip(names, place, strict=True))
+        ended: list[tuple[_Binding, _Run]] = []
+        for place in np.ndindex(*map(len, names)):
+            binding = tuple(own[at] for own, at in zip(names, place, strict=True))
+            if binding in self._held:
                 ended += self._release(binding, int(before[place]))
         return _of_runs(ended, len(found.objects))
 
@@ -340,9 +339,12 @@ class _Runs:
         self._open = {}
         return _of_runs(ended, len(ended[0][0]) if ended else 0)
 
-    def _release(
-        self, binding: tuple[str, ...], before: int
-    ) -> Iterator[tuple[tuple[str, ...], _Run]]:
+    def drop(self, binding: _Binding) -> None:
+        """Forget the verdicts of a binding."""
+        self._held.pop(binding, None)
+        self._open.pop(binding, None)
+
+    def _release(self, binding: _Binding, before: int) -> Iterator[tuple[_Binding, _Run]]:
         held = sorted(self._held.get(binding, ()))
         count = len([start for start in held if start.valid < before])
         for start in held[:count]:
@@ -369,7 +371,7 @@ class _Runs:
             self._held.pop(binding, None)
 
 
-def _of_runs(runs: Sequence[tuple[tuple[str, ...], _Run]], parameters: int) -> Reported:
+def _of_runs(runs: Sequence[tuple[_Binding, _Run]], parameters: int) -> Reported:
     rows = np.array([run for _, run in runs], np.int64).reshape(len(runs), len(_Run._fields))
     objects = np.empty((parameters, len(runs)), object)
     for i, (binding, _) in enumerate(runs):
@@ -380,6 +382,8 @@ def _of_runs(runs: Sequence[tuple[tuple[str, ...], _Run]], parameters: int) -> R
 
 
 def _in_order(found: Reported) -> Reported:
+    if len(found) < 2:
+        return found
     return found.take(np.lexsort((found.valid, *reversed(found.objects), found.available)))
 
 
@@ -400,18 +404,3 @@ def _joined(parts: Sequence[Reported], parameters: int) -> Reported:
         np.concatenate([part.witness for part in parts]),
         np.concatenate(found) if found else None,
     )
-
-
-def _has_own_states(monitor: CheckedMonitor) -> bool:
-    if monitor.policy.period is not None or len(monitor.parameters) != 1:
-        return False
-    own = (ObjectVariable(monitor.parameters[0][0]),)
-    is_own = all(reading.arguments == own for reading in readings_of(monitor.formula))
-    return is_own and not bound_sorts(monitor.formula)
-
-
-def _numbered(column: NDArray[Any], place: Any) -> NDArray[np.int64]:
-    """The place of each IRI of a column, shape ``(n,)``."""
-    names, group = np.unique(column.astype(str), return_inverse=True)
-    places = np.array([place(name) for name in names.tolist()], np.int64)
-    return places[group] if len(names) else np.empty(0, np.int64)

@@ -36,6 +36,7 @@ from ...streams.time_arithmetic import earlier, later
 from ..states.states import States, Term
 from . import windows
 from .formulas import parts_of
+from .timelines import Timelines
 from .windows import NEVER, Moments
 
 Axes: TypeAlias = tuple[str, ...]
@@ -67,13 +68,23 @@ class Pass:
 
     states: States
     sorts: Mapping[str, str]
-    first: int
+    timelines: Timelines
+    values: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """The value of each parameter at each state, where each timeline has one of its own: of a
+    template's parameter, or the object of a variable."""
     memo: dict[tuple[int, bool], Node] = field(default_factory=dict)
     atoms: dict[int, tuple[Axes, Mask, Mask | None]] = field(default_factory=dict)
+    known: dict[int, bool] = field(default_factory=dict)
+    """Whether all atoms of a formula are known."""
+    intervals: dict[tuple[bool, Interval], tuple[Times, Times]] = field(default_factory=dict)
+    """The rows in the interval of each state."""
+    rows: int = field(init=False)
+    at: Moments = field(init=False)
+    """The row of each state."""
 
-    @property
-    def rows(self) -> int:
-        return len(self.states.valid)
+    def __post_init__(self) -> None:
+        self.rows = len(self.states.valid)
+        self.at = np.arange(self.rows)
 
     def node(self, formula: Formula, is_upper: bool) -> Node:
         """Evaluate ``formula`` in a reading; each part once, or once for both readings where all
@@ -85,19 +96,24 @@ class Pass:
 
     def is_known(self, formula: Formula) -> bool:
         """Whether all atoms in a formula are known at all states: its readings are then equal."""
-        if isinstance(formula, Atom):
-            return self._atom(formula)[2] is None
-        return all(map(self.is_known, parts_of(formula)))
+        found = self.known.get(id(formula))
+        if found is None:
+            found = self.known[id(formula)] = (
+                self._atom(formula)[2] is None
+                if isinstance(formula, Atom)
+                else all(map(self.is_known, parts_of(formula)))
+            )
+        return found
 
     def _node(self, formula: Formula, is_upper: bool) -> Node:
         match formula:
             case Truth(value):
-                return _constant(np.full(self.rows, value), ())
+                return self._constant(np.full(self.rows, value), ())
             case Atom():
                 axes, holds, known = self._atom(formula)
                 if known is not None:
                     holds = (holds | ~known) if is_upper else (holds & known)
-                return _constant(holds, axes)
+                return self._constant(holds, axes)
             case Not(operand):
                 return _negated(self.node(operand, not is_upper))
             case And(left, right):
@@ -135,10 +151,11 @@ class Pass:
         flat = _flat(child)
         true = windows.least(flat.true, first, last)
         false = windows.greatest(flat.false, first, last)
-        known = np.arange(self.rows)[:, None]
-        if not is_past:
-            np.maximum(false, self.over(interval.end)[:, None], out=false)
-        return _shaped(child, np.maximum(true, known), np.maximum(false, known))
+        # What is known of a start is not known before it; a future interval ends at it or later.
+        known = self.at if is_past else self.over(interval.end)
+        np.maximum(true, self.at[:, None], out=true)
+        np.maximum(false, known[:, None], out=false)
+        return _shaped(child, true, false)
 
     def _until(self, is_past: bool, interval: Interval, left: Node, right: Node) -> Node:
         first, last = self.bounds(is_past, interval)
@@ -152,38 +169,46 @@ class Pass:
 
     def _previous(self, child: Node) -> Node:
         """The child at the state before; false at the first state of all."""
-        known = _column(np.arange(self.rows), child.true.ndim)
-        is_first = self.first == 0
-        true = np.concatenate([np.full_like(child.true[:1], NEVER), child.true[:-1]])
-        false = np.concatenate(
-            [np.full_like(child.false[:1], 0 if is_first else NEVER), child.false[:-1]]
-        )
+        known = _column(self.at, child.true.ndim)
+        true, false = np.roll(child.true, 1, axis=0), np.roll(child.false, 1, axis=0)
+        first = self.timelines.first
+        is_whole = _column(self.timelines.is_whole, child.true.ndim)
+        true[first], false[first] = NEVER, np.where(is_whole, 0, NEVER)
         return Node(child.axes, np.maximum(true, known), np.maximum(false, known))
 
     def bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
         """The rows in the interval of each state: the first, and the one after the last."""
-        valid = self.states.valid
+        found = self.intervals.get((is_past, interval))
+        if found is None:
+            found = self.intervals[is_past, interval] = self._bounds(is_past, interval)
+        return found
+
+    def _bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
+        valid, rows = self.states.valid, self.timelines
         if is_past:
-            last = windows.places(valid, earlier(valid, interval.start), after=True)
+            last = rows.places(valid, earlier(valid, interval.start), after=True)
             if interval.end is None:
-                return np.zeros(self.rows, np.int64), last
-            return windows.places(valid, earlier(valid, interval.end), after=False), last
-        first = windows.places(valid, later(valid, interval.start), after=False)
+                return rows.begin, last
+            return rows.places(valid, earlier(valid, interval.end), after=False), last
+        first = self.at
+        if interval.start:
+            first = rows.places(valid, later(valid, interval.start), after=False)
         if interval.end is None:
-            return first, np.full(self.rows, self.rows)
-        return first, windows.places(valid, later(valid, interval.end), after=True)
+            return first, rows.end
+        return first, rows.places(valid, later(valid, interval.end), after=True)
 
     def over(self, reach: int | None) -> Moments:
         """From which state on no later state is valid up to ``reach`` (ns) after each state; None:
         no later state comes at all."""
         end = np.full(self.rows, END) if reach is None else later(self.states.valid, reach)
-        closed = windows.places(self.states.horizon, end, after=False)
-        return np.where(closed == self.rows, NEVER, np.maximum(closed, np.arange(self.rows)))
+        closed = self.timelines.places(self.states.horizon, end, after=False)
+        is_open = closed == self.timelines.end
+        return np.where(is_open, NEVER, np.maximum(closed, self.at))
 
     def _exists(self, variable: str, sort: str, child: Node) -> Node:
         """Over the objects of the sort that are there at each state."""
         present = self.states.present[sort]
-        known = np.arange(self.rows)
+        known = self.at
         if variable not in child.axes:
             some = _column(np.asarray(present.any(axis=1)), child.true.ndim)
             at = _column(known, child.true.ndim)
@@ -210,11 +235,18 @@ class Pass:
 
     def _evaluated(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
         axes, a, b, known = self.operands(atom.left, atom.right)
-        holds, known = np.broadcast_arrays(OPERATORS[atom.operator](a, b), known)
-        # An atom over objects and constants alone has one row.
-        shape = (self.rows, *holds.shape[1:])
-        holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
-        return axes, holds, None if known.all() else known
+        holds = OPERATORS[atom.operator](a, b)
+        is_known = bool(known.all())
+        if len(holds) != self.rows or holds.shape != known.shape:
+            # An atom over objects and constants alone has one row.
+            shape = (self.rows, *np.broadcast_shapes(holds.shape, known.shape)[1:])
+            holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
+        return axes, holds, None if is_known else known
+
+    def _constant(self, holds: Mask, axes: Axes) -> Node:
+        """A node that is determined at its own state."""
+        at = _column(self.at, holds.ndim)
+        return Node(axes, np.where(holds, at, NEVER), np.where(holds, NEVER, at))
 
     def value(self, value: Value) -> tuple[Axes, NDArray[Any], Mask]:
         """The values of a term at each state, and where they are known."""
@@ -222,6 +254,9 @@ class Pass:
             case Constant(constant, kind):
                 made = np.asarray([constant], object if kind is Kind.TEXT else None)
                 return (), made, np.ones(1, np.bool_)
+            case ObjectVariable(name) if name in self.values:
+                names = self.values[name].reshape(-1, 1)
+                return (name,), names, np.ones(names.shape, np.bool_)
             case ObjectVariable(name):
                 # Sorts overlap, so objects are compared by name and not by place.
                 names = np.array([self.states.objects[self.sorts[name]]], object)
@@ -233,7 +268,8 @@ class Pass:
             case Reading():
                 return self._reading(value)
             case Parameter(name):
-                raise AssertionError(f"?{name} of a template has no value")
+                made = self.values[name]
+                return (), made, np.ones(len(made), np.bool_)
             case _:
                 assert_never(value)
 
@@ -281,12 +317,6 @@ def term_of(reading: Reading, sorts: Mapping[str, str]) -> Term:
 
 
 # -- tables ----------------------------------------------------------------------------------
-
-
-def _constant(holds: Mask, axes: Axes) -> Node:
-    """A node that is determined at its own state."""
-    at = _column(np.arange(len(holds)), holds.ndim)
-    return Node(axes, np.where(holds, at, NEVER), np.where(holds, NEVER, at))
 
 
 def _negated(node: Node) -> Node:
@@ -339,6 +369,8 @@ def spread_node(node: Node, axes: Axes, shape: Sequence[int]) -> Node:
 
 def _flat(node: Node) -> Node:
     """The same with one axis behind the states."""
+    if node.true.ndim == 2:
+        return node
     rows = len(node.true)
     columns = int(np.prod(node.true.shape[1:], dtype=np.int64))
     return Node(node.axes, node.true.reshape(rows, columns), node.false.reshape(rows, columns))

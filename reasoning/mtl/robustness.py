@@ -70,7 +70,9 @@ class Margins:
                 return axes, np.maximum(a, b)
             case Previous(operand):
                 axes, table = self.of(operand, is_upper)
-                return axes, np.concatenate([np.full_like(table[:1], -np.inf), table[:-1]])
+                found = np.roll(table, 1, axis=0)
+                found[self.once.timelines.first] = -np.inf
+                return axes, found
             case Within(operator, interval, operand):
                 axes, table = self.of(operand, is_upper)
                 first, last = self.once.bounds(operator.is_past, interval)

@@ -41,7 +41,7 @@ def greatest(table: Table, first: Moments, last: Moments) -> Table:
 
 def _least(table: Table, first: Moments, last: Moments, sign: int) -> Table:
     """The least of ``sign * table``, times ``sign``."""
-    out = np.empty_like(table)
+    out = np.empty(table.shape, table.dtype)
     rows, columns = table.shape
     is_margin = table.dtype.kind == "f"
     empty = np.inf if is_margin else NEVER
@@ -141,16 +141,22 @@ def deciding(
     return out
 
 
-def places(times: Moments, limits: Moments, *, after: bool) -> Moments:
-    """Return how many of ``times`` are before each of the ``limits``, or with ``after`` not after
-    it. Both are in order. Cost: O(n + m)."""
+def places(
+    times: Moments, limits: Moments, begin: Moments, end: Moments, *, after: bool
+) -> Moments:
+    """Return the first of the rows ``begin[i] .. end[i] - 1`` whose time is not before
+    ``limits[i]``, or with ``after`` is after it; ``end[i]`` if there is none. Contract and cost: as
+    for `timelines.Timelines.places`."""
     out = np.empty(len(limits), np.int64)
-    _run(_places, times, limits, int(after), out)
+    _run(_places, times, limits, begin, end, int(after), out)
     return out
 
 
 def _run(kernel: Kernel, *arguments: Any) -> None:
-    arrays = (a if isinstance(a, int | float) else np.ascontiguousarray(a) for a in arguments)
+    arrays = [
+        np.ascontiguousarray(a) if isinstance(a, np.ndarray) and not a.flags.c_contiguous else a
+        for a in arguments
+    ]
     (kernel if JIT else kernel.py_func)(*arrays)
 
 
@@ -299,11 +305,14 @@ def _since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: An
             out[start, column] = found
 
 
-def _places_loop(times: Any, limits: Any, after: Any, out: Any) -> None:
-    place, count = 0, len(times)
+def _places_loop(times: Any, limits: Any, begin: Any, end: Any, after: Any, out: Any) -> None:
+    place = 0
     for i in range(len(limits)):
+        place = max(place, begin[i])
         # A difference of times may exceed 64 bits.
-        while place < count and (times[place] < limits[i] or (times[place] == limits[i] and after)):
+        while place < end[i] and (
+            times[place] < limits[i] or (times[place] == limits[i] and after)
+        ):
             place += 1
         out[i] = place
 
@@ -414,7 +423,7 @@ def _deciding_signature() -> Any:
 
 def _places_signature() -> Any:
     _, _, row, types = _types()
-    return types.void(row, row, types.int64, row)
+    return types.void(row, row, row, row, types.int64, row)
 
 
 _least_queue = Kernel(_least_queue_loop, _least_signature)

@@ -39,20 +39,21 @@ class Steps:
         """When the states of these times leave. Contract: they leave in these steps."""
         if self.delay is not None:
             return later(due, self.delay)
-        return self.moment[np.searchsorted(self.reached, due, "right")]
+        return self.moment[self.reached.searchsorted(due, "right")]
 
     def reaching(self, times: Times) -> Times:
         """When these times are reached. Contract: they are, in these steps or before; those that
         were before are taken to be so at the first moment."""
         last = max(len(self.reached) - 1, 0)
-        return self.moment[np.minimum(np.searchsorted(self.reached, times, "left"), last)]
+        return self.moment[np.minimum(self.reached.searchsorted(times, "left"), last)]
 
     def reached_before(self, available: Times) -> Times:
         """The time that was reached when samples of these available times came."""
         if self.delay is not None:
             return earlier(available, self.delay)
-        reached = np.append(self.before, self.reached)
-        return np.asarray(reached[np.searchsorted(self.moment, available, "left")])
+        reached = np.empty(len(self.reached) + 1, np.int64)
+        reached[0], reached[1:] = self.before, self.reached
+        return np.asarray(reached[self.moment.searchsorted(available, "left")])
 
 
 class Departures:
@@ -98,18 +99,19 @@ class Departures:
         if self._delay is not None:
             moment = np.array([watermark], np.int64)
             return Steps(watermark, moment, earlier(moment, self._delay), TIME_MIN, self._delay)
-        due = [_split(parts, watermark) for parts in self._waiting]
-        self._waiting = [[rest] if len(rest[0]) else [] for _, rest in due]
-        moments = np.unique(np.concatenate([a for (a, _), _ in due] or [_NO_TIMES]))
+        due = [self._take_due(source, watermark) for source in range(len(self._waiting))]
+        moments = _instants([available for available, _ in due if len(available)])
         if by_clock:
             moments = np.append(moments, watermark)
         reached = np.full(len(moments), TIME_MAX, np.int64)
         silent = self._ended.keys() | self.idle
-        for source, ((available, valid), _) in enumerate(due):
+        for source, (available, valid) in enumerate(due):
             # What the samples up to each moment, and earlier ones, have reached.
-            greatest = np.maximum.accumulate(np.append(self._greatest[source], valid))
+            greatest = np.empty(len(valid) + 1, np.int64)
+            greatest[0], greatest[1:] = self._greatest[source], valid
+            np.maximum.accumulate(greatest, out=greatest)
             known = earlier(
-                greatest[np.searchsorted(available, moments, "right")], self._lateness[source]
+                greatest[available.searchsorted(moments, "right")], self._lateness[source]
             )
             if len(available):
                 self._newest[source] = int(available[-1])
@@ -127,14 +129,28 @@ class Departures:
         self._reached = steps.latest
         return steps
 
+    def _take_due(self, source: int, watermark: int) -> tuple[Times, Times]:
+        """Remove the samples of a stream that are available before ``watermark``."""
+        due, rest = [], []
+        for available, valid in self._waiting[source]:
+            cut = int(available.searchsorted(watermark, "left"))
+            if cut:
+                due.append((available[:cut], valid[:cut]))
+            if cut < len(available):
+                rest.append((available[cut:], valid[cut:]))
+        self._waiting[source] = rest
+        if len(due) < 2:
+            return due[0] if due else (_NO_TIMES, _NO_TIMES)
+        return np.concatenate([a for a, _ in due]), np.concatenate([v for _, v in due])
 
-def _split(
-    parts: list[tuple[Times, Times]], watermark: int
-) -> tuple[tuple[Times, Times], tuple[Times, Times]]:
-    """The samples available before ``watermark``, and the others."""
+
+def _instants(parts: Sequence[Times]) -> Times:
+    """The instants in all parts, each of which is in order; each instant once."""
     if not parts:
-        return (_NO_TIMES, _NO_TIMES), (_NO_TIMES, _NO_TIMES)
-    available = np.concatenate([a for a, _ in parts])
-    valid = np.concatenate([v for _, v in parts])
-    cut = int(np.searchsorted(available, watermark, "left"))
-    return (available[:cut], valid[:cut]), (available[cut:], valid[cut:])
+        return _NO_TIMES
+    times = parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts), kind="stable")
+    if len(times) == 1:
+        return times
+    begins = np.ones(len(times), np.bool_)
+    np.not_equal(times[1:], times[:-1], out=begins[1:])
+    return times[begins]

@@ -35,22 +35,28 @@ class PartSteps:
     def reaching(self, part: Parts, times: Times) -> Times:
         """When the parts reach these times. Contract: as for `departures.Steps.reaching`, and each
         of these parts has a step."""
-        place = self._search(part, self.reached, times)
+        place = search(self.first, self.reached, part, times)
         return self.moment[np.minimum(place, self.first[part + 1] - 1)]
+
+    def left(self, part: Parts, due: Times) -> Times:
+        """When the states of these times leave. Contract: as for `departures.Steps.left`."""
+        return self.moment[search(self.first, self.reached, part, due + 1)]
 
     def reached_before(self, part: Parts, available: Times) -> Times:
         """The time that each part had reached when samples of these available times came."""
-        place = self._search(part, self.moment, available)
+        place = search(self.first, self.moment, part, available)
         is_first = place == self.first[part]
         known = self.reached[place - 1] if len(self.reached) else self.before[part]
         return np.where(is_first, self.before[part], known)
 
-    def _search(self, part: Parts, times: Times, wanted: Times) -> NDArray[np.int64]:
-        """The first place of each part at which ``times`` are as late as wanted."""
-        found = np.empty(len(part), np.int64)
-        part, wanted = np.ascontiguousarray(part), np.ascontiguousarray(wanted)
-        (_search if JIT else _search.py_func)(self.first, times, part, wanted, found)
-        return found
+
+def search(first: NDArray[np.int64], times: Times, part: Parts, wanted: Times) -> NDArray[np.int64]:
+    """Return the first place of each part at which ``times`` are as late as wanted; the places of
+    part p are ``first[p] .. first[p + 1] - 1``. Cost: O(n log m)."""
+    found = np.empty(len(part), np.int64)
+    given = (np.ascontiguousarray(each) for each in (first, times, part, wanted))
+    (_search if JIT else _search.py_func)(*given, found)
+    return found
 
 
 class PartDepartures:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from math import prod
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ...streams.time_arithmetic import earlier, later
 from .departures import Steps
+from .kept_samples import KeptSamples, Rows
 from .states import States, Term, Values
 
 CELLS: Final = 1 << 22
@@ -28,25 +30,13 @@ class TooManyDue(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Samples of a term, in order of available time: shape ``(n,)``; ``places`` has shape
-    ``(n, variables of the term)``: the places of their objects (`StateMaker.place`)."""
-
-    available: Times
-    valid: Times
-    places: NDArray[np.int64]
-    values: NDArray[Any]
-
-    def take(self, rows: Any) -> Rows:
-        return Rows(self.available[rows], self.valid[rows], self.places[rows], self.values[rows])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class MadeStates:
-    """States that leave, and the available time (ns) at which each does."""
+    """States that leave, and the available time (ns) at which each does. ``part``: the part of
+    each, in order, where parts have states of their own."""
 
     states: States
     left: Times
+    part: NDArray[np.int64] | None = None
 
 
 class StateMaker:
@@ -80,7 +70,7 @@ class StateMaker:
         self._policy = policy
         self._phase = grid
         self._present_for = present_for
-        self._kept = {term: _Kept(len(variables_of(term))) for term in terms}
+        self._kept = {term: KeptSamples(len(variables_of(term))) for term in terms}
         sorts = dict.fromkeys(sort for term in terms for sort in variables_of(term))
         self._wider = {sort: tuple((wider or {}).get(sort, ())) for sort in sorts}
         self._names: dict[str, list[str]] = {}
@@ -189,10 +179,10 @@ class StateMaker:
 
     def _states(self, due: Times, left: Times) -> Iterator[MadeStates]:
         """Make the states at ``due`` some at a time."""
+        if not len(due):
+            return
         sizes = [len(names) for names in self._names.values()]
-        columns = [
-            int(np.prod([len(self._names[s]) for s in variables_of(term)])) for term in self._kept
-        ]
+        columns = [prod(len(self._names[s]) for s in variables_of(term)) for term in self._kept]
         step = max(1, CELLS // max([1, *sizes, *columns]))
         for start in range(0, len(due), step):
             part = slice(start, start + step)
@@ -214,8 +204,9 @@ class StateMaker:
             values[term] = Values(found, known)
             for axis, sort in enumerate(sorts, 1):
                 others = tuple(i for i in range(1, valid.ndim) if i != axis)
-                newest = valid.max(axis=others, initial=TIME_MIN)
-                for each in (sort, *self._wider[sort]):
+                newest = valid.max(axis=others, initial=TIME_MIN) if others else valid
+                np.maximum(last_valid[sort], newest, out=last_valid[sort])
+                for each in self._wider[sort]:
                     places = [self._places[each][iri] for iri in self._names[sort]]
                     mine = last_valid[each]
                     mine[:, places] = np.maximum(mine[:, places], newest)
@@ -244,101 +235,6 @@ class StateMaker:
         return np.asarray(found & is_known)
 
 
-class _Kept:
-    """The samples of one term that states may need."""
-
-    def __init__(self, variables: int) -> None:
-        self._variables = variables
-        self._waiting: list[tuple[int, Rows]] = []
-        self._rows = _no_rows(variables)
-        self._order: NDArray[np.int64] = np.empty(0, np.int64)
-        """The rank of each row by available time, source and arrival."""
-        self._entered = 0
-
-    def __len__(self) -> int:
-        return len(self._order) + sum(len(rows.valid) for _, rows in self._waiting)
-
-    def add(self, source: int, rows: Rows) -> None:
-        self._waiting.append((source, rows))
-
-    def enter(self, watermark: int) -> Rows:
-        """Let the samples in that are available before ``watermark``; return them."""
-        due, rest = [], []
-        for source, rows in sorted(self._waiting, key=lambda each: each[0]):
-            cut = int(np.searchsorted(rows.available, watermark, "left"))
-            due.append(rows.take(slice(None, cut)))
-            if cut < len(rows.available):
-                rest.append((source, rows.take(slice(cut, None))))
-        self._waiting = rest
-        new = _joined(due, self._variables)
-        # Stable: parts of one source came in order.
-        new = new.take(np.argsort(new.available, kind="stable"))
-        order = self._entered + np.arange(len(new.valid), dtype=np.int64)
-        self._entered += len(order)
-        if len(order):
-            self._rows = _joined([self._rows, new], self._variables)
-            self._order = np.concatenate([self._order, order])
-        return new
-
-    def at(
-        self, due: Times, left: Times, shape: tuple[int, ...]
-    ) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        """The value at each state, and its sample's valid time (`TIME_MIN`: none); shape
-        ``(n, *shape)``. Forgets the samples that no later state needs."""
-        rows, count = self._rows, len(due)
-        # The first state that a sample counts for: it is valid then, and has come.
-        first = np.maximum(
-            np.searchsorted(due, rows.valid, "left"),
-            np.searchsorted(left, rows.available, "left"),
-        )
-        newest = np.lexsort((self._order, rows.valid))
-        rank = np.empty(len(newest), np.int64)
-        rank[newest] = np.arange(len(newest))
-        cells = int(np.prod(shape, dtype=np.int64))
-        cell = _cell_of(rows.places, shape)
-        best = np.full((count, cells), -1, np.int64)
-        counts = first < count
-        np.maximum.at(best, (first[counts], cell[counts]), rank[counts])
-        np.maximum.accumulate(best, axis=0, out=best)
-        if len(newest):
-            place = newest[best]
-            values = rows.values[place]
-            valid = np.where(best < 0, TIME_MIN, rows.valid[place])
-        else:
-            values = np.zeros(best.shape, rows.values.dtype)
-            valid = np.full(best.shape, TIME_MIN, np.int64)
-        keep = ~counts
-        winners = best[-1]
-        keep[newest[winners[winners >= 0]]] = True
-        self._rows, self._order = rows.take(keep), self._order[keep]
-        return values.reshape(count, *shape), valid.reshape(count, *shape)
-
-
 def variables_of(term: Term) -> tuple[str, ...]:
     """Return the sorts of the variable arguments of a term."""
     return tuple(sort for sort in term[1] if not sort.startswith("<"))
-
-
-def _no_rows(variables: int) -> Rows:
-    none = np.empty(0, np.int64)
-    return Rows(none, none, np.empty((0, variables), np.int64), np.empty(0))
-
-
-def _joined(parts: Sequence[Rows], variables: int) -> Rows:
-    parts = [part for part in parts if len(part.valid)]
-    if not parts:
-        return _no_rows(variables)
-    return Rows(
-        np.concatenate([part.available for part in parts]),
-        np.concatenate([part.valid for part in parts]),
-        np.concatenate([part.places for part in parts]),
-        np.concatenate([part.values for part in parts]),
-    )
-
-
-def _cell_of(places: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """The index of each row's objects in a flattened table of this shape."""
-    cell = np.zeros(len(places), np.int64)
-    for axis, size in enumerate(shape):
-        cell = cell * size + places[:, axis]
-    return cell

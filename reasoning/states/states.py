@@ -22,6 +22,9 @@ class Values:
     values: NDArray[Any]
     known: Mask
 
+    def take(self, rows: Any) -> Values:
+        return Values(self.values[rows], self.known[rows])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
@@ -38,3 +41,12 @@ class States:
     objects: Mapping[str, Sequence[str]]
     present: Mapping[str, Mask]
     values: Mapping[Term, Values]
+
+    def take(self, rows: Any) -> States:
+        return States(
+            self.valid[rows],
+            self.horizon[rows],
+            self.objects,
+            {sort: part[rows] for sort, part in self.present.items()},
+            {term: part.take(rows) for term, part in self.values.items()},
+        )

@@ -47,8 +47,9 @@ def evaluated(formula: str, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         known = Values(part, np.ones(len(part), np.bool_))
         parts.append(evaluator.push(States(valid, valid, {}, {}, {term: known})))
     for found in (*parts, evaluator.end()):
-        true[found.start] = found.value
-        robustness[found.start] = found.robustness
+        start = found.start_time // SECOND
+        true[start] = found.value
+        robustness[start] = found.robustness
     assert set(true.tolist()) <= {0, 1}
     return true.astype(bool), robustness
 

@@ -77,7 +77,7 @@ def verdicts(formula: str, states: States) -> tuple[list[str], list[str]]:
     found = [evaluator.push(given), evaluator.end()]
     marks, decided = {}, {}
     for part in found:
-        for i, start in enumerate(part.start.tolist()):
+        for i, start in enumerate(part.start_time.tolist()):
             marks[start] = MARKS[int(part.value[i])]
             decided[start] = str(int(part.decided_time[i]) // 10**9)
     return [marks[s] for s in sorted(marks)], [decided[s] for s in sorted(decided)]

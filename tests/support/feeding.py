@@ -28,3 +28,24 @@ def flight(start, seconds, speed, latitude=58.0, longitude=15.0):
     metres = speed / 3.6
     degrees = np.degrees(metres / 6_371_008.8)
     return [(start + i, latitude + i * degrees, longitude) for i in range(seconds)]
+
+
+class Reader:
+    """A reader of a stream that writes down what it hears."""
+
+    knows_codes = False
+
+    def __init__(self):
+        self.heard = []
+
+    def receive(self, source, batch):
+        self.heard.append(("samples", len(batch)))
+
+    def advance(self, source, watermark):
+        self.heard.append(("time", watermark))
+
+    def ended(self, source):
+        self.heard.append(("ended", source.name))
+
+    def resumed(self, source):
+        self.heard.append(("resumed", source.name))

@@ -1,4 +1,4 @@
-"""Streams of some UAVs, samples of them, and options of monitors."""
+"""Streams of some UAVs, samples of them in some cuts, and options of monitors."""
 
 import itertools
 
@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from dyknow.converters.wire import Incoming
 from dyknow.engine.durability import commands as c
 from dyknow.engine.engine import Engine
+from dyknow.engine.model.views import Since
 from dyknow.streams.sample import batch_from_rows
 from dyknow.streams.time import SECOND
 
@@ -84,3 +85,47 @@ def begun(world, text, registers=True):
     if registers:
         engine.queries.register(text)
     return engine
+
+
+def result(engine):
+    view = engine.queries.view("m")
+    assert view.failure is None
+    rows = list(engine.generator("m").stream.all().rows())
+    counters = engine.generator("m").counters
+    assert counters.used == counters.accepted == len(rows)
+    return rows, view.state, view.fields
+
+
+def in_order(world, text, left):
+    """Each sample by itself, in order of available time."""
+    engine = begun(world, text)
+    rows = [(row, name) for name, own in left.items() for row in own]
+    for row, name in sorted(rows, key=lambda each: each[0][0]):
+        publish(engine, name, [row])
+    for name in left:
+        engine.end(name)
+    return result(engine)
+
+
+def in_some_order(world, text, left, draw):
+    """One stream after the other or by turns, in some cuts; the query may come later, and begin
+    with the past."""
+    late = draw(st.integers(-3, 3))
+    engine = begun(world, text, registers=late <= 0)
+    left = {name: list(rows) for name, rows in left.items()}
+    for step in itertools.count(1):
+        if step == late:
+            engine.queries.register(text, since=Since.START)
+        if not left:
+            break
+        name = draw(st.sampled_from(sorted(left)))
+        if not left[name]:
+            engine.end(name)
+            del left[name]
+            continue
+        cut = draw(st.integers(1, len(left[name])))
+        publish(engine, name, left[name][:cut])
+        del left[name][:cut]
+    if step < late:
+        engine.queries.register(text, since=Since.START)
+    return result(engine)

@@ -26,8 +26,10 @@ from dyknow.reasoning.patterns.plans.plan import (
     Output,
     PatternPlan,
     Point,
+    Position,
     Probe,
     Same,
+    Selection,
     StateProbe,
     Time,
     Value,
@@ -189,12 +191,21 @@ def rows_of(steps: list[Row]) -> Rows:
 
 
 def parted(plan: PatternPlan, column: str, output: str) -> PatternPlan:
-    """The plan with ``column`` equal in all elements and probes, and as ``output``."""
+    """The plan with ``column`` equal in all elements and probes, and as ``output``; where rows are
+    contiguous, those of equal columns."""
     linked = tuple(Same(0, column, each, column) for each in range(1, len(plan.elements)))
+    selection = plan.selection
+    if selection is Selection.STRICT_CONTIGUITY:
+        selection = Selection.PARTITION_CONTIGUITY
+    is_contiguous = selection is Selection.PARTITION_CONTIGUITY
+    which = Position.LAST if plan.elements[-1].is_kleene else Position.EACH
+    part = Output(output, Value(len(plan.elements) - 1, column, which))
     return replace(
         plan,
+        selection=selection,
+        partition=(*plan.partition, column) if is_contiguous else (),
         columns=(*plan.columns, Column(column, ColumnType.KEY)),
         same=(*plan.same, *linked),
         probes=tuple(replace(p, same=(*p.same, Same(OWN, column, 0, column))) for p in plan.probes),
-        outputs=(*plan.outputs, Output(output, Value(0, column))),
+        outputs=(*plan.outputs, part),
     )

@@ -2,53 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
-from ....converters.objects import object_iri, object_name
-from ....languages.mtl.ast import Monitor, Report
+from ....converters.objects import object_iri
+from ....languages.mtl.ast import Monitor
 from ....languages.mtl.checked import CheckedMonitor
 from ....rdf.dictionary import TermDictionary
 from ....rdf.namespaces import DYKNOW
 from ....reasoning.mtl.explanation import Explanation, NoStart, explain_verdict
 from ....reasoning.mtl.formulas import bound_sorts
-from ....reasoning.mtl.monitoring import (
-    DECIDED,
-    LAST,
-    ROBUSTNESS,
-    VERDICT,
-    WITNESS,
-    WORDS,
-    Monitoring,
-    Reported,
-)
+from ....reasoning.mtl.monitoring import Monitoring, Reported
 from ....streams.generator import StreamGenerator
 from ....streams.history import FluentStream
 from ....streams.past_queries import Forgotten
-from ....streams.sample import (
-    Field,
-    FieldType,
-    SampleBatch,
-    Schema,
-    column_from_values,
-)
-from ....streams.time import TIME_MIN, format_time
-from .sample_reasoner import SampleReasoner
+from ....streams.sample import SampleBatch
+from .sample_reasoner import SampleReasoner, is_by_clock
 from .term_readers import TermInput, term_readers
-
-
-def verdict_schema(monitor: CheckedMonitor) -> Schema:
-    """Return the fields of a monitor's verdicts: the objects by the names of the parameters, the
-    verdict, the times of the deciding state and of the witness; of a run the time of its last
-    start; and by how much the verdict holds, where that is asked for."""
-    names = [name for name, _ in monitor.parameters]
-    results = [VERDICT, DECIDED, WITNESS, *([LAST] if monitor.report is Report.CHANGES else [])]
-    fields = [Field(name, FieldType.STRING) for name in (*names, *results)]
-    if monitor.robustness:
-        fields.append(Field(ROBUSTNESS, FieldType.FLOAT))
-    return Schema(tuple(fields))
+from .verdict_samples import VerdictWriter
 
 
 class MonitorUnit(SampleReasoner):
@@ -82,23 +54,22 @@ class MonitorUnit(SampleReasoner):
         self._wider = wider
         self._terms = terms
         self._readers = term_readers(terms, dictionary)
+        self._writer = VerdictWriter(monitor)
+
+    @property
+    def monitor(self) -> CheckedMonitor:
+        """The checked monitor."""
+        return self.monitoring.monitor
 
     def explain(self) -> str:
         """Describe the evaluation: the formula, its states by now, and the verdicts."""
-        run = self.monitoring
-        verdicts = ", ".join(f"{count:,} {word}" for word, count in run.verdicts.items())
-        now = [
-            f"states       {run.states:,} by now, of {self.samples:,} samples; {run.late:,} samples"
-            " came after the state of their time had left",
-            f"verdicts     {verdicts}",
-            f"in memory    {run.retained:,} samples and states",
-        ]
-        return "\n".join([self._explanation, *now])
+        return "\n".join([self._explanation, *explain_verdicts(self.monitoring, self.samples)])
 
     def recall(self) -> RecalledSamples:
         """Return the retained samples that it has read, for explanations."""
         past, evicting = self._past()
         watermark = self._end + 1 if self.all_ended else self.least_watermark
+        newest = self._newest(*self.sources)
         return RecalledSamples(
             self.monitoring.monitor,
             self.text,
@@ -111,7 +82,7 @@ class MonitorUnit(SampleReasoner):
             {self.sources.index(source): self._newest(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
-            watermark is not None and not self.all_ended and self._is_by_clock(watermark),
+            watermark is not None and not self.all_ended and is_by_clock(watermark, newest),
         )
 
     @property
@@ -125,33 +96,19 @@ class MonitorUnit(SampleReasoner):
     def _emit(self, found: Reported) -> None:
         if not len(found):
             return
-        columns: dict[str, list[Any]] = {}
-        for (name, _), iris in zip(self.monitoring.monitor.parameters, found.objects, strict=True):
-            names = {iri: object_name(iri, DYKNOW) for iri in set(iris)}
-            columns[name] = [names[iri] for iri in iris]
-        columns[VERDICT] = [WORDS[value] for value in found.value.tolist()]
-        columns[DECIDED] = list(map(format_time, found.decided.tolist()))
-        columns[WITNESS] = [
-            None if time == TIME_MIN else format_time(time) for time in found.witness.tolist()
-        ]
-        columns[LAST] = list(map(format_time, found.last.tolist()))
-        if found.robustness is not None:
-            # An infinite margin is one that no number changes.
-            margins = found.robustness.tolist()
-            columns[ROBUSTNESS] = [each if isfinite(each) else None for each in margins]
-        pools = self.output.stream.pools
-        self.output.emit(
-            SampleBatch(
-                self.output.stamps_at(found.available),
-                found.valid,
-                {
-                    field.name: column_from_values(
-                        field, columns[field.name], pools.get(field.name)
-                    )
-                    for field in self.output.schema.fields
-                },
-            )
-        )
+        columns = self._writer.columns(found, found.objects, self.output.stream.pools)
+        self.output.emit(SampleBatch(self.output.stamps_at(found.available), found.valid, columns))
+
+
+def explain_verdicts(run: Monitoring, samples: int) -> Iterator[str]:
+    """Describe in lines the states and verdicts by now."""
+    verdicts = ", ".join(f"{count:,} {word}" for word, count in run.verdicts.items())
+    yield (
+        f"states       {run.states:,} by now, of {samples:,} samples; {run.late:,} samples"
+        " came after the state of their time had left"
+    )
+    yield f"verdicts     {verdicts}"
+    yield f"in memory    {run.retained:,} samples and states"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

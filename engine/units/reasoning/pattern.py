@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,16 +75,13 @@ class PatternUnit(SampleReasoner):
     def explain(self) -> str:
         """Describe the evaluation: the plans, and what has been done by now."""
         run = self.recognition
-        pending = run.evaluator.pending
         rounded = run.evaluator.counters.rounded
         return "\n".join(
             [
                 run.explain(),
                 f"read         {self.samples:,} samples; {run.late:,} came behind later ones, and "
                 "were left out",
-                f"matches      {self.matches:,} by now; {pending:,} wait for what may still come",
-                f"in memory    {run.retained:,} rows and matches",
-                *(f"left out     {count:,} {what}" for what, count in run.losses().items()),
+                *explain_matches(run, self.matches),
                 *([f"rounded      {rounded:,} numbers of matches or samples"] if rounded else []),
             ]
         )
@@ -166,6 +163,14 @@ class PatternUnit(SampleReasoner):
             each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
         }
         return {column: kind or Kind.NUMBER for column, kind in found.items()}
+
+
+def explain_matches(run: Recognition, matches: int) -> Iterator[str]:
+    """Describe in lines what has been found by now, and what is kept."""
+    pending = run.evaluator.pending
+    yield f"matches      {matches:,} by now; {pending:,} wait for what may still come"
+    yield f"in memory    {run.retained:,} rows and matches"
+    yield from (f"left out     {count:,} {what}" for what, count in run.losses().items())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -92,14 +92,15 @@ class SampleReasoner(ComputationalUnit):
         if least is None or self.output.is_ended:
             return
         self.reasoning.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
-        by_clock = self._is_by_clock(least)
+        newest = self._newest(*self.sources)
+        by_clock = is_by_clock(least, newest)
         self._advance(least, by_clock=by_clock)
         if self._is_over:
             self._leave_inputs()
             self.output.end()
         else:
             # The end is at the newest sample, and may follow.
-            self.output.advance(least if by_clock else min(least, self._newest(*self.sources)))
+            self.output.advance(least if by_clock else min(least, newest))
 
     @property
     def _is_over(self) -> bool:
@@ -145,12 +146,15 @@ class SampleReasoner(ComputationalUnit):
         """The available time (ns) of the end of all inputs, whichever of them ended first."""
         return min(self._newest(*self.sources), TIME_MAX - 1)
 
-    def _is_by_clock(self, watermark: int) -> bool:
-        # After a sample of time t the watermark of a stream is t or t + 1.
-        return watermark > self._newest(*self.sources) + 1
-
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.reasoning.late
         self._emit(self.reasoning.advance(watermark, by_clock=by_clock))
         # Beside the samples that were late for the unit itself.
         self.late += self.reasoning.late - before
+
+
+def is_by_clock(watermark: int, newest: int) -> bool:
+    """Whether the clock has brought the watermark of streams whose newest sample is available at
+    ``newest`` (ns)."""
+    # After a sample of time t the watermark of a stream is t or t + 1.
+    return watermark > newest + 1

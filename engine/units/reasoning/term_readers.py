@@ -60,10 +60,22 @@ class TermReader:
             for i, object in enumerate(input.input.objects)
         ]
 
-    def read(self, batch: SampleBatch, place: int, monitoring: Monitoring) -> None:
-        """Add the samples with a value and wanted objects."""
+    def read(
+        self,
+        batch: SampleBatch,
+        place: int,
+        monitoring: Monitoring,
+        parts: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Add the samples with a value and wanted objects. ``parts``: the numbers of the objects,
+        all of which are wanted, where parts are evaluated."""
         column = batch.columns[self._input.field]
         present = column.present
+        if parts is not None:
+            rows = np.flatnonzero(present)
+            times = batch.available[rows], batch.valid[rows]
+            monitoring.add(place, self._term, *times, parts[rows], self._values(column.take(rows)))
+            return
         codes = []
         for encoder in self._codes:
             own, is_wanted = encoder.encode(batch)
@@ -72,10 +84,10 @@ class TermReader:
         rows = np.flatnonzero(present)
         if not len(rows):
             return
-        names = np.array(self._names, object)
+        names = self._names
         objects = np.empty((len(rows), len(self._variables)), object)
         for i, argument in enumerate(self._variables):
-            objects[:, i] = names[codes[argument][rows]]
+            objects[:, i] = [names[code] for code in codes[argument][rows].tolist()]
         values = self._values(column.take(rows))
         available, valid = batch.available[rows], batch.valid[rows]
         monitoring.add(place, self._term, available, valid, objects, values)

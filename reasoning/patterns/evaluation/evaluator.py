@@ -235,7 +235,7 @@ class Evaluator(ABC):
         self._rows += len(rows)
         if len(rows) > SMALLEST:
             # Otherwise large batches are compacted again and again.
-            self._store.capacity = max(self._store.capacity, len(rows))
+            self._store.capacity = max(self._store.capacity, 2 * len(rows))
         if self._store.marks[IS_FULL] and self._store.marks[WATERMARK] >= self._next_try:
             self._compact()
         marks = self._store.marks

@@ -1,4 +1,4 @@
-"""Every match of a plan whose rows fall into parts, each with its own time (SPEC §8).
+"""Evaluations of rows that fall into parts, each with its own time (SPEC §8).
 
 Requests for one object each share an evaluation so: a part has the rows of one of them.
 """
@@ -10,37 +10,26 @@ from numpy.typing import NDArray
 
 from ....streams.sample import Times
 from ....streams.time import TIME_MAX, TIME_MIN
-from ..plans.limits import DEFAULT_LIMITS, Limits
-from ..plans.plan import PatternPlan
 from ..plans.rows import Matches
 from .all_rows import AllRows
-from .store import DECISIONS, SMALLEST, WATERMARKS
+from .evaluator import Evaluator
+from .store import DECISIONS, WATERMARKS
 
 Integers = NDArray[np.int64]
 
 
-class PartRows(AllRows):
-    """Every match of a plan, in order of decision within each part.
+class InParts(Evaluator):
+    """An evaluation of a plan whose rows fall into parts, each with its own time.
 
-    ``part``: the column of keys that numbers the part of a row. Contract: all elements and probes
-    of the plan have it equal.
+    A subclass has an argument ``part``: the column of keys that numbers the part of a row.
+    Contract: all elements and probes of the plan have it equal.
 
-    Law (tests/laws/reasoning/test_pattern_parts.py): the matches of a part are those of `AllRows`
-    over its rows and watermarks, in the same order. The limits are those of all parts together.
+    Law (tests/laws/reasoning/test_pattern_parts.py): the matches of a part are those of an
+    evaluation of its own over its rows and watermarks, in the same order. The limits are those of
+    all parts together, except of those for one row or key.
 
-    Cost: as `AllRows`, and O(matches that wait) a batch. Memory: 16 bytes for each part.
+    Cost: as without parts, and O(matches that wait) a batch. Memory: 16 bytes for each part.
     """
-
-    def __init__(
-        self,
-        plan: PatternPlan,
-        part: str,
-        *,
-        is_ordered: bool = True,
-        limits: Limits = DEFAULT_LIMITS,
-        capacity: int = SMALLEST,
-    ) -> None:
-        super().__init__(plan, is_ordered=is_ordered, limits=limits, capacity=capacity, part=part)
 
     def make_room_for(self, parts: int) -> None:
         """Take rows of parts below ``parts`` from now on."""
@@ -83,5 +72,6 @@ class PartRows(AllRows):
         parts = store.table[waiting.rows[:, 0], store.part_word]
         return waiting.take_where(waiting.dues <= store.times[WATERMARKS, parts])
 
-    def _way(self) -> str:
-        return super()._way() + ", for each object at its own time"
+
+class PartRows(InParts, AllRows):
+    """The same of each part; see `InParts`."""

@@ -12,13 +12,16 @@ from typing import Final
 
 from .plan import (
     OWN,
+    Aggregate,
     Arithmetic,
     Condition,
     CountProbe,
     Element,
     Key,
+    Listed,
     Output,
     PatternPlan,
+    Position,
     Probe,
     Same,
     Selection,
@@ -45,8 +48,8 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     """Return the pattern that serves ``own``, which is ``free`` for one ``object`` (an IRI); None
     if there is none.
 
-    There is none with more than one plan, with repetition, aggregates or next matches, with a
-    maximal delay, over the streams of a sort, or where another object is compared with this one.
+    There is none with more than one plan, with a maximal delay, over the streams of a sort, or
+    where another object is compared with this one.
     """
     if (
         free.max_delay is not None
@@ -57,9 +60,6 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     ):
         return None
     (plan,) = free.plans
-    is_joined = plan.selection is Selection.ANY_MATCH and not plan.trends
-    if not is_joined or any(each.is_kleene for each in plan.elements):
-        return None
     column = _column_of(free, own, object)
     if column is None or not _is_everywhere(plan, column) or column in _columns_compared(plan):
         return None
@@ -71,7 +71,16 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     ):
         return None
     objects = tuple(each.name for each in plan.outputs if _is_value_of(each, column))
-    parted = replace(plan, outputs=(*plan.outputs, Output(PART, Value(0, column))))
+    # Aggregates over all matches know the last row only.
+    which = Position.LAST if plan.elements[-1].is_kleene else Position.EACH
+    part = Output(PART, Value(len(plan.elements) - 1, column, which))
+    parted = replace(plan, outputs=(*plan.outputs, part))
+    if plan.selection is Selection.STRICT_CONTIGUITY:
+        # The next row of all is the next one of the object.
+        contiguous = Selection.PARTITION_CONTIGUITY
+        parted = replace(parted, selection=contiguous, partition=(column,))
+    elif plan.selection is Selection.PARTITION_CONTIGUITY and column not in plan.partition:
+        return None
     return PatternByObject(replace(free, plans=(parted,)), column, objects)
 
 
@@ -94,15 +103,18 @@ def _column_of(free: PatternQuery, own: PatternQuery, object: str) -> str | None
 
 
 def _columns_compared(plan: PatternPlan) -> set[str]:
-    """The columns in conditions and calculations."""
+    """The columns in conditions, calculations, aggregates and lists."""
     read = [*plan.elements, *(probe.what for probe in plan.probes)]
     conditions = [*plan.conditions, *(each for element in read for each in element.conditions)]
     for probe in plan.probes:
         conditions += probe.conditions if isinstance(probe, CountProbe) else probe.state
     sides = [side for each in conditions for side in (each.left, each.right)]
-    sides += [each.value for each in plan.outputs if isinstance(each.value, Arithmetic)]
-    leaves = (leaf for side in sides for leaf in leaves_of(side))
-    return {leaf.column for leaf in leaves if isinstance(leaf, Value)}
+    sides += [each.value for each in plan.outputs if isinstance(each.value, Arithmetic | Aggregate)]
+    leaves = [leaf for side in sides for leaf in leaves_of(side)]
+    listed = [each.column for each in plan.trends if each.column is not None]
+    listed += [each.value.column for each in plan.outputs if isinstance(each.value, Listed)]
+    columns = (leaf.column for leaf in leaves if isinstance(leaf, Value | Aggregate))
+    return {*listed, *(column for column in columns if column is not None)}
 
 
 def _is_everywhere(plan: PatternPlan, column: str) -> bool:

@@ -59,8 +59,10 @@ class Matches:
 
 def concatenated(parts: Sequence[Matches]) -> Matches:
     """Return the matches of all parts, of which there is at least one, in order."""
-    if len(parts) == 1:
-        return parts[0]
+    filled = [each for each in parts if len(each)]
+    if len(filled) < 2:
+        return filled[0] if filled else parts[0]
+    parts = filled
     return Matches(
         np.concatenate([each.rows for each in parts]),
         np.concatenate([each.decided for each in parts]),

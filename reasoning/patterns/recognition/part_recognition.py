@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from ....streams.sample import Times
 from ...states.part_departures import PartDepartures, PartSteps
-from ..evaluation.part_rows import PartRows
+from ..evaluation.part_rows import InParts
 from ..plans.by_object import PART, PatternByObject
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.query import Keys
 from ..plans.rows import Values, concatenated
-from .combined import CombinedRows, StaticSolutions
+from .choice import evaluator_of
+from .combined import StaticSolutions
 from .recognition import Batch, Recognition, Recognized, joined
 
 Parts: TypeAlias = NDArray[np.int64]
@@ -29,7 +30,7 @@ class PartRecognition(Recognition):
     together. Cost: that of one `Recognition` over all samples.
     """
 
-    evaluator: PartRows
+    evaluator: InParts
 
     def __init__(
         self,
@@ -66,8 +67,11 @@ class PartRecognition(Recognition):
     def end_part(self, part: int) -> None:
         """Drop all that is known of a part. Cost: O(rows and matches that wait)."""
         self.evaluator.drop_part(part)
-        self._new, self._waiting = self._others(self._new, part), self._others(self._waiting, part)
+        self._waiting = self._others(self._waiting, part)
         self._parts = [self._others(each, part) for each in self._parts]
+
+    def explain(self) -> str:
+        return f"{super().explain()}, for each object at its own time"
 
     def rows_of_part(self, part: int) -> dict[str, int]:
         """Return the rows of each kind that came of a part."""
@@ -121,9 +125,11 @@ class PartRecognition(Recognition):
         reached = steps.reaching(found.outputs[PART], found.decided)
         return self._decided(found, reached, rows, first)
 
-    def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> PartRows | CombinedRows:
+    def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> InParts:
         (plan,) = self.plans
-        return PartRows(plan, self._column, is_ordered=self.is_ordered, limits=limits)
+        found = evaluator_of(plan, is_ordered=self.is_ordered, limits=limits, part=self._column)
+        assert isinstance(found, InParts)
+        return found
 
     def _part_of(self, rows: Batch) -> Parts:
         return np.asarray(rows.columns[self._column], np.int64)

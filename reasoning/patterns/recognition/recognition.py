@@ -91,11 +91,11 @@ class Recognition:
         self._begun = [0] * streams
         """The number of the first sample in the last batch of each stream."""
         self._samples = [0] * streams
-        self._new = Batch.empty(self._columns)
-        """Rows that are not before the watermark."""
-        self._waiting = Batch.empty(self._columns)
+        self._none = Batch.empty(self._columns)
+        self._waiting = self._none
         """Rows, in order, for which an earlier one may still come."""
         self._parts: list[Batch] = []
+        """Rows that are not before the watermark, by available time in each part."""
         self._number = 0
         """The number of rows given to the evaluator."""
         self._places: list[NDArray[np.int64]] | None = [] if keeps_places else None
@@ -122,7 +122,7 @@ class Recognition:
     @property
     def retained(self) -> int:
         """The number of rows and matches in memory."""
-        queued = sum(map(len, (self._new, self._waiting, *self._parts)))
+        queued = sum(map(len, (self._waiting, *self._parts)))
         return queued + self.evaluator.kept + self.evaluator.pending
 
     def partials(
@@ -209,17 +209,18 @@ class Recognition:
         added. ``by_clock``: the clock, and no sample, has brought the watermark."""
         steps = self._departures.advance(watermark, by_clock=by_clock)
         new = self._before(watermark)
-        late, new = new.split(new.end < steps.reached_before(new.available))
-        self.late += len(late)
+        is_late = new.end < steps.reached_before(new.available)
+        if is_late.any():
+            self.late += int(np.count_nonzero(is_late))
+            new = new.take(~is_late)
         if self.is_ordered:
             return self._in_order(new, steps)
         return self._as_they_come(new, lambda: self.evaluator.advance(steps.latest))
 
     def finish(self, moment: int) -> Recognized:
         """Return what is decided at the end of all streams, which is at ``moment``."""
-        rest = joined([self._waiting, self._new, *self._parts]).in_order()
-        self._waiting = self._new = Batch.empty(self._columns)
-        self._parts = []
+        rest = joined([self._waiting, *self._parts]).in_order()
+        self._waiting, self._parts = self._none, []
         found = concatenated([self._pushed(rest), self.evaluator.end()])
         return self._results(found, np.full(len(found), moment, np.int64))
 
@@ -242,10 +243,15 @@ class Recognition:
 
     def _before(self, watermark: int) -> Batch:
         """Take the new rows that are available before the watermark."""
-        new = joined([self._new, *self._parts])
-        self._parts = []
-        self._new, new = new.split(new.available >= watermark)
-        return new
+        before, rest = [self._none], []
+        for part in self._parts:
+            cut = int(part.available.searchsorted(watermark, "left"))
+            if cut:
+                before.append(part if cut == len(part) else part.take(slice(0, cut)))
+            if cut < len(part):
+                rest.append(part.take(slice(cut, None)) if cut else part)
+        self._parts = rest
+        return joined(before)
 
     def _as_they_come(self, new: Batch, reach: Callable[[], object]) -> Recognized:
         """The results of rows that need no order. ``reach`` lets the evaluator reach the time that
@@ -260,10 +266,13 @@ class Recognition:
     def _in_order(self, new: Batch, steps: Steps) -> Recognized:
         rows = joined([self._waiting, new]).in_order()
         side: Literal["left", "right"] = "right" if steps.delay is None else "left"
-        leave = int(np.searchsorted(rows.end, steps.latest, side))
-        self._waiting = rows.take(slice(leave, None))
-        rows, first = rows.take(slice(0, leave)), self._number
+        leave, first = int(rows.end.searchsorted(steps.latest, side)), self._number
+        self._waiting = self._none
+        if leave < len(rows):
+            self._waiting, rows = rows.take(slice(leave, None)), rows.take(slice(0, leave))
         found = concatenated([self._pushed(rows), self.evaluator.advance(steps.latest)])
+        if not len(found):
+            return self._results(found, found.decided)
         if steps.delay is not None:
             # One that had to wait is decided by what did not come up to the time before.
             waited = ~_is_by_row(found)

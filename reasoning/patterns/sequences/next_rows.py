@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..evaluation.part_rows import InParts
 from ..evaluation.store import SMALLEST
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.plan import PatternPlan, PlanError, Selection
@@ -38,11 +39,16 @@ class NextRows(Sequences):
     """
 
     def __init__(
-        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
+        self,
+        plan: PatternPlan,
+        *,
+        limits: Limits = DEFAULT_LIMITS,
+        capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
         if plan.selection is Selection.ANY_MATCH:
             raise PlanError("any match is not evaluated by runs")
-        super().__init__(plan, limits=limits, capacity=capacity)
+        super().__init__(plan, limits=limits, capacity=capacity, part=part)
 
     def _way(self) -> str:
         return "evaluated by runs, which take rows as they come"
@@ -75,6 +81,7 @@ class NextRows(Sequences):
             store.vectors,
             store.heads,
             store.marks,
+            store.times,
             runs.runs,
             runs.runs.view(np.float64),
             runs.lists,
@@ -86,3 +93,7 @@ class NextRows(Sequences):
             self._due,
             *self._scratch,
         )
+
+
+class PartNextRows(InParts, NextRows):
+    """The same of each part; see `InParts`."""

@@ -25,18 +25,27 @@ from ..evaluation.join_loop import plus
 from ..evaluation.store import (
     BUFFER,
     IS_OUT_FULL,
-    LATE,
     LOOKED_AT,
     MADE,
     OUT,
     ROWS,
     UNSTORED,
     VECTOR_KEYS,
-    WATERMARK,
     hashed,
     vector_of,
 )
-from .run_loop import BOUND, COUNT, INTEGERS, KEYS, KLEENE, LASTS, MOST_RUNS, mask_of
+from .run_loop import (
+    BOUND,
+    COUNT,
+    INTEGERS,
+    KEYS,
+    KLEENE,
+    LASTS,
+    MOST_RUNS,
+    PART_WORD,
+    is_in_time,
+    mask_of,
+)
 from .trend_loop import FLOAT_WORDS, INTEGER_WORDS, begin_with, clear
 from .trend_loop import IN_LOOP as IN_TREND_LOOP
 
@@ -233,6 +242,7 @@ def _products_loop(
     table: Any,
     floats: Any,
     marks: Any,
+    times: Any,
     # The windows, their items, and the cells of both: n + (n + 1) an item, (n + 1)² a window.
     windows: Any,
     window_heads: Any,
@@ -262,10 +272,8 @@ def _products_loop(
     cells[one, 0], cell_floats[one, 0] = 1, 1.0
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
-        if batch[i, END] < marks[WATERMARK]:
-            marks[LATE] += suits != 0
+        if not is_in_time(i, batch, suits, settings[PART_WORD], marks, times):
             continue
-        marks[WATERMARK] = batch[i, END]
         if suits == 0:
             continue
         row = marks[ROWS]
@@ -325,7 +333,8 @@ def _products_loop(
 
 
 def _sweep_loop(
-    watermark: int,
+    watermarks: Any,
+    part_key: int,
     settings: Any,
     windows: Any,
     items: Any,
@@ -339,15 +348,17 @@ def _sweep_loop(
     new_cells: Any,
     new_floats: Any,
 ) -> None:
-    """Drop the items that the watermark has passed, and copy the windows that have some."""
+    """Drop the items that the watermark of their part has passed, and copy the windows that have
+    some."""
     state = windows, items, (item_cells, item_floats), (cells, cell_floats)
     size, keys = settings[COUNT] + 1, windows.shape[1] - VECTOR_KEYS
     one = windows.shape[0] * size * size + size * size + 1
     clear(one, cells, cell_floats)
     cells[one, 0], cell_floats[one, 0] = 1, 1.0
-    least = plus(watermark, -settings[LASTS])
     used = 0
     for v in range(counts[WINDOWS]):
+        watermark = watermarks[windows[v, VECTOR_KEYS + part_key] if part_key >= 0 else 0]
+        least = plus(watermark, -settings[LASTS])
         if windows[v, IS_OPEN] and items[windows[v, TAIL], TIME] < watermark:
             close_item(v, settings, state)
         if not windows[v, IS_OPEN]:
@@ -388,14 +399,14 @@ def _products_signature() -> Any:
     state = (table, row, table, table, floats, table, floats, row)
     given = (table, floats, table, types.float64[::1])
     return types.int64(
-        table, row, types.int64, *plan, *conditions, table, floats, row, *state, *given
+        table, row, types.int64, *plan, *conditions, table, floats, row, table, *state, *given
     )
 
 
 def _sweep_signature() -> Any:
     types, row, table, floats = _types()
     old = (table, table, table, floats, table, floats, row)
-    return types.void(types.int64, row, *old, table, row, table, floats)
+    return types.void(row, types.int64, row, *old, table, row, table, floats)
 
 
 _products = Kernel(_products_loop, _products_signature, allocates=False, calls=_IN_LOOP)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..evaluation.part_rows import InParts
 from ..evaluation.store import SMALLEST
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.plan import PatternPlan, PlanError, Selection
@@ -35,11 +36,16 @@ class RepeatedRows(Sequences):
     """
 
     def __init__(
-        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
+        self,
+        plan: PatternPlan,
+        *,
+        limits: Limits = DEFAULT_LIMITS,
+        capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
         if plan.selection is not Selection.ANY_MATCH:
             raise PlanError(f"{plan.selection} is evaluated by runs")
-        super().__init__(plan, limits=limits, capacity=capacity)
+        super().__init__(plan, limits=limits, capacity=capacity, part=part)
         self._make_stack(capacity)
 
     def _make_stack(self, depth: int) -> None:
@@ -85,6 +91,7 @@ class RepeatedRows(Sequences):
             store.vectors,
             store.heads,
             store.marks,
+            store.times,
             self._stack,
             self._stack.view(np.float64),
             self._frames,
@@ -98,3 +105,7 @@ class RepeatedRows(Sequences):
             self._due,
             *self._scratch,
         )
+
+
+class PartRepeatedRows(InParts, RepeatedRows):
+    """The same of each part; see `InParts`."""

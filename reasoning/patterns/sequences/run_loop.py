@@ -26,6 +26,7 @@ from ..evaluation.packing import HIGH, HIGH_OFFSET, HIGH_START, RETAINED
 from ..evaluation.store import (
     CUT_SHORT,
     DECIDED,
+    DECISIONS,
     FIRST_OUT,
     IS_FULL,
     IS_OUT_FULL,
@@ -38,6 +39,7 @@ from ..evaluation.store import (
     UNSTORED,
     VECTOR_KEYS,
     WATERMARK,
+    WATERMARKS,
     hashed,
     put,
     vector_of,
@@ -81,6 +83,8 @@ from .runs import (
 # Settings of a plan as a whole: elements, how long a run lasts (ns), whether it needs contiguous
 # rows, the elements that are Kleene and those whose rows are kept (bits), limits.
 COUNT, LASTS, IS_CONTIGUOUS, KLEENE, LISTED, MOST_MATCHES, MOST_CANDIDATES, MOST_RUNS = range(8)
+# The word of a row that numbers its part, or 0 (`store.Store`).
+PART_WORD: Final = 8
 # The rows of `scratch`: what is bound; nodes; vectors; the ends before which rows are dead; keys; a
 # stack; the lists whose runs may take a row, and go on with it.
 BOUND, CURSORS, FOUND, DEAD, KEYS, INTEGERS, TAKING, GOING = range(8)
@@ -88,6 +92,28 @@ WORK: Final = 8
 AVERAGE: Final = FUNCTIONS.index(Function.AVG)
 SLOTS: Final = 3 * MOST_ELEMENTS + 2
 """The length of ``bound`` (`conditions`)."""
+
+
+def is_in_time(i: int, batch: Any, suits: int, part_word: int, marks: Any, times: Any) -> Any:
+    """Whether a row is not late; if so, no row ends before it any more. With parts, the times are
+    those of its part."""
+    part = 0
+    if part_word:
+        part = batch[i, part_word]
+        marks[WATERMARK], marks[DECIDED] = times[WATERMARKS, part], times[DECISIONS, part]
+    if batch[i, END] < marks[WATERMARK]:
+        marks[LATE] += suits != 0
+        return False
+    marks[WATERMARK] = batch[i, END]
+    if part_word:
+        times[WATERMARKS, part] = batch[i, END]
+    return True
+
+
+def mark_dead(buffers: Any, dead: Any, marks: Any) -> None:
+    """Write for each buffer the end before which its rows are dead."""
+    for b in range(buffers.shape[0]):
+        dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
 
 
 def bind(words: Any, sums: Any, r: int, plan: Any, tests: Any, bound: Any) -> None:
@@ -251,12 +277,13 @@ def visit_list(
         goes and steps[s + 1, EACH] < steps[s + 1, EACH_BELOW]
     )
     is_used = False
+    start, end = table[row, START], table[row, END]
     target, before, r = -1, -1, lists[v, HEAD]
+    marks[LOOKED_AT] += lists[v, LENGTH]
     while r >= 0:
-        marks[LOOKED_AT] += 1
         after = runs[r, width + NEXT]
-        is_gone = table[row, END] - runs[r, width + BEGAN] > settings[LASTS]
-        fits = not is_gone and table[row, START] > table[runs[r, n + s], END]
+        is_gone = end - runs[r, width + BEGAN] > settings[LASTS]
+        fits = not is_gone and start > table[runs[r, n + s], END]
         take, go = fits and takes, fits and goes
         if is_tested and (take or go):
             bind(runs, sums, r, plan, tests, bound)
@@ -397,6 +424,7 @@ def _runs_loop(
     vectors: Any,
     heads: Any,
     marks: Any,
+    times: Any,
     # The runs; their records as floats, too.
     runs: Any,
     sums: Any,
@@ -421,6 +449,7 @@ def _runs_loop(
     given = out, out_sums, due, marks
     n, kleene = settings[COUNT], settings[KLEENE]
     is_contiguous = settings[IS_CONTIGUOUS] != 0
+    every = (1 << n) - 1
     bound, keys, dead, taking, going = (
         work[BOUND],
         work[KEYS],
@@ -428,14 +457,13 @@ def _runs_loop(
         work[TAKING],
         work[GOING],
     )
-    for b in range(buffers.shape[0]):
-        dead[b] = plus(marks[DECIDED], -buffers[b, RETAINED])
+    mark_dead(buffers, dead, marks)
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
-        if batch[i, END] < marks[WATERMARK]:
-            marks[LATE] += suits != 0
+        if not is_in_time(i, batch, suits, settings[PART_WORD], marks, times):
             continue
-        marks[WATERMARK] = batch[i, END]
+        if settings[PART_WORD]:
+            mark_dead(buffers, dead, marks)
         if suits == 0 and not is_contiguous:
             continue
         if marks[IS_FULL]:
@@ -448,18 +476,24 @@ def _runs_loop(
         for word in range(table.shape[1]):
             table[row, word] = batch[i, word]
         mask = mask_of(row, suits, own, plan, tests, bound)
-        # The lists of runs that it may move, and room for what comes of them.
-        needed = 1
-        for s in range(n):
-            taking[s], going[s] = -1, -1
-            if is_contiguous or ((kleene & mask) >> s) & 1:
+        if mask == 0 and not is_contiguous:
+            continue
+        # The states whose runs it may move, as bits; the lists of these runs, and room for what
+        # comes of them.
+        takes_of = every if is_contiguous else kleene & mask
+        goes_of = (mask >> 1) & (every >> 1)
+        needed, s = 1, 0
+        while (takes_of | goes_of) >> s:
+            taking[s] = going[s] = -1
+            if (takes_of >> s) & 1:
                 taking[s] = list_with(s, s, row, plan, tests, state, keys)
-            if s + 1 < n and (mask >> (s + 1)) & 1:
+            if (goes_of >> s) & 1:
                 going[s] = list_with(s, s + 1, row, plan, tests, state, keys)
             if taking[s] >= 0:
                 needed += lists[taking[s], LENGTH]
             if going[s] >= 0 and going[s] != taking[s]:
                 needed += lists[going[s], LENGTH]
+            s += 1
         counts[NEEDED], counts[NODES_NEEDED] = needed, 2 * needed
         if marks[OUT] + needed > out.shape[0]:
             marks[IS_OUT_FULL] = 1
@@ -481,7 +515,8 @@ def _runs_loop(
             is_used = stored > 0
         marks[ROWS] = row + 1
         marks[FIRST_OUT], marks[IS_SHORT] = marks[OUT], 0
-        for s in range(n - 1, -1, -1):
+        while s > 0:
+            s -= 1
             takes = ((kleene & mask) >> s) & 1 != 0
             is_one = going[s] == taking[s]
             if going[s] >= 0 and lists[going[s], HEAD] >= 0:
@@ -551,8 +586,8 @@ def _asks_loop(
 
 
 IN_LOOP: Final = (
-    *CALLED, *IN_RUNS, bind, add_row, all_hold, bind_next, give_out, visit_list, start_run, mask_of,
-    list_with,
+    *CALLED, *IN_RUNS, is_in_time, mark_dead, bind, add_row, all_hold, bind_next, give_out,
+    visit_list, start_run, mask_of, list_with,
 )  # fmt: skip
 
 
@@ -567,7 +602,7 @@ def _runs_signature() -> Any:
     types, row, table, floats, numbers = _types()
     plan = (row, row, row, table, table, row, table, table, table, table)
     conditions = (table, floats, table, numbers)
-    store = (table, floats, row, row, table, row, row)
+    store = (table, floats, row, row, table, row, row, table)
     state = (table, floats, table, row, table, row)
     given = (table, floats, row)
     return types.int64(

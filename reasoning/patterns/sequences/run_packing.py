@@ -109,8 +109,9 @@ def sequence_network(plan: PatternPlan) -> Network:
     return network
 
 
-def pack_runs(plan: PatternPlan, network: Network) -> PackedRuns:
-    """Pack a plan. Under any match buffer e has the rows of element e, by their keys.
+def pack_runs(plan: PatternPlan, network: Network, part: str | None = None) -> PackedRuns:
+    """Pack a plan. Under any match buffer e has the rows of element e, by their keys. ``part``: a
+    column by which runs are looked up, too.
 
     Raises `PlanError`: a condition reads ``a[i]`` where no row is meant; `UnboundedRetention`.
     """
@@ -119,13 +120,14 @@ def pack_runs(plan: PatternPlan, network: Network) -> PackedRuns:
     if plan.hulls:
         raise PlanError("events that follow each other do not last for the same time")
     _check_rows(plan)
-    return RunPacker(plan, network).packed_runs()
+    return RunPacker(plan, network, part=part).packed_runs()
 
 
 @dataclass(slots=True)
 class RunPacker(Packer):
     """Packs a plan whose elements follow each other."""
 
+    part: str | None = None
     each: list[int] = field(default_factory=list)
     keys: list[tuple[str, ...]] = field(init=False)
 
@@ -215,6 +217,9 @@ class RunPacker(Packer):
             if len(first) == count:
                 for e in range(count):
                     found[e].append(first[e])
+        if self.part is not None:
+            # A single element has it equal with no other one.
+            found = [[*(c for c in each if c != self.part), self.part] for each in found]
         return [tuple(each) for each in found]
 
     def times(self) -> list[Condition]:

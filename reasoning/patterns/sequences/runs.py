@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....streams.jit import JIT, Kernel
-from ....streams.time import TIME_MIN
+from ....streams.time_arithmetic import earlier
 from ..evaluation.store import BUFFER, SMALLEST, VECTOR_KEYS, hashed, mix, vector_of
 from .run_packing import WORDS, PackedRuns
 
@@ -91,16 +91,19 @@ class Runs:
         """Take the arrays of a state."""
         self.runs, self.lists, self.heads, self.nodes, self.counts = (each.copy() for each in state)
 
-    def compact(self, watermark: int, *records: Integers) -> tuple[Integers, ...]:
-        """Keep only runs that last at ``watermark``, and the nodes of those and of the ``records``,
-        which are renumbered. Return views of the places of rows that remain."""
+    def compact(
+        self, watermarks: Integers, part_key: int, *records: Integers
+    ) -> tuple[Integers, ...]:
+        """Keep only runs that last at the watermark of their part, and the nodes of those and of
+        the ``records``, which are renumbered. ``part_key``: which of the keys numbers the part; -1:
+        there are no parts. Return views of the places of rows that remain."""
         counts, elements = self.counts, len(self.packed.keys)
         needed = int(counts[NEEDED])
         live = int(counts[LIVE])
         runs = np.zeros((self.capacity + live + live // 2 + needed, self.runs.shape[1]), np.int64)
         lists, heads = self._empty_lists(int(counts[LISTS]), elements)
-        least = max(TIME_MIN, watermark - self.lasts)
-        _run(_copy_runs, self.runs, self.lists, least, runs, lists, heads, counts)
+        least = earlier(watermarks, self.lasts)
+        _run(_copy_runs, self.runs, self.lists, least, part_key, runs, lists, heads, counts)
         self.runs, self.lists, self.heads = runs, lists, heads
         kept = (runs[: int(counts[USED])], *records)
         if self.packed.listed:
@@ -196,20 +199,23 @@ IN_RUNS: Final = (mix, hashed, vector_of, append_run, list_of, new_run, free_run
 def _copy_runs_loop(
     runs: Any,
     lists: Any,
-    least: int,
+    least: Any,
+    part_key: int,
     new_runs: Any,
     new_lists: Any,
     new_heads: Any,
     counts: Any,
 ) -> None:
-    """Copy the runs that began at ``least`` or after, list by list, in order."""
+    """Copy the runs that began at the ``least`` time of their part or after, list by list, in
+    order."""
     width, keys = runs.shape[1], lists.shape[1] - VECTOR_KEYS
     used, made = 0, 0
     for v in range(counts[LISTS]):
         r, to = lists[v, HEAD], -1
+        part = lists[v, VECTOR_KEYS + part_key] if part_key >= 0 else 0
         while r >= 0:
             after = runs[r, width + NEXT]
-            if runs[r, width + BEGAN] >= least:
+            if runs[r, width + BEGAN] >= least[part]:
                 if to < 0:
                     to = made
                     made += 1
@@ -258,7 +264,7 @@ def _types() -> tuple[Any, Any, Any]:
 
 def _copy_runs_signature() -> Any:
     types, row, table = _types()
-    return types.void(table, table, types.int64, table, table, row, row)
+    return types.void(table, table, row, types.int64, table, table, row, row)
 
 
 def _mark_nodes_signature() -> Any:

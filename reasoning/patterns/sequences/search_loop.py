@@ -16,21 +16,17 @@ from typing import Any, Final
 from ....streams.jit import JIT, Kernel
 from ..evaluation.conditions import END, START
 from ..evaluation.join_loop import plus
-from ..evaluation.packing import RETAINED
 from ..evaluation.store import (
     CUT_SHORT,
-    DECIDED,
     FIRST_OUT,
     IS_FULL,
     IS_OUT_FULL,
     IS_SHORT,
-    LATE,
     LOOKED_AT,
     MADE,
     OUT,
     ROWS,
     UNSTORED,
-    WATERMARK,
     first_at_least,
     put,
 )
@@ -45,11 +41,14 @@ from .run_loop import (
     LASTS,
     MOST_CANDIDATES,
     MOST_MATCHES,
+    PART_WORD,
     add_row,
     all_hold,
     bind,
     bind_next,
     give_out,
+    is_in_time,
+    mark_dead,
     mask_of,
 )
 from .run_loop import IN_LOOP as IN_RUN_LOOP
@@ -238,6 +237,7 @@ def _search_loop(
     vectors: Any,
     heads: Any,
     marks: Any,
+    times: Any,
     # The stack; its records as floats, too; the rows of the match so far as nodes.
     stack: Any,
     sums: Any,
@@ -265,14 +265,13 @@ def _search_loop(
     given = out, out_sums, due, marks
     n, kleene = settings[COUNT], settings[KLEENE]
     last = 1 << (n - 1)
-    for b in range(buffers.shape[0]):
-        work[DEAD, b] = plus(marks[DECIDED], -buffers[b, RETAINED])
+    mark_dead(buffers, work[DEAD], marks)
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
-        if batch[i, END] < marks[WATERMARK]:
-            marks[LATE] += suits != 0
+        if not is_in_time(i, batch, suits, settings[PART_WORD], marks, times):
             continue
-        marks[WATERMARK] = batch[i, END]
+        if settings[PART_WORD]:
+            mark_dead(buffers, work[DEAD], marks)
         if suits == 0:
             continue
         if marks[IS_FULL]:
@@ -328,7 +327,7 @@ def _search_signature() -> Any:
     row, table, floats = types.int64[::1], types.int64[:, ::1], types.float64[:, ::1]
     plan = (row, row, row, table, table, row, table, table, table, table)
     conditions = (table, floats, table, types.float64[::1])
-    store = (table, floats, row, row, table, row, row)
+    store = (table, floats, row, row, table, row, row, table)
     state = (table, floats, table, row, table, row, table, row)
     given = (table, floats, row)
     return types.int64(

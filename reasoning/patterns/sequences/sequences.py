@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.conditions import END
+from ..evaluation.conditions import COLUMNS, END
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.outputs import output_columns
-from ..evaluation.store import BUFFER, ROWS, SMALLEST, WATERMARK
+from ..evaluation.store import BUFFER, ROWS, SMALLEST, WATERMARK, WATERMARKS
 from ..plans.limits import DEFAULT_LIMITS, Counters, Limits
 from ..plans.plan import PatternPlan, Selection
 from ..plans.row_values import Row
@@ -38,10 +38,14 @@ class Sequences(Evaluator):
         *,
         limits: Limits = DEFAULT_LIMITS,
         capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
+        """``part``: a column of keys that numbers the part of a row; see `Store`."""
         network = sequence_network(plan)
-        self._packed = packed = pack_runs(plan, network)
-        super().__init__(plan, network, packed, width_of(packed), limits, capacity)
+        self._packed = packed = pack_runs(plan, network, part)
+        word = 0 if part is None else COLUMNS + packed.columns.index(part)
+        width = width_of(packed)
+        super().__init__(plan, network, packed, width, limits, capacity, part_word=word)
         count = len(plan.elements)
         lasts = network.reach(count)
         self._runs = Runs(packed, lasts, capacity)
@@ -50,7 +54,8 @@ class Sequences(Evaluator):
         contiguous = int(plan.selection in CONTIGUOUS)
         bits = packed.kleene, packed.listed
         most = self._most_matches, limits.candidates, limits.runs
-        self._settings = np.array([count, lasts, contiguous, *bits, *most], np.int64)
+        self._settings = np.array([count, lasts, contiguous, *bits, *most, word], np.int64)
+        self._part_key = packed.keys[0].tolist().index(word) if word else -1
         self._scratch = scratch(packed.buffers, packed.keys)
 
     @property
@@ -98,9 +103,10 @@ class Sequences(Evaluator):
         self._runs.restore(runs)
 
     def _compact_store(self, made: Integers) -> None:
-        watermark = int(self._store.marks[WATERMARK])
-        self._runs.capacity = self._store.capacity
-        self._store.compact(*self._runs.compact(watermark, self._waiting.rows, made))
+        store = self._store
+        watermarks = store.times[WATERMARKS] if store.part_word else store.marks[[WATERMARK]]
+        self._runs.capacity = store.capacity
+        store.compact(*self._runs.compact(watermarks, self._part_key, self._waiting.rows, made))
 
     def _ends(self, records: Integers) -> Integers:
         return self._store.table[:, END][self._last(records)]

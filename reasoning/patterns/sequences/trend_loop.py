@@ -22,22 +22,18 @@ from ....streams.jit import JIT, Kernel
 from ....streams.time import TIME_MAX, TIME_MIN
 from ..evaluation.conditions import END, STACK, START, compares, holds, number_at
 from ..evaluation.join_loop import plus
-from ..evaluation.packing import RETAINED
 from ..evaluation.store import (
     BASE,
-    DECIDED,
     FIRST,
     IN_LOOPS,
     IS_FULL,
     IS_OUT_FULL,
-    LATE,
     LOOKED_AT,
     MADE,
     OUT,
     ROWS,
     STOP,
     UNSTORED,
-    WATERMARK,
     first_at_least,
     hashed,
     put,
@@ -54,14 +50,17 @@ from .run_loop import (
     KLEENE,
     LASTS,
     MOST_CANDIDATES,
+    PART_WORD,
     SLOTS,
     bind_next,
+    is_in_time,
+    mark_dead,
     mask_of,
 )
 from .run_packing import OF_COLUMN, OF_ELEMENT, OF_NUMBERS
 from .trend_packing import AFTER, ENTRY
 
-HAS_INTERVALS: Final = 8
+HAS_INTERVALS: Final = 9
 """A setting, after those of `run_loop`."""
 # A cell in integers: the number of trends, and of each accumulator the number of values, the least
 # and the greatest (of integers); in floats: the same with the sum before the least.
@@ -293,6 +292,7 @@ def _trends_loop(
     vectors: Any,
     heads: Any,
     marks: Any,
+    times: Any,
     # Cells for two elements and three more, and the rows they belong to.
     cells: Any,
     cell_floats: Any,
@@ -313,14 +313,13 @@ def _trends_loop(
     plan = settings, run_keys
     n, kleene = settings[COUNT], settings[KLEENE]
     last = 1 << (n - 1)
-    for b in range(buffers.shape[0]):
-        work[DEAD, b] = plus(marks[DECIDED], -buffers[b, RETAINED])
+    mark_dead(buffers, work[DEAD], marks)
     for i in range(begin, batch.shape[0]):
         suits = kinds[kind[i]] if kind[i] >= 0 else 0
-        if batch[i, END] < marks[WATERMARK]:
-            marks[LATE] += suits != 0
+        if not is_in_time(i, batch, suits, settings[PART_WORD], marks, times):
             continue
-        marks[WATERMARK] = batch[i, END]
+        if settings[PART_WORD]:
+            mark_dead(buffers, work[DEAD], marks)
         if suits == 0:
             continue
         if marks[IS_FULL]:
@@ -376,8 +375,8 @@ def _trends_loop(
 
 
 IN_LOOP: Final = (
-    *IN_LOOPS, compares, number_at, holds, plus, bind_next, mask_of, clear, add_cell, begin_with,
-    may_follow, is_free, add_tested, window_of, sum_trends,
+    *IN_LOOPS, compares, number_at, holds, plus, is_in_time, mark_dead, bind_next, mask_of, clear,
+    add_cell, begin_with, may_follow, is_free, add_tested, window_of, sum_trends,
 )  # fmt: skip
 
 
@@ -387,7 +386,7 @@ def _trends_signature() -> Any:
     row, table, floats = types.int64[::1], types.int64[:, ::1], types.float64[:, ::1]
     plan = (row, row, row, table, table, table, table)
     conditions = (table, floats, table, types.float64[::1])
-    store = (table, floats, row, row, table, row, row)
+    store = (table, floats, row, row, table, row, row, table)
     cells = (table, floats, row, row)
     given = (table, floats)
     return types.int64(

@@ -60,8 +60,8 @@ class PackedTrends(PackedRows):
         return not (plan.has_intervals or has_conditions or (self.keys != self.keys[0]).any())
 
 
-def pack_trends(plan: PatternPlan, network: Network) -> PackedTrends:
-    """Pack a plan.
+def pack_trends(plan: PatternPlan, network: Network, part: str | None = None) -> PackedTrends:
+    """Pack a plan. ``part``: as for `pack_runs`.
 
     Raises `PlanError`: a condition reads rows that are not neighbours, an output reads others than
     the last one, something must not happen; `UnboundedRetention`.
@@ -76,7 +76,7 @@ def pack_trends(plan: PatternPlan, network: Network) -> PackedTrends:
         )
     for output in plan.outputs:
         _check_output(plan, output)
-    return _TrendPacker(plan, network).packed_trends()
+    return _TrendPacker(plan, network, part=part).packed_trends()
 
 
 def accumulators(plan: PatternPlan) -> list[tuple[int, str | None]]:

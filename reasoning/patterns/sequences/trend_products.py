@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.store import SMALLEST, VECTOR_KEYS, WATERMARK
+from ..evaluation.part_rows import InParts
+from ..evaluation.store import SMALLEST, VECTOR_KEYS, WATERMARK, WATERMARKS
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.plan import PatternPlan, PlanError
 from .product_loop import COUNTS, FREE, LIVE, SCRATCH, WINDOWS, run, sweep
@@ -25,9 +26,14 @@ class TrendProducts(Trends):
     """
 
     def __init__(
-        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
+        self,
+        plan: PatternPlan,
+        *,
+        limits: Limits = DEFAULT_LIMITS,
+        capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
-        super().__init__(plan, limits=limits, capacity=capacity)
+        super().__init__(plan, limits=limits, capacity=capacity, part=part)
         if not self._packed.is_free(plan):
             raise PlanError("neighbours in a match are compared", "sum along the rows")
         self._size = len(plan.elements) + 1
@@ -99,6 +105,7 @@ class TrendProducts(Trends):
             store.table,
             store.table.view(np.float64),
             store.marks,
+            store.times,
             self._windows,
             self._heads,
             self._items,
@@ -118,13 +125,20 @@ class TrendProducts(Trends):
         room = self._store.capacity + int(counts[WINDOWS]) // 2
         windows, heads = self._empty_windows(int(counts[WINDOWS]) + room)
         cells, floats = self._empty_cells(self._cells_of(len(windows)))
-        watermark = int(self._store.marks[WATERMARK])
+        store = self._store
+        watermarks = store.times[WATERMARKS] if store.part_word else store.marks[[WATERMARK]]
+        keys = self._packed.keys[0].tolist()
+        part_key = keys.index(store.part_word) if store.part_word else -1
         old = self._windows, self._items, self._item_cells, self._item_floats
         products = self._cells, self._cell_floats, counts
-        sweep(watermark, self._settings, *old, *products, windows, heads, cells, floats)
+        sweep(watermarks, part_key, self._settings, *old, *products, windows, heads, cells, floats)
         self._windows, self._heads, self._cells, self._cell_floats = windows, heads, cells, floats
         if 3 * int(counts[LIVE]) > 2 * len(self._items):
             self._items, self._item_cells, self._item_floats = (
                 np.concatenate([each, np.zeros_like(each)])
                 for each in (self._items, self._item_cells, self._item_floats)
             )
+
+
+class PartTrendProducts(InParts, TrendProducts):
+    """The same of each part; see `InParts`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..evaluation.part_rows import InParts
 from ..evaluation.store import SMALLEST
 from ..plans.limits import DEFAULT_LIMITS, Limits
 from ..plans.plan import PatternPlan
@@ -22,9 +23,14 @@ class TrendSums(Trends):
     """
 
     def __init__(
-        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
+        self,
+        plan: PatternPlan,
+        *,
+        limits: Limits = DEFAULT_LIMITS,
+        capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
-        super().__init__(plan, limits=limits, capacity=capacity)
+        super().__init__(plan, limits=limits, capacity=capacity, part=part)
         self._needs = np.zeros(1, np.int64)
         self._make_cells(capacity)
 
@@ -63,6 +69,7 @@ class TrendSums(Trends):
             store.vectors,
             store.heads,
             store.marks,
+            store.times,
             self._cells,
             self._cell_floats,
             self._places,
@@ -77,3 +84,7 @@ class TrendSums(Trends):
         if 2 * needed + 3 > len(self._cells):
             self._make_cells(2 * needed)
         self._store.compact(made[:, :1])
+
+
+class PartTrendSums(InParts, TrendSums):
+    """The same of each part; see `InParts`."""

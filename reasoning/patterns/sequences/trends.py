@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.conditions import END
+from ..evaluation.conditions import COLUMNS, END
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.outputs import output_columns
 from ..evaluation.store import SMALLEST
 from ..plans.limits import DEFAULT_LIMITS, Counters, Limits
 from ..plans.plan import NO_VALUE, Function, PatternPlan, Trend
 from ..plans.rows import Values
-from .run_loop import COUNT, KLEENE, LASTS, MOST_CANDIDATES, MOST_RUNS
+from .run_loop import COUNT, KLEENE, LASTS, MOST_CANDIDATES, MOST_RUNS, PART_WORD
 from .run_packing import OF_NUMBERS, sequence_network
 from .trend_loop import FLOAT_WORDS, HAS_INTERVALS, INTEGER_WORDS, scratch
 from .trend_packing import accumulators, is_start, pack_trends
@@ -47,19 +47,28 @@ class Trends(Evaluator):
     """
 
     def __init__(
-        self, plan: PatternPlan, *, limits: Limits = DEFAULT_LIMITS, capacity: int = SMALLEST
+        self,
+        plan: PatternPlan,
+        *,
+        limits: Limits = DEFAULT_LIMITS,
+        capacity: int = SMALLEST,
+        part: str | None = None,
     ) -> None:
+        """``part``: a column of keys that numbers the part of a row; see `Store`."""
         network = sequence_network(plan)
-        self._packed = packed = pack_trends(plan, network)
+        self._packed = packed = pack_trends(plan, network, part)
+        word = 0 if part is None else COLUMNS + packed.columns.index(part)
         added = len(packed.accumulators)
         self._integers, self._floats = 1 + INTEGER_WORDS * added, 1 + FLOAT_WORDS * added
         width = 1 + self._integers + self._floats
-        super().__init__(plan, network, packed, width, limits, capacity, rows_given=1)
+        super().__init__(
+            plan, network, packed, width, limits, capacity, rows_given=1, part_word=word
+        )
         count = len(plan.elements)
         self._settings = np.zeros(HAS_INTERVALS + 1, np.int64)
         self._settings[[COUNT, LASTS, KLEENE]] = count, network.reach(count), packed.kleene
         self._settings[[MOST_CANDIDATES, MOST_RUNS]] = limits.candidates, limits.rows
-        self._settings[HAS_INTERVALS] = plan.has_intervals
+        self._settings[[PART_WORD, HAS_INTERVALS]] = word, plan.has_intervals
         self._rounded = 0
         self._scratch = scratch(packed.buffers, packed.keys)
 

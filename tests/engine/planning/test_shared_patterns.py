@@ -1,10 +1,10 @@
 """Requests of a pattern's template for an object each, evaluated as one
-(engine/planning/pattern_sharing.py)."""
+(engine/planning/object_sharing.py)."""
 
 import json
 
 import pytest
-from feeding import feed, samples
+from feeding import Reader, feed, samples
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.durable_engine import RecordedEngine
@@ -138,15 +138,10 @@ def test_other_constants_are_groups_of_their_own(flying):
 @pytest.mark.parametrize(
     "template",
     [
-        # Which event is next depends on the events of all objects.
-        "REGISTER TEMPLATE Odd(?x in UAV) AS PATTERN SEQ(speed a, altitude b) WHERE "
-        "skip_till_next_match [id = ?x] AND a.value > 30 WITHIN 3 seconds",
         # The object is compared with another one.
         "REGISTER TEMPLATE Odd(?x in UAV) AS chronicle odd(?x, ?y) "
         "{ event(speed[?x]:(?, > 30), t1); event(altitude[?y], t2); ?x != ?y; "
         "t2 - t1 in [0s, 3s]; }",
-        # A formula.
-        "REGISTER TEMPLATE Odd(?x in UAV) AS speed(?x) > 30",
     ],
 )
 def test_what_is_not_of_an_object_by_itself_is_not_shared(flying, template):
@@ -260,30 +255,16 @@ def test_a_request_that_comes_after_a_silent_stream_went_on_has_its_own(engine):
 
 def test_a_reader_of_an_answer_hears_of_time(flying):
     _, view = (ask(flying, f"dyknow:uav{i}", "30") for i in (1, 2))
-    heard = []
-
-    class Reader:
-        knows_codes = False
-
-        def receive(self, source, batch):
-            heard.append(("samples", len(batch)))
-
-        def advance(self, source, watermark):
-            heard.append(("time", watermark // SECOND))
-
-        def ended(self, source):
-            heard.append(("ended", source.name))
-
     fly(flying, (1, "uav3", 1.0, 1.0))
     generator, reader = flying.generator(view.stream), Reader()
     generator.subscribe(reader)
-    assert heard == [("time", 1)]
+    assert reader.heard == [("time", SECOND)]
     fly(flying, (2, "uav3", 1.0, 1.0))
-    assert heard[1:] == [("time", 2)]
+    assert reader.heard[1:] == [("time", 2 * SECOND)]
     climb(flying, begin=2, names=("uav2",))
-    assert ("samples", 1) in heard
+    assert ("samples", 1) in reader.heard
     flying.end("a")
-    assert heard[-1] == ("ended", view.stream)
+    assert reader.heard[-1] == ("ended", view.stream)
     generator.unsubscribe(reader)
 
 

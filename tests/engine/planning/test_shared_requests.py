@@ -1,7 +1,7 @@
 """Requests of one template that are evaluated as one query (engine/planning/request_sharing.py)."""
 
 import pytest
-from feeding import feed, samples
+from feeding import Reader, feed, samples
 
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.engine.planning import request_sharing
@@ -161,37 +161,20 @@ def test_the_template_tells_how_many_were_answered(shared):
 def test_who_follows_an_answer_hears_of_time(shared):
     ask(shared, "?o", 100)
     view = ask(shared, "?o", 110)
-    heard = []
-
-    class Reader:
-        knows_codes = False
-
-        def receive(self, source, batch):
-            heard.append(("samples", len(batch)))
-
-        def advance(self, source, watermark):
-            heard.append(("time", watermark))
-
-        def ended(self, source):
-            heard.append(("ended", source.name))
-
-        def resumed(self, source):
-            heard.append(("resumed", source.name))
-
     fly(shared, 3, uav1=50)
     generator, reader = shared.generator(view.stream), Reader()
     generator.subscribe(reader)
-    assert heard == [("time", 2_900_000_001)]
+    assert reader.heard == [("time", 2_900_000_001)]
     fly(shared, 1, since=3, uav1=50)
-    assert heard[1:] == [("time", 3_900_000_001)]
+    assert reader.heard[1:] == [("time", 3_900_000_001)]
     shared.generator("speeds").end()
-    assert heard[-1] == ("ended", view.stream)
+    assert reader.heard[-1] == ("ended", view.stream)
     fly(shared, 1, since=5, uav1=50)
-    assert ("resumed", view.stream) in heard
+    assert ("resumed", view.stream) in reader.heard
     generator.unsubscribe(reader)
-    before = len(heard)
+    before = len(reader.heard)
     fly(shared, 1, since=6, uav1=50)
-    assert len(heard) == before
+    assert len(reader.heard) == before
 
 
 def test_what_fails_in_one_fails_in_no_other(shared):

@@ -1,7 +1,6 @@
 """Law: the verdicts of a monitor are the same samples however those of its streams are cut into
 batches, whichever stream publishes first, and also by an engine that was cut off and goes on."""
 
-import itertools
 import json
 import shutil
 from pathlib import Path
@@ -10,12 +9,11 @@ import pytest
 from commanding import state
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from monitor_worlds import OBJECTS, WORLDS, begun, options, publish, told
+from monitor_worlds import OBJECTS, WORLDS, in_order, in_some_order, options, told
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
-from dyknow.engine.model.views import Since
 from dyknow.journal.durability import Durability
 from dyknow.streams.time import SECOND, format_time
 
@@ -48,50 +46,6 @@ def monitors(draw):
     head = draw(st.sampled_from(sorted(FORMULAS)))
     body = draw(st.sampled_from(FORMULAS[head]))
     return f"monitor {head} = {body}{draw(options())}"
-
-
-def result(engine):
-    view = engine.queries.view("m")
-    assert view.failure is None
-    rows = list(engine.generator("m").stream.all().rows())
-    counters = engine.generator("m").counters
-    assert counters.used == counters.accepted == len(rows)
-    return rows, view.state, view.fields
-
-
-def in_order(world, text, left):
-    """Each sample by itself, in order of available time."""
-    engine = begun(world, text)
-    rows = [(row, name) for name, own in left.items() for row in own]
-    for row, name in sorted(rows, key=lambda each: each[0][0]):
-        publish(engine, name, [row])
-    for name in left:
-        engine.end(name)
-    return result(engine)
-
-
-def in_some_order(world, text, left, draw):
-    """One stream after the other or by turns, in some cuts; the monitor may come later, and begin
-    with the past."""
-    late = draw(st.integers(-3, 3))
-    engine = begun(world, text, registers=late <= 0)
-    left = {name: list(rows) for name, rows in left.items()}
-    for step in itertools.count(1):
-        if step == late:
-            engine.queries.register(text, since=Since.START)
-        if not left:
-            break
-        name = draw(st.sampled_from(sorted(left)))
-        if not left[name]:
-            engine.end(name)
-            del left[name]
-            continue
-        cut = draw(st.integers(1, len(left[name])))
-        publish(engine, name, left[name][:cut])
-        del left[name][:cut]
-    if step < late:
-        engine.queries.register(text, since=Since.START)
-    return result(engine)
 
 
 @settings(deadline=None, max_examples=80)

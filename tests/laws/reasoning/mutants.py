@@ -19,6 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
 STATES, MONITORING = "test_states.py", "test_monitoring.py"
+PARTS = "test_part_monitoring.py"
 EPSPARQL, SASE = "test_epsparql.py", "test_sase.py"
 RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
 # ruff: noqa: E501
@@ -26,15 +27,15 @@ MUTANTS = (
     # An interval [a, b] closes when the horizon is at its end, not later.
     ("mtl/nodes.py", "self.states.horizon, end, after=False", "self.states.horizon, end, after=True", PROGRESSION),
     # `eventually` is false only once its interval is closed.
-    ("mtl/nodes.py", "np.maximum(false, self.over(interval.end)[:, None], out=false)", "pass", PROGRESSION),
+    ("mtl/nodes.py", "known = self.at if is_past else self.over(interval.end)", "known = self.at", PROGRESSION),
     # Both ends belong to an interval.
     ("mtl/nodes.py", "later(valid, interval.end), after=True", "later(valid, interval.end), after=False", PROGRESSION),
     ("mtl/nodes.py", "later(valid, interval.start), after=False", "later(valid, interval.start), after=True", PROGRESSION),
     ("mtl/nodes.py", "earlier(valid, interval.end), after=False", "earlier(valid, interval.end), after=True", PROGRESSION),
     # `previous` is false at the first state of all.
-    ("mtl/nodes.py", "is_first = self.first == 0", "is_first = False", PROGRESSION),
+    ("mtl/nodes.py", "np.where(is_whole, 0, NEVER)", "NEVER", PROGRESSION),
     # Nothing is known of a start before it.
-    ("mtl/nodes.py", "np.maximum(true, known), np.maximum(false, known))\n\n    def _until", "true, false)\n\n    def _until", PROGRESSION),
+    ("mtl/nodes.py", "np.maximum(true, self.at[:, None], out=true)", "pass", PROGRESSION),
     # A left part that fails makes `until` false at once.
     ("mtl/windows.py", "false = min(false, max(ruled_out, false_left[state, column]))", "pass", PROGRESSION),
     # `since` looks back from its own state.
@@ -44,7 +45,9 @@ MUTANTS = (
     # Unknown needs both readings.
     ("mtl/evaluator.py", "np.maximum(lower.false, upper.true)", "np.minimum(lower.false, upper.true)", PROGRESSION),
     # States that a later verdict needs are kept.
-    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, states.valid) if count else 0", "keep = oldest", PROGRESSION),
+    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, once)", "pass", PROGRESSION),
+    # Parts of a batch are taken in turn.
+    ("mtl/evaluator.py", "range(0, count, most)", "range(0, count - most, most)", PROGRESSION),
     # The state of a witness.
     ("mtl/witness.py", "(a <= b) if is_or is is_true else (a >= b)", "a <= b", PROGRESSION),
     ("mtl/windows.py", "least < max(held, closed[i])", "least <= max(held, closed[i])", PROGRESSION),
@@ -52,10 +55,15 @@ MUTANTS = (
     ("mtl/robustness.py", "np.inf if is_upper else -np.inf", "-np.inf", ROBUSTNESS),
     ("mtl/robustness.py", "return axes, -table", "return axes, table", ROBUSTNESS),
     # A state leaves with the samples of its instant.
-    ("states/state_maker.py", 'np.searchsorted(left, rows.available, "left")', 'np.searchsorted(left, rows.available, "right")', STATES),
+    ("states/kept_samples.py", 'left.searchsorted(rows.available, "left")', 'left.searchsorted(rows.available, "right")', STATES),
     ("states/departures.py", "moments > last", "moments >= last", STATES),
-    ("mtl/monitoring.py", "self.evaluator.advance(steps.latest - 1)", "self.evaluator.advance(steps.latest)", MONITORING),
+    ("mtl/monitoring.py", "self._evaluator.advance(latest - 1)", "self._evaluator.advance(latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
+    # A timeline ends where the next one begins; a part has its own values, grid and first state.
+    ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PARTS),
+    ("mtl/evaluator.py", "known[rows.part] for name", "known[0 * rows.part] for name", PARTS),
+    ("states/part_states.py", "np.maximum(steps.left(part, due), self._begun[part])", "steps.left(part, due)", PARTS),
+    ("states/kept_samples.py", "(best >= 0) & (own[place] == part)", "best >= 0", PARTS),
     # SEQ is strict; EQUALS is of both times.
     ("patterns/compilation/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
     ("patterns/compilation/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),

@@ -3,6 +3,7 @@ evaluation of its own, in the same order."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
@@ -12,11 +13,15 @@ from hypothesis import strategies as st
 from pattern_cuts import found_in
 from pattern_definition import Row, Watermark
 from pattern_drawing import PatternDrawing, parted, rows_of
+from pattern_run_drawing import RunDrawing, TrendDrawing
 
 from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
-from dyknow.reasoning.patterns.evaluation.part_rows import PartRows
+from dyknow.reasoning.patterns.evaluation.evaluator import Evaluator
+from dyknow.reasoning.patterns.evaluation.part_rows import InParts, PartRows
 from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
+from dyknow.reasoning.patterns.plans.plan import Selection
 from dyknow.reasoning.patterns.plans.rows import Matches, Rows
+from dyknow.reasoning.patterns.recognition.choice import evaluator_of
 
 PARTS = 3
 PART = "part"
@@ -34,9 +39,57 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
     plan, draw = case.plan, Random(seed)
     if draw.random() < 0.5:
         plan = replace(plan, within=4)
+    compare(
+        case,
+        draw,
+        lambda: AllRows(plan, is_ordered=is_ordered, capacity=8),
+        lambda: PartRows(parted(plan, PART, PART), part=PART, is_ordered=is_ordered, capacity=8),
+    )
+
+
+@settings(deadline=None, max_examples=400)
+@given(st.integers(0, 2**32))
+def test_runs_of_a_part_are_those_of_its_own(seed: int) -> None:
+    compare_sequences(RunDrawing(seed, most_elements=3), Random(seed))
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, 2**32))
+def test_repetition_of_a_part_is_that_of_its_own(seed: int) -> None:
+    any_match = (Selection.ANY_MATCH,)
+    case = RunDrawing(seed, selections=any_match, most_elements=3)
+    compare_sequences(case, Random(seed), most=8)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, 2**32))
+def test_trends_of_a_part_are_those_of_its_own(seed: int) -> None:
+    compare_sequences(TrendDrawing(seed), Random(seed))
+
+
+def compare_sequences(case: PatternDrawing, draw: Random, most: int = 20) -> None:
+    plan = case.plan
+    if draw.random() < 0.5:
+        plan = replace(plan, within=4)
+    compare(
+        case,
+        draw,
+        lambda: evaluator_of(plan, capacity=8),
+        lambda: evaluator_of(parted(plan, PART, PART), capacity=8, part=PART),
+        most,
+    )
+
+
+def compare(
+    case: PatternDrawing,
+    draw: Random,
+    own: Callable[[], Evaluator],
+    shared: Callable[[], InParts],
+    most: int = 20,
+) -> None:
     try:
-        alone = [AllRows(plan, is_ordered=is_ordered, capacity=8) for _ in range(PARTS)]
-        running = PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8)
+        alone = [own() for _ in range(PARTS)]
+        running = shared()
     except (UnboundedRetention, ContradictoryTimes):
         assume(False)
     wanted: list[list] = [[] for _ in range(PARTS)]
@@ -44,14 +97,15 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
 
     def take(result: Matches) -> None:
         # The numbers of rows are those of all parts.
+        place = list(result.outputs).index(PART)
         for _, decided, outputs in found_in(result):
-            found[outputs[-1]].append((decided, outputs[:-1]))
+            found[outputs[place]].append((decided, (*outputs[:place], *outputs[place + 1 :])))
 
     def note(part: int, result: Matches) -> None:
         wanted[part] += [(decided, outputs) for _, decided, outputs in found_in(result)]
 
     # The parts are at different times.
-    steps = [case.steps(draw.randint(1, 20), draw.choice([8, 40])) for _ in range(PARTS)]
+    steps = [case.steps(draw.randint(1, most), draw.choice([8, 40])) for _ in range(PARTS)]
     known = 0
     batch: list[tuple[int, Row]] = []
     watermarks = np.full(PARTS, -(2**63), np.int64)
@@ -75,7 +129,7 @@ def test_a_part_is_an_evaluation_of_its_own(seed: int, is_ordered: bool) -> None
                 batch = []
         if draw.random() < 0.1:
             state = running.state()
-            running = PartRows(parted(plan, PART, PART), PART, is_ordered=is_ordered, capacity=8)
+            running = shared()
             running.restore(state)
     take(running.push(rows_with_parts(batch)))
     assert running.pending == sum(each.pending for each in alone)

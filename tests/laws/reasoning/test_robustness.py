@@ -139,10 +139,11 @@ def compared(seed: int, count: int, depth: int) -> Counter[str]:
         assert verdicts.robustness is None or len(verdicts.robustness) == len(verdicts)
         for row in range(len(verdicts)):
             names = tuple(OBJECTS[i] for i in verdicts.binding[row])
-            key = names, int(verdicts.start[row])
+            key = names, trace.valid.index(verdicts.start_time[row])
             assert key not in found
             margin = float(verdicts.robustness[row])
-            found[key] = int(verdicts.value[row]), int(verdicts.decided[row]), margin
+            decided = trace.valid.index(verdicts.decided_time[row])
+            found[key] = int(verdicts.value[row]), decided, margin
 
     for part in draw.cuts(count):
         take(evaluator.push(draw.states(trace, part)))

@@ -13,7 +13,8 @@ from state_definition import LEAST, Sample, State, StateDefinition
 
 from dyknow.reasoning.states import state_maker
 from dyknow.reasoning.states.departures import Departures
-from dyknow.reasoning.states.state_maker import MadeStates, Rows, StateMaker
+from dyknow.reasoning.states.kept_samples import Rows
+from dyknow.reasoning.states.state_maker import MadeStates, StateMaker
 from dyknow.streams.policies.policy import (
     Approximation,
     Duration,

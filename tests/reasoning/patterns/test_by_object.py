@@ -44,6 +44,10 @@ def found(text):
         ),
         (SASE.format("SEQ(speed a, altitude b) WHERE { [id = ?x] and a.value > ?limit }"), "id",
          ("x", "a", "b")),
+        (SASE.format("SEQ(speed+ a[], altitude b) WHERE [id = ?x] AND b.value > ?limit")
+         + " RETURN COUNT(*) AS n", "id", ("x",)),
+        (SASE.format("SEQ(speed a, altitude b) WHERE skip_till_next_match [id = ?x] AND "
+                     "b.value > ?limit"), "id", ("x", "a", "b")),
         (f"{EP} SELECT ?x ?v WHERE {{ ?x dyknow:speed ?v }} SEQ {{ ?x dyknow:altitude ?w "
          "FILTER (?w > ?limit) } WITHIN 3 s", "object 1", ("x",)),
         (f"{EP} SELECT ?v WHERE {{ ?x dyknow:speed ?v }} SEQ {{ ?x dyknow:altitude ?w "
@@ -68,12 +72,11 @@ def test_the_column_of_the_object(text, column, objects):
             "t2 - t1 in [0s, 3s];"
         ),
         CHRONICLE.format(f"{EVENTS} noevent(speed[uav2]:(?, < 5), (t1, t2));"),
-        # Which event is next depends on the others; events repeat; results are aggregates.
+        # The objects of several events are listed.
         SASE.format(
-            "SEQ(speed a, altitude b) WHERE skip_till_next_match [id = ?x] AND a.value > ?limit"
-        ),
-        SASE.format("SEQ(speed+ a[], altitude b) WHERE [id = ?x] AND b.value > ?limit")
-        + " RETURN COUNT(*) AS n",
+            "SEQ(speed+ a[], altitude b) WHERE skip_till_next_match [id = ?x] AND b.value > ?limit"
+        )
+        + " RETURN a[].id AS all",
         # With a maximal delay; over the streams of a sort.
         CHRONICLE.format(EVENTS) + " with max delay 2s",
         SASE.format("SEQ(UAV a, altitude b) WHERE { [id = ?x] and b.value > ?limit }"),

@@ -1,6 +1,6 @@
-"""Law: requests of a pattern's template that share an evaluation have the samples, and the times,
-that each would have from an evaluation of its own: however batches are cut, while requests come and
-go, and after a restart."""
+"""Law: requests of a template with a formula or pattern that share an evaluation have the samples,
+and the times, that each would have from an evaluation of its own: however batches are cut, while
+requests come and go, and after a restart."""
 
 import re
 from random import Random
@@ -9,14 +9,14 @@ import pytest
 from commanding import IRI, SORTS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from monitor_worlds import OBJECTS, WORLDS, begun, publish
+from monitor_worlds import OBJECTS, OPTIONS, WORLDS, begun, publish
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.checkpoint import Outside, engine_of, state_of
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import NoPlan
 from dyknow.engine.model.views import Since, StreamDeclaration
-from dyknow.engine.planning import pattern_sharing
+from dyknow.engine.planning import object_sharing
 from dyknow.engine.processes.registry import Processes
 from dyknow.engine.processes.supervision import DIRECT
 from dyknow.streams.sample import Field, FieldType
@@ -36,10 +36,36 @@ TEMPLATES = (
     "hold(speed[?x]:< 100, (t1, t2)); t2 - t1 in [-2s, 2s]; }",
     "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, ~altitude b, speed c) WHERE "
     "{ [id = ?x] and a.value > ?limit and b.value < 10 } WITHIN 3 seconds",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[], speed c) "
+    "WHERE skip_till_next_match [id = ?x] AND a.value > ?limit AND b[i].value > 3 WITHIN 4 seconds "
+    "RETURN count(b[]) AS n, b[].value AS all",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed+ a[], ~altitude b, speed c) "
+    "WHERE partition_contiguity [id = ?x] AND a[i].value > ?limit AND b.value < 4 WITHIN 3 seconds "
+    "RETURN avg(a[].value) AS mean",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
+    "[id = ?x] AND a.value > ?limit WITHIN 4 seconds RETURN COUNT(*) AS n, sum(b.value) AS total",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
+    "[id = ?x] AND a.value > ?limit AND b[i].value > b[i-1].value WITHIN 4 seconds "
+    "RETURN COUNT(*) AS n",
+    "REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS PATTERN SEQ(speed a, altitude+ b[]) WHERE "
+    "[id = ?x] AND a.value > ?limit WITHIN 2 seconds RETURN count(b[]) AS n LIMIT 4",
     f"{EP}REGISTER TEMPLATE dyknow:Odd(?x, ?limit) AS SELECT ?x ?v WHERE {{ ?x dyknow:speed ?v }} "
     "SEQ { ?x dyknow:altitude ?w FILTER (?w > ?limit) } WITHIN 3 s",
 )
+FORMULAS = (
+    "speed(?x) > ?limit",
+    "always[0s, 3s] (speed(?x) > ?limit -> eventually[0s, 2s] altitude(?x) > 10 [ft])",
+    "speed(?x) > ?limit until[0.5s, 2s] altitude(?x) < 10",
+    "once[0s, 2s] speed(?x) > ?limit or previous altitude(?x) > 4",
+    "(speed(?x) < ?limit since altitude(?x) > 4) and not eventually[1s, oo] speed(?x) > 40",
+    "historically[1s, oo] speed(?x) > ?limit -> eventually[0s, 1s] previous speed(?x) < ?limit",
+)
 NEVER = 10**9
+
+
+def formula_of(body, options):
+    told = f" with {', '.join(options)}" if options else ""
+    return f"REGISTER TEMPLATE Odd(?x in UAV, ?limit) AS {body}{told}"
 
 
 def world_of(world):
@@ -58,10 +84,15 @@ def world_of(world):
 class Scenario:
     """Samples of both streams, and what happens: requests, parts of the samples, and others."""
 
-    def __init__(self, seed):
+    def __init__(self, seed, *, is_formula):
         self.random = random = Random(seed)
         self.world = random.choice([*sorted(WORLDS), "declared", "declared"])
         self.template = random.choice(TEMPLATES)
+        if is_formula:
+            options = [o for each in OPTIONS if (o := random.choice(each))]
+            if "report changes" not in options and random.random() < 0.3:
+                options.append("robustness")
+            self.template = formula_of(random.choice(FORMULAS), options)
         self.samples = {name: self.flights() for name in "ab"}
         self.steps = [self.asked() for _ in range(random.randint(1, 4))]
         self.steps += [self.step() for _ in range(random.randint(6, 16))]
@@ -102,7 +133,7 @@ class Scenario:
 def run(world, template, given, sent, least):
     """What each request has in the end, by its place among the steps; and how many shared."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pattern_sharing, "SAME_PATTERN", least)
+        patch.setattr(object_sharing, "SAME_EVALUATION", least)
         engine = world_of(world)
         engine.register_template(template)
         left = {name: list(rows) for name, rows in sent.items()}
@@ -149,6 +180,14 @@ def seen(engine, id, stream):
     return rows, view.late, empty, failed, generator.is_ended, generator.is_idle
 
 
+def compared(seed, *, is_formula):
+    case = Scenario(seed, is_formula=is_formula)
+    parts = case.world, case.template, case.steps, case.samples
+    alone, _ = run(*parts, NEVER)
+    shared, _ = run(*parts, 1)
+    assert shared == alone
+
+
 @settings(deadline=None, max_examples=100)
 @given(st.integers(0, 2**32))
 # A stream that ends while another goes on; one that was silent and goes on before a request comes;
@@ -158,15 +197,17 @@ def seen(engine, id, stream):
 @example(20378)
 @example(20840)
 @example(30001)
-def test_sharing_changes_nothing(seed):
-    case = Scenario(seed)
-    parts = case.world, case.template, case.steps, case.samples
-    alone, _ = run(*parts, NEVER)
-    shared, _ = run(*parts, 1)
-    assert shared == alone
+def test_sharing_a_pattern_changes_nothing(seed):
+    compared(seed, is_formula=False)
 
 
-@pytest.mark.parametrize("template", TEMPLATES)
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 2**32))
+def test_sharing_a_formula_changes_nothing(seed):
+    compared(seed, is_formula=True)
+
+
+@pytest.mark.parametrize("template", [*TEMPLATES, *(formula_of(body, ()) for body in FORMULAS)])
 def test_requests_are_shared_in_the_law(template):
     given = [
         ("ask", f"dyknow:{name}", limit, Since.NOW) for name in OBJECTS for limit in ("9", "18")

@@ -1,0 +1,164 @@
+"""The samples of a term that states to come may need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...streams.sample import Times
+from ...streams.time import TIME_MIN
+from .part_departures import search
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Samples of a term, in order of available time: shape ``(n,)``; ``places`` has shape
+    ``(n, variables of the term)``: the places of their objects (`StateMaker.place`)."""
+
+    available: Times
+    valid: Times
+    places: NDArray[np.int64]
+    values: NDArray[Any]
+
+    def take(self, rows: Any) -> Rows:
+        return Rows(self.available[rows], self.valid[rows], self.places[rows], self.values[rows])
+
+
+class KeptSamples:
+    """The samples of one term that states may need."""
+
+    def __init__(self, variables: int) -> None:
+        self._variables = variables
+        self._waiting: list[tuple[int, Rows]] = []
+        self._rows = self._none = _no_rows(variables)
+        self._order: NDArray[np.int64] = np.empty(0, np.int64)
+        """The rank of each row by available time, source and arrival."""
+        self._entered = 0
+
+    def __len__(self) -> int:
+        return len(self._order) + sum(len(rows.valid) for _, rows in self._waiting)
+
+    def add(self, source: int, rows: Rows) -> None:
+        self._waiting.append((source, rows))
+
+    def enter(self, watermark: int) -> Rows:
+        """Let the samples in that are available before ``watermark``; return them."""
+        due, rest = [], []
+        for source, rows in sorted(self._waiting, key=lambda each: each[0]):
+            cut = int(rows.available.searchsorted(watermark, "left"))
+            if cut:
+                due.append(rows.take(slice(None, cut)))
+            if cut < len(rows.available):
+                rest.append((source, rows.take(slice(cut, None))))
+        self._waiting = rest
+        if not due:
+            return self._none
+        new = _joined(due, self._variables)
+        if len(due) > 1:
+            # Stable: parts of one source came in order.
+            new = new.take(np.argsort(new.available, kind="stable"))
+        order = self._entered + np.arange(len(new.valid), dtype=np.int64)
+        self._entered += len(order)
+        self._rows = _joined([self._rows, new], self._variables)
+        self._order = np.concatenate([self._order, order])
+        return new
+
+    def at(
+        self, due: Times, left: Times, shape: tuple[int, ...]
+    ) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        """The value at each state, and its sample's valid time (`TIME_MIN`: none); shape
+        ``(n, *shape)``. Forgets the samples that no later state needs."""
+        rows, count = self._rows, len(due)
+        # The first state that a sample counts for: it is valid then, and has come.
+        first = np.maximum(
+            due.searchsorted(rows.valid, "left"),
+            left.searchsorted(rows.available, "left"),
+        )
+        newest = np.lexsort((self._order, rows.valid))
+        rank = np.empty(len(newest), np.int64)
+        rank[newest] = np.arange(len(newest))
+        cells = int(np.prod(shape, dtype=np.int64))
+        cell = _cell_of(rows.places, shape)
+        best = np.full((count, cells), -1, np.int64)
+        counts = first < count
+        np.maximum.at(best, (first[counts], cell[counts]), rank[counts])
+        np.maximum.accumulate(best, axis=0, out=best)
+        if len(newest):
+            place = newest[best]
+            values = rows.values[place]
+            valid = np.where(best < 0, TIME_MIN, rows.valid[place])
+        else:
+            values = np.zeros(best.shape, rows.values.dtype)
+            valid = np.full(best.shape, TIME_MIN, np.int64)
+        keep = ~counts
+        winners = best[-1]
+        keep[newest[winners[winners >= 0]]] = True
+        self._rows, self._order = rows.take(keep), self._order[keep]
+        return values.reshape(count, *shape), valid.reshape(count, *shape)
+
+    def at_parts(
+        self, due: Times, left: Times, part: NDArray[np.int64], begin: NDArray[np.int64]
+    ) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        """The same for states of parts, of which the samples' places are the numbers. The states
+        are in order of part: those of part p are ``begin[p] .. begin[p + 1] - 1``; shape
+        ``(n,)``."""
+        rows = self._rows
+        if not len(self._order):
+            return np.zeros(len(due), rows.values.dtype), np.full(len(due), TIME_MIN, np.int64)
+        own = np.ascontiguousarray(rows.places[:, 0])
+        first = np.maximum(
+            search(begin, due, own, rows.valid), search(begin, left, own, rows.available)
+        )
+        counts = first < begin[own + 1]
+        newest = np.lexsort((self._order, rows.valid, own))
+        rank = np.empty(len(newest), np.int64)
+        rank[newest] = np.arange(len(newest))
+        best = np.full(len(due), -1, np.int64)
+        np.maximum.at(best, first[counts], rank[counts])
+        # Ranks increase with the part, so that of an earlier part stands for no sample.
+        np.maximum.accumulate(best, out=best)
+        place = newest[best]
+        is_own = (best >= 0) & (own[place] == part)
+        last = begin[1:][begin[1:] > begin[:-1]] - 1
+        keep = ~counts
+        keep[place[last[is_own[last]]]] = True
+        found = rows.values[place], np.where(is_own, rows.valid[place], TIME_MIN)
+        self._rows, self._order = rows.take(keep), self._order[keep]
+        return found
+
+    def drop(self, place: int) -> None:
+        """Forget the samples with this first place."""
+        keep = self._rows.places[:, 0] != place
+        self._rows, self._order = self._rows.take(keep), self._order[keep]
+        self._waiting = [
+            (source, rows.take(rows.places[:, 0] != place)) for source, rows in self._waiting
+        ]
+
+
+def _no_rows(variables: int) -> Rows:
+    none = np.empty(0, np.int64)
+    return Rows(none, none, np.empty((0, variables), np.int64), np.empty(0))
+
+
+def _joined(parts: Sequence[Rows], variables: int) -> Rows:
+    parts = [part for part in parts if len(part.valid)]
+    if not parts:
+        return _no_rows(variables)
+    return Rows(
+        np.concatenate([part.available for part in parts]),
+        np.concatenate([part.valid for part in parts]),
+        np.concatenate([part.places for part in parts]),
+        np.concatenate([part.values for part in parts]),
+    )
+
+
+def _cell_of(places: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """The index of each row's objects in a flattened table of this shape."""
+    cell = np.zeros(len(places), np.int64)
+    for axis, size in enumerate(shape):
+        cell = cell * size + places[:, axis]
+    return cell
