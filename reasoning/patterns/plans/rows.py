@@ -59,10 +59,9 @@ class Matches:
 
 def concatenated(parts: Sequence[Matches]) -> Matches:
     """Return the matches of all parts, of which there is at least one, in order."""
-    filled = [each for each in parts if len(each)]
-    if len(filled) < 2:
-        return filled[0] if filled else parts[0]
-    parts = filled
+    if len(parts) == 1:
+        return parts[0]
+    # A copy, also of one part among empty ones: the evaluator writes into its tables again.
     return Matches(
         np.concatenate([each.rows for each in parts]),
         np.concatenate([each.decided for each in parts]),

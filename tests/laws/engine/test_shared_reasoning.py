@@ -191,12 +191,14 @@ def compared(seed, *, is_formula):
 @settings(deadline=None, max_examples=100)
 @given(st.integers(0, 2**32))
 # A stream that ends while another goes on; one that was silent and goes on before a request comes;
-# a request that comes when a stream has ended; a stream that goes on behind what was reached.
+# a request that comes when a stream has ended; a stream that goes on behind what was reached;
+# matches whose tables the evaluator writes again.
 @example(1051)
 @example(19)
 @example(20378)
 @example(20840)
 @example(30001)
+@example(447)
 def test_sharing_a_pattern_changes_nothing(seed):
     compared(seed, is_formula=False)
 

@@ -58,6 +58,8 @@ def test_places() -> None:
             for _ in "tl"
         )
         for after in (False, True):
-            found = windows.places(times, limits, after=after)
+            begin = np.zeros(len(limits), np.int64)
+            end = np.full(len(limits), len(times))
+            found = windows.places(times, limits, begin, end, after=after)
             side = "right" if after else "left"
             assert found.tolist() == np.searchsorted(times, limits, side).tolist()
