@@ -188,7 +188,7 @@ def test_the_health_check_says_whether_it_is_ready(
             return subprocess.run([sys.executable, *arguments], capture_output=True).returncode
 
         end = time.monotonic() + 120
-        while httpx.get(f"{url}/readyz", trust_env=False).status_code != 200:
+        while httpx.get(f"{url}/readyz", trust_env=False, timeout=60).status_code != 200:
             assert time.monotonic() < end
         assert check() == 0
         found.troubles["journal"] = "no room"

@@ -60,7 +60,7 @@ def serving(*arguments: str, **environment: str) -> Iterator[Process]:
         found.url = url[0]
         reader = threading.Thread(target=found.read)
         reader.start()
-        with httpx.Client(base_url=found.url, trust_env=False) as client:
+        with httpx.Client(base_url=found.url, trust_env=False, timeout=60) as client:
             while client.get("/readyz").status_code != 200:
                 time.sleep(0.02)
             client.put("/streams/s", json={"fields": {"n": "integer"}})
@@ -162,7 +162,7 @@ def test_a_second_signal_ends_it_at_once(second: signal.Signals) -> None:
     with serving(DYKNOW_DRAIN="3600") as service:
         reader = Reader(service.url, "/streams/s/events")
         service.process.send_signal(signal.SIGINT)
-        with httpx.Client(base_url=service.url, trust_env=False) as client:
+        with httpx.Client(base_url=service.url, trust_env=False, timeout=60) as client:
             while client.get("/readyz").status_code == 200:
                 time.sleep(0.01)
         service.process.send_signal(second)
@@ -173,7 +173,7 @@ def test_a_second_signal_ends_it_at_once(second: signal.Signals) -> None:
 
 def test_it_drains_first_not_ready_and_still_taking_requests() -> None:
     with serving(DYKNOW_DRAIN="8") as service:
-        with httpx.Client(base_url=service.url, trust_env=False) as client:
+        with httpx.Client(base_url=service.url, trust_env=False, timeout=60) as client:
             service.process.send_signal(signal.SIGTERM)
             while (answer := client.get("/readyz")).status_code == 200:
                 time.sleep(0.01)

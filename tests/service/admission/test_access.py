@@ -404,7 +404,9 @@ def test_a_service_at_all_addresses_is_called_by_each(engine: Engine, clock: Clo
     settings = Settings(host="0.0.0.0", port=0, tokens=SecretStr(LINES))
     with running(create_app(engine, settings, clock), settings) as url:
         for host, status in (("192.168.1.5:80", 200), ("[fe80::1]", 200), ("evil.example", 421)):
-            answer = httpx.get(f"{url}/healthz", headers={"Host": host}, trust_env=False)
+            answer = httpx.get(
+                f"{url}/healthz", headers={"Host": host}, trust_env=False, timeout=60
+            )
             assert answer.status_code == status
 
 
@@ -614,4 +616,4 @@ def test_an_address_that_is_cut_off_is_no_failure(url: str) -> None:
             linger = struct.pack("ii", 1, 0)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
             connection.sendall(b"GET /streams HTTP/1.1\r\nHost: localhost\r\n")
-    assert httpx.get(f"{url}/healthz", trust_env=False).status_code == 200
+    assert httpx.get(f"{url}/healthz", trust_env=False, timeout=60).status_code == 200

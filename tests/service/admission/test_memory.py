@@ -264,7 +264,10 @@ def _shorten(service: Service) -> None:
 
 def test_reading_and_removing_go_on(service: tuple[str, Service]) -> None:
     url, inside = service
-    with Client(url, timeout=120) as client, httpx.Client(base_url=url, trust_env=False) as http:
+    with (
+        Client(url, timeout=120) as client,
+        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+    ):
         client.put_stream("s", FIELDS)
         client.publish("s", [{"valid": 1, "id": "u", "speed": 1.0}])
         _shorten(inside)
@@ -315,7 +318,9 @@ def test_units_are_removed_and_not_inserted(service: tuple[str, Service]) -> Non
 
     with (
         Client(url, timeout=120) as client,
-        httpx.Client(base_url=url, trust_env=False, headers={"Content-Type": "text/xml"}) as http,
+        httpx.Client(
+            base_url=url, trust_env=False, headers={"Content-Type": "text/xml"}, timeout=60
+        ) as http,
     ):
         client.put_stream("s", FIELDS)
         assert http.post("/specifications", content=specification(policy("slow"))).is_success
@@ -344,7 +349,7 @@ def test_nothing_is_left_of_what_is_refused(
         _shorten(inside)
         rows: list[dict[str, object]] = [{"valid": 2, "id": "another", "speed": 1.0}]
         body = _lines(rows) if kind is NDJSON else bytes_of_table(pa.Table.from_pylist(rows))
-        answer = httpx.post(f"{url}/streams/s/{path}", content=body, headers=kind)
+        answer = httpx.post(f"{url}/streams/s/{path}", content=body, headers=kind, timeout=60)
         assert (answer.status_code, answer.json()["title"]) == (503, "memory is short")
         assert list(texts.strings()) == ["u"]
 
@@ -360,7 +365,9 @@ def test_a_live_body_ends_with_what_was_taken(service: tuple[str, Service]) -> N
             _shorten(inside)
             yield b'{"valid": 3, "id": "u", "speed": 1}\n'
 
-        answer = httpx.post(f"{url}/streams/s/samples/live", content=lines(), headers=NDJSON)
+        answer = httpx.post(
+            f"{url}/streams/s/samples/live", content=lines(), headers=NDJSON, timeout=60
+        )
         problem = answer.json()
         assert (answer.status_code, problem["title"]) == (503, "memory is short")
         assert problem["accepted"] == 2
@@ -383,7 +390,8 @@ def test_a_service_that_is_filled_has_a_way_back(engine: Engine, clock: Clock, w
     ):
         client.put_stream("s", {"text": "string"})
         for number in itertools.count():
-            assert number < 150, "what is sent is larger than what there is room for"
+            # A process that has freed much in earlier tests takes more of it.
+            assert number < 600, "what is sent is larger than what there is room for"
             rows = [{"valid": i, "text": os.urandom(10_000).hex()} for i in range(50)]
             body = "\n".join(map(json.dumps, rows))
             answer = http.post("/streams/s/samples", content=body, headers=NDJSON)

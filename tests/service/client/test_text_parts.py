@@ -74,7 +74,10 @@ def test_annotations_come_back_whole(
     text = "\n".join(SPEED.format(i) for i in range(THINGS))
     assert len(client.annotate(text)) == THINGS
     told = ssl(http)
-    with fresh(settings, clock) as other, httpx.Client(base_url=other.url) as other_http:
+    with (
+        fresh(settings, clock) as other,
+        httpx.Client(base_url=other.url, timeout=60) as other_http,
+    ):
         before = ssl(other_http)
         assert len(parse_ssl(told)) == THINGS + len(parse_ssl(before))
         other.annotate(told)
@@ -93,7 +96,10 @@ def test_kpl_comes_back_whole(
     assert len(client.declare_kpl("\n".join(lines))) == THINGS
     told = kpl(http)
     assert len(parse_kpl(told).declarations) == THINGS
-    with fresh(settings, clock) as other, httpx.Client(base_url=other.url) as other_http:
+    with (
+        fresh(settings, clock) as other,
+        httpx.Client(base_url=other.url, timeout=60) as other_http,
+    ):
         other.declare_kpl(told)
         assert kpl(other_http) == told
 

@@ -73,7 +73,10 @@ def service() -> Iterator[httpx.Client]:
     settings = Settings(port=0, sse_ping=0)
     engine = Engine(epoch="e1", turns=WindowTurns(5, 60))
     app = create_app(engine, settings, time.time_ns)
-    with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
+    with (
+        running(app, settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+    ):
         yield http
 
 
@@ -88,6 +91,9 @@ def _fly(url: str, stopped: threading.Event) -> None:
 
 def _is_asked(url: str) -> bool:
     try:
-        return httpx.post(f"{url}/events", content=FAST, trust_env=False).status_code == 201
+        return (
+            httpx.post(f"{url}/events", content=FAST, trust_env=False, timeout=60).status_code
+            == 201
+        )
     except httpx.TransportError:
         return False

@@ -118,33 +118,39 @@ def test_ask_shows_the_plan_starts_and_ends_a_request(flying: str, open_page: OP
     assert page.run("document.querySelector('button.main').disabled")
     page.choose("#p-type", "Aircraft")
     page.wait("document.querySelector('button.main').disabled === false")
-    asked = len(httpx.get(f"{flying}/events").json())
+    asked = len(httpx.get(f"{flying}/events", timeout=60).json())
     page.click("button.main", "Start")
     page.wait_text("It runs as ")
-    requests = httpx.get(f"{flying}/events").json()
+    requests = httpx.get(f"{flying}/events", timeout=60).json()
     assert len(requests) == asked + 1
     assert requests[-1]["arguments"] == ["?o", "dyknow:Aircraft", "777"]
     page.run(f"location.hash = 'live/{requests[-1]['stream']}'")
     page.click("button.danger", "End it")
     page.wait_text("has ended")
-    assert len(httpx.get(f"{flying}/events").json()) == asked
+    assert len(httpx.get(f"{flying}/events", timeout=60).json()) == asked
     page.click(".toast button", "Undo")
     page.wait("document.querySelector('.toast') === null")
     page.wait_text("777")
-    (again,) = [each for each in httpx.get(f"{flying}/events").json() if "777" in each["arguments"]]
-    httpx.delete(f"{flying}/events/{again['id']}")
+    (again,) = [
+        each
+        for each in httpx.get(f"{flying}/events", timeout=60).json()
+        if "777" in each["arguments"]
+    ]
+    httpx.delete(f"{flying}/events/{again['id']}", timeout=60)
 
 
 def test_the_graph_has_each_stream_and_its_chain(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#graph")
-    names = {each["name"] for each in httpx.get(f"{flying}/streams").json()} - {"status"}
+    names = {each["name"] for each in httpx.get(f"{flying}/streams", timeout=60).json()} - {
+        "status"
+    }
     shown = "[...document.querySelectorAll('.node')].map((each) => each.dataset.id)"
     page.wait(f"({shown}).length === {len(names)}")
     assert set(page.run(shown)) == names
     page.run("document.querySelector('[data-id=adsb]').focus()")
     page.press("Enter")
     page.wait("location.hash === '#graph/adsb'")
-    units = httpx.get(f"{flying}/units").json()
+    units = httpx.get(f"{flying}/units", timeout=60).json()
     page.wait_text("feeds")
     details = page.run("document.querySelector('aside').innerText")
     for unit in units:
@@ -208,7 +214,7 @@ def test_a_continuous_query_is_explained_registered_read_and_ended(
     page.wait("document.querySelectorAll('.result tbody tr').length > 3")
     page.click("button.danger", "End it")
     page.wait("!document.body.innerText.includes('Last window of')")
-    assert httpx.get(f"{flying}/queries").json() == []
+    assert httpx.get(f"{flying}/queries", timeout=60).json() == []
 
 
 def test_every_continuous_example_has_a_plan(flying: str, open_page: OPEN) -> None:
@@ -217,7 +223,10 @@ def test_every_continuous_example_has_a_plan(flying: str, open_page: OPEN) -> No
     assert len(examples) == 4
     for title, text in examples:
         answer = httpx.post(
-            f"{flying}/explain", json={"query": text}, headers={"Accept": "application/json"}
+            f"{flying}/explain",
+            json={"query": text},
+            headers={"Accept": "application/json"},
+            timeout=60,
         )
         assert answer.status_code == 200, (title, answer.text)
         assert answer.json()["found"], title
@@ -225,7 +234,7 @@ def test_every_continuous_example_has_a_plan(flying: str, open_page: OPEN) -> No
 
 def test_a_verdict_is_explained(flying: str, open_page: OPEN) -> None:
     text = "monitor high(?x in Aircraft) = altitude(?x) > 100000 [ft]"
-    assert httpx.post(f"{flying}/queries", content=text).status_code == 201
+    assert httpx.post(f"{flying}/queries", content=text, timeout=60).status_code == 201
     page = open_page(f"{flying}/#live/high")
     page.click(".line button.chip", "why?")
     page.wait("document.querySelector('dialog.why tbody') !== null")
@@ -234,7 +243,7 @@ def test_a_verdict_is_explained(flying: str, open_page: OPEN) -> None:
     assert "altitude" in shown
     page.click("dialog.why button", "Close")
     page.wait("document.querySelector('dialog.why') === null")
-    assert httpx.delete(f"{flying}/queries/high").status_code == 204
+    assert httpx.delete(f"{flying}/queries/high", timeout=60).status_code == 204
 
 
 def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> None:
@@ -258,7 +267,7 @@ def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> No
 def test_system_counts_a_silent_stream(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#system")
     page.wait_text("Nothing is wrong")
-    with httpx.Client(base_url=flying, trust_env=False) as http:
+    with httpx.Client(base_url=flying, trust_env=False, timeout=60) as http:
         ssl = "stream quiet contains speed(Car) = v for every Car = id"
         fields = {"fields": {"id": "string", "v": "float"}}
         assert http.put("/streams/quiet", json=fields).status_code == 201
@@ -278,7 +287,7 @@ def test_system_counts_a_silent_stream(flying: str, open_page: OPEN) -> None:
 
 
 def test_system_shows_refused_requests_and_the_data_directory(flying: str, open_page: OPEN) -> None:
-    assert httpx.get(f"{flying}/streams/no_such_stream").status_code == 404
+    assert httpx.get(f"{flying}/streams/no_such_stream", timeout=60).status_code == 404
     page = open_page(f"{flying}/#system")
     page.wait_text("/streams/no_such_stream")
     page.wait_text("unknown stream")

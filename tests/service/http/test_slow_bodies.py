@@ -134,7 +134,7 @@ def test_a_body_that_is_too_slow_need_not_come_to_its_deadline(
     # Its deadline is far beyond the end of this test.
     settings = Settings(port=0, body_timeout=120 * LONG, body_rate=1_000_000)
     with running(create_app(engine, settings, clock), settings) as url, connected(url) as slow:
-        httpx.put(f"{url}/streams/s", json={"fields": FIELDS}, trust_env=False)
+        httpx.put(f"{url}/streams/s", json={"fields": FIELDS}, trust_env=False, timeout=60)
         slow.sendall(head("POST", "/streams/s/samples", "Content-Length: 1000") + b"{")
         assert answer(slow)[0] == 408
 
@@ -464,7 +464,7 @@ def test_connections_of_one_address_are_bounded(url: str, http: httpx.Client) ->
 
 def is_heard(url: str) -> bool:
     """Whether there is a place for a connection: that one is gone is heard of when it is."""
-    return httpx.get(f"{url}/healthz", trust_env=False).status_code == 200
+    return httpx.get(f"{url}/healthz", trust_env=False, timeout=60).status_code == 200
 
 
 def test_a_flood_of_connections_is_let_go(
@@ -516,9 +516,9 @@ def test_a_bound_that_is_reached_is_counted(url: str) -> None:
             connection = stack.enter_context(connected(url))
             connection.sendall(head("GET", "/status/events"))
             assert connection.recv(16).startswith(b"HTTP/1.1 200")
-        assert httpx.get(f"{url}/healthz", trust_env=False).status_code == 503
+        assert httpx.get(f"{url}/healthz", trust_env=False, timeout=60).status_code == 503
     until(lambda: is_heard(url))
-    assert "too many connections" in httpx.get(f"{url}/metrics", trust_env=False).text
+    assert "too many connections" in httpx.get(f"{url}/metrics", trust_env=False, timeout=60).text
 
 
 def test_bounds_count_what_is_there() -> None:
@@ -546,5 +546,5 @@ def test_a_stop_does_not_wait_for_silent_connections(
         with running(create_app(engine, settings, clock), settings) as url:
             connection = stack.enter_context(connected(url))
             connection.sendall(b"GET /healthz HTT")
-            assert httpx.get(f"{url}/healthz", trust_env=False).status_code == 200
+            assert httpx.get(f"{url}/healthz", trust_env=False, timeout=60).status_code == 200
         assert rest(connection) == b""

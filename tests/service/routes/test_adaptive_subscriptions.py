@@ -450,7 +450,7 @@ def test_the_command(http: httpx.Client, url: str, client: Client, as_json: bool
     is_over = threading.Event()
 
     def switch() -> None:
-        with httpx.Client(base_url=url, trust_env=False) as other:
+        with httpx.Client(base_url=url, trust_env=False, timeout=60) as other:
             while not is_over.is_set() and not other.get("/subscriptions").json():
                 pass
             quality(other, "s1", 0.25)

@@ -87,7 +87,7 @@ def test_samples_fit_the_stream_that_is_there_when_the_body_is_complete(
 
     def body() -> Iterator[bytes]:
         yield b'{"valid": 1, "id": "uav1", '
-        with httpx.Client(base_url=url, trust_env=False) as other:
+        with httpx.Client(base_url=url, trust_env=False, timeout=60) as other:
             answer = other.put("/streams/z", json=fields(("id", "string"), ("alt", "integer")))
             assert answer.status_code == 200
         yield b'"alt": 5}\n'

@@ -39,7 +39,10 @@ def test_what_goes_on_is_a_reason_until_it_is_over(
     service: Service = app.state.service
     service.warming = WarmUp()
     service.warming.begin("loops", "being compiled", lambda: gate.wait(30) and None)
-    with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
+    with (
+        running(app, settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+    ):
         until(lambda: http.get("/readyz").json()["reasons"] == ["loops: being compiled"])
         assert http.get("/readyz").status_code == 503
         assert http.get("/status").json()["starting"] == ["loops: being compiled"]

@@ -123,7 +123,10 @@ def test_who_takes_too_little_is_let_go(engine: Engine, settings: Settings, cloc
     app = create_app(engine, demanding, clock)
     with running(app, demanding) as url, Client(url, timeout=LONG) as client:
         fill(client)
-        with httpx.Client(base_url=url, trust_env=False) as http, stalled(url, HISTORY) as slow:
+        with (
+            httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+            stalled(url, HISTORY) as slow,
+        ):
             limit = time.monotonic() + LONG
             while slow_readers(http) == 0:
                 assert time.monotonic() < limit
@@ -138,7 +141,7 @@ def test_event_streams_have_a_patience_of_their_own(
     app = create_app(engine, patient, clock)
     with running(app, patient) as url, Client(url, timeout=LONG) as client:
         fill(client)
-        with httpx.Client(base_url=url, trust_env=False) as http:
+        with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
             with stalled(url, "/streams/s/events?since=start") as events:
                 until(lambda: metric(http, "dyknow_event_stream_blocked") == 1)
                 with stalled(url, HISTORY) as history:

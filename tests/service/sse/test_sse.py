@@ -346,5 +346,5 @@ def test_what_is_no_http_ends_an_event_stream_quietly(
         for number in range(5):
             client.publish(stream, samples(number * 20, 20))
     gone = "dyknow_event_stream_clients 0.0"
-    until(lambda: gone in httpx.get(f"{url}/metrics", trust_env=False).text)
+    until(lambda: gone in httpx.get(f"{url}/metrics", trust_env=False, timeout=60).text)
     assert [r.getMessage() for r in caplog.records if r.levelno >= logging.ERROR] == []

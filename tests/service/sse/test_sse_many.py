@@ -129,7 +129,11 @@ def test_what_is_held_for_who_takes_nothing_is_bounded(
     patient = settings.model_copy(update={"sse_send_timeout": 60.0})
     app = create_app(engine, patient, clock)
     service: Service = app.state.service
-    with running(app, patient) as url, Client(url) as client, httpx.Client(base_url=url) as http:
+    with (
+        running(app, patient) as url,
+        Client(url) as client,
+        httpx.Client(base_url=url, timeout=60) as http,
+    ):
         client.put_stream("many", FIELDS)
         for i in range(8):  # a megabyte each
             publish(client, 1 + 500 * i, 500, "x" * 2000)
@@ -164,7 +168,10 @@ def test_one_address_does_not_take_every_place(
     service: Service = app.state.service
     # Who is who is told by a header here, as it would be by a token.
     service.client_key = lambda request: request.headers.get("last-event-id", "")[:1]
-    with running(app, limited) as url, httpx.Client(base_url=url, trust_env=False) as http:
+    with (
+        running(app, limited) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+    ):
         http.put("/streams/many", json={"fields": FIELDS})
         path = "/streams/many/events"
         kept = [connect(url, path, f"a-{i}") for i in range(3)]

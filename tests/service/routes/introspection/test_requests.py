@@ -164,6 +164,6 @@ def test_a_disk_that_does_not_answer_is_a_problem(
         raise OSError("input/output error")
 
     monkeypatch.setattr(recorded, "disk_use", broken)
-    answer = httpx.get(f"{client.url}/journal", trust_env=False)
+    answer = httpx.get(f"{client.url}/journal", trust_env=False, timeout=60)
     assert answer.status_code == 503
     assert "input/output error" in answer.json()["detail"]

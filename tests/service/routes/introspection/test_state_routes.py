@@ -216,6 +216,6 @@ def test_the_tokens_of_the_settings_are_not_told() -> None:
     app = create_app(Engine(epoch="e1"), settings, lambda: 0)
     with running(app, settings) as url:
         headers = {"Authorization": "Bearer admin-0123456789-0123456789"}
-        text = httpx.get(f"{url}/settings", headers=headers, trust_env=False).text
+        text = httpx.get(f"{url}/settings", headers=headers, trust_env=False, timeout=60).text
     assert "tokens" in text
     assert "0123456789" not in text
