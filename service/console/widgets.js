@@ -158,21 +158,33 @@ function options(number, focus, zero) {
 }
 
 /** The arrays that uPlot draws: the values of each line at all times. Nothing at a time that a line
-    lacks, and null (a gap) where it has nothing for longer than `gap` seconds. */
+    lacks, and null (a gap) where it has nothing for longer than `gap` seconds and `PAUSE` of its
+    steps: at all times there, since uPlot ends a gap at the first time without null. */
 export function aligned(lines, gap = 5) {
-  const times = [...new Set(lines.flatMap((line) => line.map(([time]) => time)))].sort((a, b) => a - b);
+  const limits = lines.map((line) => Math.max(gap, PAUSE * usualStep(line)));
+  const isGap = (line, i, limit) => i > 0 && line[i][0] - line[i - 1][0] > limit;
+  // A gap needs a time of its own: other lines may have none there.
+  const all = lines.flatMap((line, n) => line.flatMap(([time], i) =>
+    isGap(line, i, limits[n]) ? [(line[i - 1][0] + time) / 2, time] : [time]));
+  const times = [...new Set(all)].sort((a, b) => a - b);
   const index = new Map(times.map((time, i) => [time, i]));
-  return [times, ...lines.map((line) => {
+  return [times, ...lines.map((line, n) => {
     const row = new Array(times.length);
-    let last = null;
-    for (const [time, value] of line) {
-      const i = index.get(time);
-      if (last !== null && time - times[last] > gap && i - last > 1) row[last + 1] = null;
-      row[i] = value;
-      last = i;
-    }
+    line.forEach(([time, value], i) => {
+      const at = index.get(time);
+      if (isGap(line, i, limits[n])) row.fill(null, index.get(line[i - 1][0]) + 1, at);
+      row[at] = value;
+    });
     return row;
   })];
+}
+
+const PAUSE = 3;
+
+/** The median time between two points of a line; 0 if there is one. */
+function usualStep(line) {
+  const steps = line.slice(1).map(([time], i) => time - line[i][0]).sort((a, b) => a - b);
+  return steps[(steps.length - 1) >> 1] ?? 0;
 }
 
 const ROW = 26, BEYOND = 4;

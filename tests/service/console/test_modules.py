@@ -165,4 +165,21 @@ def test_lines_are_aligned_with_gaps(run: Run) -> None:
         """return widgets.aligned([[[1, 'a'], [2, 'b'], [20, 'c']], [[2, 'x'], [3, 'y']]])
           .map((row) => Array.from(row, (each) => (each === undefined ? '-' : each)));"""
     )
-    assert found == [[1, 2, 3, 20], ["a", "b", None, "c"], ["-", "x", "y", "-"]]
+    assert found == [
+        [1, 2, 3, 11, 20],
+        ["a", "b", None, None, "c"],
+        ["-", "x", "y", "-", "-"],
+    ]
+
+
+def test_a_gap_holds_at_all_times_of_others_and_is_more_than_the_usual_step(run: Run) -> None:
+    found = run(
+        """const slow = [[0, 1], [10, 2], [20, 3]], gone = [[0, 'a'], [1, 'b'], [2, 'c'], [20, 'd']];
+        return widgets.aligned([slow, gone])
+          .map((row) => Array.from(row, (each) => (each === undefined ? '-' : each)));"""
+    )
+    assert found == [
+        [0, 1, 2, 10, 11, 20],
+        [1, "-", "-", 2, "-", 3],
+        ["a", "b", "c", None, None, "d"],
+    ]
