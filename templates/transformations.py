@@ -164,7 +164,11 @@ def _reasoned(template: ReasonedTemplate, vocabulary: Vocabulary) -> _Descriptio
 
 def _must_be_given(template: AnyTemplate, parameters: Sequence[str]) -> str:
     names = " and ".join(parameters)
-    return f"{names} must be given: request {shorten(template.name)} with a value"
+    # A default is what a request takes; a query over the event makes none.
+    return (
+        f"{names} must be given: request {shorten(template.name)} first, and keep the request "
+        "(`dyknow events … --keep`)"
+    )
 
 
 def _query(template: Template, needs_of: NeedsOf) -> _Description:

@@ -57,7 +57,7 @@ function groups() {
 /** A request that this service can answer, or how to get a template first. */
 function Proposal() {
   const [template] = templates.value;
-  if (template) return html`<code>dyknow events '${eventText(template)}'</code>`;
+  if (template) return html`<code>dyknow events '${eventText(template)}' --since start --keep</code>`;
   return html`<span>There is no event template yet. Add one of the library:</span>
     <code>dyknow template add --library high_speed</code>`;
 }

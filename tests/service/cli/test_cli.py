@@ -258,7 +258,7 @@ def test_templates(dyknow: Any, template: str) -> None:
     dyknow("template", "remove", "HighSpeedEvent")
     assert "no templates" in dyknow("template", "list").stdout
     dyknow("template", "show", "HighSpeedEvent", status=1)
-    text = TEMPLATE.replace("?threshold)", "?threshold = 100)")
+    text = TEMPLATE.replace("?threshold)", "?threshold = 100)", 1)
     shown = "HighSpeedEvent(?o, ?type, ?threshold = 100)"
     assert shown in dyknow("template", "add", text).stdout
     assert "?threshold = 100" in dyknow("template", "list").stdout

@@ -30,7 +30,7 @@ from dyknow.engine.durability.commands import (
 from dyknow.engine.engine import Engine
 
 HERE = TESTS / "support"
-ROUNDS = int(os.environ.get("DYKNOW_KILLS", "40"))
+ROUNDS = int(os.environ.get("DYKNOW_KILLS", "25"))
 STREAM = {
     "fields": {"id": "string", "v": "float"},
     "lateness": "1s",
