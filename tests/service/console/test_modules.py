@@ -174,7 +174,8 @@ def test_lines_are_aligned_with_gaps(run: Run) -> None:
 
 def test_a_gap_holds_at_all_times_of_others_and_is_more_than_the_usual_step(run: Run) -> None:
     found = run(
-        """const slow = [[0, 1], [10, 2], [20, 3]], gone = [[0, 'a'], [1, 'b'], [2, 'c'], [20, 'd']];
+        """const slow = [[0, 1], [10, 2], [20, 3]];
+        const gone = [[0, 'a'], [1, 'b'], [2, 'c'], [20, 'd']];
         return widgets.aligned([slow, gone])
           .map((row) => Array.from(row, (each) => (each === undefined ? '-' : each)));"""
     )
