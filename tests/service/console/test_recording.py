@@ -211,5 +211,5 @@ def test_an_empty_page_proposes_what_works(service: httpx.Client, open_page: OPE
     declare(service)
     page.wait_text("dyknow events 'dyknow:")
     command = page.run("document.querySelector('.asks code').innerText")
-    event = command.removeprefix("dyknow events '").removesuffix("'")
+    event = command.removeprefix("dyknow events '").removesuffix("' --since start --keep")
     assert service.post("/events", content=event, headers=TEXT).status_code == 201
