@@ -18,7 +18,7 @@ import numpy as np
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.planning import object_sharing
+from dyknow.engine.planning import request_sharing
 from dyknow.streams.sample import Column, FieldType, SampleBatch
 from dyknow.streams.string_pool import StringPool
 
@@ -73,9 +73,9 @@ class Samples:
 
 def measured(template: str, arguments: list[str], *, shares: bool = True) -> tuple[float, int]:
     """Return the milliseconds of a batch, and the number of results."""
-    least = object_sharing.SAME_EVALUATION
+    least = request_sharing.MIN_SHARED
     if not shares:
-        object_sharing.SAME_EVALUATION = 1 << 62
+        request_sharing.MIN_SHARED = 1 << 62
     try:
         engine = Engine()
         engine.annotate(SSL)
@@ -84,7 +84,7 @@ def measured(template: str, arguments: list[str], *, shares: bool = True) -> tup
         for each in arguments:
             engine.request_event(engine.parse_request(f"dyknow:Odd({each})"))
     finally:
-        object_sharing.SAME_EVALUATION = least
+        request_sharing.MIN_SHARED = least
     samples, taken = Samples(), []
     for second in range(WARM + BATCHES):
         batch = samples.of(second)

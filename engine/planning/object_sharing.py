@@ -34,9 +34,6 @@ from .pattern_start import argument_of
 from .plan_execution import Plans
 from .reasoning_start import EvaluationByObject, ShareableEvaluation
 
-SAME_EVALUATION = 2
-"""The number of requests of one formula or pattern from which on one evaluation serves them."""
-
 
 class ObjectSharing:
     """Finds the formula or pattern that a request can share."""
@@ -67,9 +64,7 @@ class ObjectSharing:
         if not _select_from(own, all_objects, place):
             raise Unshared("a request for all objects would read other streams")
         key = (template.source, evaluation, all_objects)
-        return ShareableEvaluation(
-            key, evaluation, object, bound, free, all_objects, SAME_EVALUATION
-        )
+        return ShareableEvaluation(key, evaluation, object, bound, free, all_objects)
 
     def _without(self, template: AnyTemplate, request: EventRequest, object: str) -> Bound:
         """The formula or pattern of the request with its object left free."""

@@ -37,7 +37,7 @@ SharedUnit: TypeAlias = SharedMonitorUnit | SharedPatternUnit
 class ShareableEvaluation:
     """The ``evaluation`` that requests with an equal ``key`` can share, for an ``object`` (an IRI).
     ``own`` is the formula or pattern of this object, ``free`` that of all, over the streams of
-    ``supplies``. Worth it from ``least`` requests on.
+    ``supplies``.
     """
 
     key: Hashable
@@ -46,7 +46,11 @@ class ShareableEvaluation:
     own: Bound
     free: Bound
     supplies: tuple[Supply, ...]
-    least: int
+
+    @property
+    def keys(self) -> tuple[Hashable, ...]:
+        """The keys for which a request counts while it is evaluated alone."""
+        return (self.key,)
 
 
 class ReasoningStarter:

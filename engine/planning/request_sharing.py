@@ -42,16 +42,15 @@ from .plan_execution import Plans
 from .reasoning_start import ShareableEvaluation
 
 MIN_SHARED = 2
-"""The number of requests from which on one query evaluates them."""
+"""The number of requests from which on one query, formula or pattern evaluates them."""
 _MAX_CACHED = 1_000
 """Kinds of requests of one template whose agreement is cached."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShareableQuery:
-    """The query that requests with an equal ``key`` can share, over the streams of ``supplies``;
-    worth it from ``least`` requests on. ``keys`` are all those for which a request counts while it
-    is evaluated alone, ``key`` first.
+    """The query that requests with an equal ``key`` can share, over the streams of ``supplies``.
+    ``keys`` are all those for which a request counts while it is evaluated alone, ``key`` first.
 
     ``selections`` are the nodes in ``supplies`` that select the objects of the requests, each with
     the object (an IRI) of this request. Their ``generation`` is the first that the objects can
@@ -61,7 +60,6 @@ class ShareableQuery:
     keys: tuple[Hashable, ...]
     query: ContinuousQuery
     supplies: tuple[Supply, ...]
-    least: int
     selections: tuple[tuple[SelectObjects, str], ...] = ()
     generation: int = 0
 
@@ -151,7 +149,7 @@ class RequestSharing:
             return None
         terms = tuple((v.value, t if v.value in fixed else None) for v, t in query.bindings.items())
         key = (template.source, terms, selected, supplies)
-        return ShareableQuery((key,), template.query, supplies, MIN_SHARED)
+        return ShareableQuery((key,), template.query, supplies)
 
     def _select_together(
         self,
@@ -170,9 +168,11 @@ class RequestSharing:
         if all_objects is None:
             return None
         shareable = self._shareable(template, query, all_objects, selected)
+        if shareable is None:
+            return None
         for generation in count():
-            together = _select_together(own, all_objects, generation)
-            if shareable is None or together is None:
+            together = _with_selections(own, all_objects, generation)
+            if together is None:
                 return None
             supplies, selections = together
             found = replace(
@@ -197,15 +197,15 @@ class RequestSharing:
 
     def is_worth_it(self, shareable: Shareable) -> bool:
         """Whether one request more makes sharing worth it."""
-        return self._alone[shareable.key] + 1 >= shareable.least
+        return self._alone[shareable.key] + 1 >= MIN_SHARED
 
     def add_alone(self, shareable: Shareable) -> None:
         """Count a request that is evaluated alone."""
-        self._alone.update(_keys(shareable))
+        self._alone.update(shareable.keys)
 
     def remove_alone(self, shareable: Shareable) -> None:
         """Stop counting a request that was evaluated alone."""
-        for key in _keys(shareable):
+        for key in shareable.keys:
             self._alone[key] -= 1
             if not self._alone[key]:
                 del self._alone[key]
@@ -269,11 +269,6 @@ class RequestSharing:
         if len(all_objects) != len(supplies) or _count_reads(all_objects) != _count_reads(supplies):
             return None
         return all_objects
-
-
-def _keys(shareable: Shareable) -> tuple[Hashable, ...]:
-    """Return the keys for which a request counts while it is evaluated alone."""
-    return shareable.keys if isinstance(shareable, ShareableQuery) else (shareable.key,)
 
 
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:
@@ -364,7 +359,7 @@ def _edges(edges: Sequence[Edge], nodes: Sequence[Node]) -> tuple[Edge, ...]:
     return tuple(replace(edge, node=node) for edge, node in zip(edges, nodes, strict=True))
 
 
-def _select_together(
+def _with_selections(
     own: Sequence[Supply], all_objects: Sequence[Supply], generation: int
 ) -> tuple[tuple[Supply, ...], tuple[tuple[SelectObjects, str], ...]] | None:
     """Return the supplies for all objects, with the objects of requests selected where ``own``

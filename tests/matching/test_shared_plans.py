@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from dyknow.engine.planning.request_sharing import _select_together
+from dyknow.engine.planning.request_sharing import _with_selections
 from dyknow.languages.ssl.annotation import (
     Content,
     PortAnnotation,
@@ -144,11 +144,11 @@ def selecting(supply):
 
 def test_selecting_together_costs_distinct_nodes(vocabulary):
     all_objects, others = (mesh(vocabulary).supply for _ in range(2))
-    supplies, selections = _select_together([selecting(others)], [all_objects], 0)
+    supplies, selections = _with_selections([selecting(others)], [all_objects], 0)
     ((node, object),) = selections
     assert (node.id_field, node.generation, object) == ("id", 0, DYKNOW + "uav1")
     assert expanded(all_objects, {"ends": node}) == supplies[0]
     # What selects nothing is the same plan.
-    assert _select_together([others], [all_objects], 0) == ((all_objects,), ())
+    assert _with_selections([others], [all_objects], 0) == ((all_objects,), ())
     other = mesh(vocabulary, layers=LAYERS - 1).supply
-    assert _select_together([selecting(others)], [other], 0) is None
+    assert _with_selections([selecting(others)], [other], 0) is None

@@ -16,7 +16,7 @@ from dyknow.engine.durability.checkpoint import Outside, engine_of, state_of
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import NoPlan
 from dyknow.engine.model.views import Since, StreamDeclaration
-from dyknow.engine.planning import object_sharing
+from dyknow.engine.planning import request_sharing
 from dyknow.engine.processes.registry import Processes
 from dyknow.engine.processes.supervision import DIRECT
 from dyknow.streams.sample import Field, FieldType
@@ -133,7 +133,7 @@ class Scenario:
 def run(world, template, given, sent, least):
     """What each request has in the end, by its place among the steps; and how many shared."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(object_sharing, "SAME_EVALUATION", least)
+        patch.setattr(request_sharing, "MIN_SHARED", least)
         engine = world_of(world)
         engine.register_template(template)
         left = {name: list(rows) for name, rows in sent.items()}
