@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...streams.policies.policy import Approximation, SynchronizationPolicy
-from ...streams.sample import Mask, Times
+from ...streams.sample import Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ...streams.time_arithmetic import earlier, later
 from .departures import Steps
 from .kept_samples import KeptSamples, Rows
 from .part_departures import Parts
-from .state_maker import CELLS, MOST_STATES, MadeStates, TooManyDue, variables_of
+from .state_maker import CELLS, MOST_STATES, MadeStates, TooManyDue, present_at, variables_of
 from .states import States, Term, Values
 
 
@@ -223,7 +223,7 @@ class PartStates:
             np.maximum(last_valid, valid, out=last_valid)
         period = self._policy.period
         horizon = due if period is None else later(due, period - 1)
-        present = self._present(last_valid, due)[:, None]
+        present = present_at(last_valid[:, None], due, period, self._present_for)
         # Each state has one object, that of its part.
         return States(
             due,
@@ -232,19 +232,6 @@ class PartStates:
             dict.fromkeys(self._sorts, present),
             values,
         )
-
-    def _present(self, last_valid: Times, due: Times) -> Mask:
-        """Whether objects with these last valid times are there at the states."""
-        is_known = last_valid != TIME_MIN
-        period, extended = self._policy.period, self._present_for
-        if period is None and extended is None:
-            return np.asarray(is_known)
-        found = np.zeros(len(due), np.bool_)
-        if period is not None:
-            found |= last_valid > earlier(due, period)
-        if extended is not None:
-            found |= last_valid >= earlier(due, extended)
-        return np.asarray(found & is_known)
 
 
 def _distinct(part: Parts, times: Times) -> tuple[Parts, Times]:

@@ -217,22 +217,27 @@ class StateMaker:
             due,
             horizon,
             {sort: tuple(names) for sort, names in self._names.items()},
-            {sort: self._present(times, due) for sort, times in last_valid.items()},
+            {
+                sort: present_at(times, due, period, self._present_for)
+                for sort, times in last_valid.items()
+            },
             values,
         )
 
-    def _present(self, last_valid: Times, due: Times) -> Mask:
-        """Whether objects with these last valid times are there at the states."""
-        is_known = last_valid != TIME_MIN
-        period, extended = self._policy.period, self._present_for
-        if period is None and extended is None:
-            return np.asarray(is_known)
-        found = np.zeros(last_valid.shape, np.bool_)
-        if period is not None:
-            found |= last_valid > earlier(due, period)[:, None]
-        if extended is not None:
-            found |= last_valid >= earlier(due, extended)[:, None]
-        return np.asarray(found & is_known)
+
+def present_at(last_valid: Times, due: Times, period: int | None, extended: int | None) -> Mask:
+    """Whether objects with these last valid times, of shape ``(states, objects)``, are there at the
+    states ``due``: on a grid less than its ``period`` before, or at most ``extended`` (ns) before.
+    """
+    is_known = last_valid != TIME_MIN
+    if period is None and extended is None:
+        return np.asarray(is_known)
+    found = np.zeros(last_valid.shape, np.bool_)
+    if period is not None:
+        found |= last_valid > earlier(due, period)[:, None]
+    if extended is not None:
+        found |= last_valid >= earlier(due, extended)[:, None]
+    return np.asarray(found & is_known)
 
 
 def variables_of(term: Term) -> tuple[str, ...]:
