@@ -54,9 +54,6 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
     ) -> None:
         super().__init__(query, dictionary, background, inputs, options, budget)
         self.query = query
-        self.splits = True
-        """Whether each window has its own `WindowResult`; else windows that were evaluated in one
-        pass have a `ResultBatch`."""
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
         self._solver = Solver(query, self._windows, self._static, alone=True)
         if self._solver.translated is not None:
@@ -76,11 +73,6 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
         """Describe the query, its windows, its logical plan, its execution and its cost. ``flows``
         are the known rates of the inputs, by name."""
         return self._solver.explain(flows or {})
-
-    def take_results(self) -> list[WindowResult | ResultBatch]:
-        """Remove and return the results since the last call."""
-        results = super().take_results()
-        return [each for one in results for each in one.windows()] if self.splits else results
 
     def _in_bulk(self) -> EvaluateWindows | None:
         return self._close_many if self._solver.works_in_bulk else None

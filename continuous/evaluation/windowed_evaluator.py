@@ -6,10 +6,10 @@ Subclasses compute the result of a window: `evaluator` for one query, `shared_wi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from ...languages.csparql.ast import ContinuousQuery
 from ...rdf.dictionary import TermDictionary
@@ -33,12 +33,25 @@ from ..windows.grid import schedule
 from ..windows.window_schedule import EvaluateWindows, OpenWindows
 from .solver import QueryBody
 
-Result = TypeVar("Result")
+
+class Results(Protocol):
+    """The results of one window, or of several that were evaluated in one pass."""
+
+    def windows(self) -> Iterator[Any]:
+        """Yield those of each window."""
+        ...
+
+
+Result = TypeVar("Result", bound=Results)
 
 
 class WindowedEvaluator(ABC, Generic[Result]):
     """The windows of ``query`` over named inputs and a static side, and a result for each.
     Arguments, errors and law: see `evaluator.ContinuousEvaluator`."""
+
+    splits = True
+    """Whether each window has a result of its own; else windows that were evaluated in one pass
+    have one together."""
 
     def __init__(
         self,
@@ -125,7 +138,7 @@ class WindowedEvaluator(ABC, Generic[Result]):
     def take_results(self) -> list[Result]:
         """Remove and return the results since the last call."""
         results, self._results = self._results, []
-        return results
+        return [each for one in results for each in one.windows()] if self.splits else results
 
     def next_end(self) -> int | None:
         """Return a lower bound of the ends of later windows, or None if there is none yet."""

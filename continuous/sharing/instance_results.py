@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...rdf.timed import Kind, ObjectColumn, TripleRows
 from ..algebra.plan import Ask, Construct, Head, Select
+from ..columns.pane_runs import equal_runs
 from ..columns.relation import (
     Relation,
     TermValues,
@@ -268,6 +269,10 @@ class InstanceResults:
         """Return the instances whose answer to an ASK is true, ascending."""
         return np.sort(np.concatenate([_NONE, *(part.holding() for part in self.parts)]))
 
+    def windows(self) -> Iterator[InstanceResults]:
+        """Yield the results of each window: these."""
+        yield self
+
 
 @dataclass(frozen=True, eq=False)
 class InstancesInBulk:
@@ -320,12 +325,12 @@ def _by_key(head: Head, relation: Relation, keys: Numbers, terms: TermValues) ->
         return None
     order = np.argsort(keys, kind="stable")
     relation, keys = relation.take(order), keys[order]
-    first = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])
+    first = [run.start for run in equal_runs(keys)]
     places = keys[first].tolist()
     if isinstance(head, Select):
         columns = {name: relation.columns[name] for name in head.variables}
         found = Solutions(head.variables, columns, terms.dictionary, relation.rows)
-        offsets = [*first.tolist(), relation.rows]
+        offsets = [*first, relation.rows]
         return ResultBatch(places, places, solutions=found, offsets=offsets)
     if relation.key is not None:
         # Equal triples of two keys are two triples, as those of two windows are.

@@ -50,10 +50,6 @@ class SharedWindows(WindowedEvaluator[InstanceResults | InstancesInBulk]):
     Windows that are due at once are evaluated in one pass if all queries are of one cohort.
     """
 
-    splits = True
-    """Whether each window has its own `InstanceResults`; else windows that were evaluated in one
-    pass have an `InstancesInBulk`."""
-
     @abstractmethod
     def remove(self, instance: int) -> None:
         """Remove a query by its number; raises ``KeyError`` if there is none."""
@@ -62,16 +58,6 @@ class SharedWindows(WindowedEvaluator[InstanceResults | InstancesInBulk]):
     @abstractmethod
     def only_cohort(self) -> JoinedCohort | None:
         """The cohort of all queries; None if there are several, or none that is joined."""
-
-    def take_results(self) -> list[InstanceResults | InstancesInBulk]:
-        """Remove and return the results since the last call."""
-        results = super().take_results()
-        if not self.splits:
-            return results
-        split: list[InstanceResults | InstancesInBulk] = []
-        for one in results:
-            split += one.windows() if isinstance(one, InstancesInBulk) else [one]
-        return split
 
     def _in_bulk(self) -> EvaluateWindows | None:
         return None if self.only_cohort is None else self._close_many

@@ -1,4 +1,4 @@
-"""Samples that wait until somebody reads the streams they belong to."""
+"""Samples that wait until their streams are read."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from ....continuous.columns.pane_runs import equal_runs
 from ....continuous.sharing.instance_results import Numbers
 from ....streams.sample import SampleBatch, concatenate
 
@@ -18,7 +19,7 @@ _ROWS: Final = 1 << 16
 
 class ResultLog:
     """Samples of many instances, by window. The samples of one instance are together, and in its
-    order; `take` cuts them by an offset table.
+    order.
 
     Cost: `add` O(1); `take` numpy per column, and a view per instance. Memory: `_ROWS` samples, and
     those of one window.
@@ -51,11 +52,4 @@ class ResultLog:
         if len(waiting) > 1:
             order = np.argsort(numbers, kind="stable")
             numbers, batch = numbers[order], batch.take(order)
-        first = np.flatnonzero(np.append(True, numbers[1:] != numbers[:-1])[: len(numbers)])
-        offsets = [*first.tolist(), len(numbers)]
-        return [
-            (number, batch.take(slice(start, end)))
-            for number, start, end in zip(
-                numbers[first].tolist(), offsets[:-1], offsets[1:], strict=True
-            )
-        ]
+        return [(int(numbers[run.start]), batch.take(run)) for run in equal_runs(numbers)]

@@ -49,7 +49,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
     kept results of a registered query.
 
     The results of a window become samples in one pass. Those of an instance whose stream has no
-    readers wait in a `ResultLog` until somebody looks at the stream.
+    readers wait in a `ResultLog` until the stream is looked at.
 
     Cost: that of the evaluator for a window, and numpy per column of the results. Beyond it some
     15 µs for each instance with results that has readers, and a microsecond for each other one; 0.2
@@ -161,11 +161,10 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
 
     def emit(self, results: Sequence[InstanceResults | InstancesInBulk]) -> None:
         for result in results:
-            if isinstance(result, InstanceResults):
-                self._emit_window(result)
-            elif not self._emit_windows(result):
-                for window in result.windows():
-                    self._emit_window(window)
+            if isinstance(result, InstancesInBulk) and self._emit_windows(result):
+                continue
+            for window in result.windows():
+                self._emit_window(window)
 
     def _emit_windows(self, results: InstancesInBulk) -> bool:
         """Emit the results of successive windows in one pass; return whether that is possible."""
