@@ -79,6 +79,16 @@ def is_reset(connection: socket.socket) -> bool:
 
 
 @contextmanager
+def filled(engine: Engine, settings: Settings, clock: Clock) -> Iterator[tuple[str, httpx.Client]]:
+    """A service of its own with that stream; its address, and a client."""
+    app = create_app(engine, settings, clock)
+    with running(app, settings) as url, Client(url, timeout=LONG) as client:
+        fill(client)
+        with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+            yield url, http
+
+
+@contextmanager
 def stalled(url: str, path: str) -> Iterator[socket.socket]:
     with connect(url, path, receive=2048) as connection:
         yield connection
@@ -102,53 +112,41 @@ def test_who_takes_little_at_a_time_gets_all(
     """It takes longer than the timeout in all."""
     # Long, since a busy machine may leave this reader out for a while.
     patient = settings.model_copy(update={"answer_timeout": 2.0})
-    app = create_app(engine, patient, clock)
-    with running(app, patient) as url, Client(url, timeout=LONG) as client:
-        fill(client)
-        with httpx.Client(base_url=url, trust_env=False, timeout=LONG) as http:
-            wanted = http.get(HISTORY).content
-            with connect(url, HISTORY, receive=65536) as connection:
-                begun, data = time.monotonic(), b""
-                while not data.endswith(b"0\r\n\r\n"):
-                    data += connection.recv(65536)
-                    time.sleep(0.015)
-            assert time.monotonic() - begun > patient.answer_timeout
-            assert chunks(data.partition(b"\r\n\r\n")[2])[0] == wanted
-            assert slow_readers(http) == 0
+    with filled(engine, patient, clock) as (url, http):
+        wanted = http.get(HISTORY).content
+        with connect(url, HISTORY, receive=65536) as connection:
+            begun, data = time.monotonic(), b""
+            while not data.endswith(b"0\r\n\r\n"):
+                data += connection.recv(65536)
+                time.sleep(0.015)
+        assert time.monotonic() - begun > patient.answer_timeout
+        assert chunks(data.partition(b"\r\n\r\n")[2])[0] == wanted
+        assert slow_readers(http) == 0
 
 
 def test_who_takes_too_little_is_let_go(engine: Engine, settings: Settings, clock: Clock) -> None:
     """Something all the time, and it comes to no end."""
     demanding = settings.model_copy(update={"answer_rate": 10_000_000})
-    app = create_app(engine, demanding, clock)
-    with running(app, demanding) as url, Client(url, timeout=LONG) as client:
-        fill(client)
-        with (
-            httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
-            stalled(url, HISTORY) as slow,
-        ):
-            limit = time.monotonic() + LONG
-            while slow_readers(http) == 0:
-                assert time.monotonic() < limit
-                slow.recv(512)
-                time.sleep(0.01)
+    with filled(engine, demanding, clock) as (url, http), stalled(url, HISTORY) as slow:
+        limit = time.monotonic() + LONG
+        while slow_readers(http) == 0:
+            assert time.monotonic() < limit
+            slow.recv(512)
+            time.sleep(0.01)
 
 
 def test_event_streams_have_a_patience_of_their_own(
     engine: Engine, settings: Settings, clock: Clock
 ) -> None:
     patient = settings.model_copy(update={"sse_send_timeout": 60.0})
-    app = create_app(engine, patient, clock)
-    with running(app, patient) as url, Client(url, timeout=LONG) as client:
-        fill(client)
-        with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
-            with stalled(url, "/streams/s/events?since=start") as events:
-                until(lambda: metric(http, "dyknow_event_stream_blocked") == 1)
-                with stalled(url, HISTORY) as history:
-                    until(lambda: is_reset(history))
-                assert not is_reset(events)
-                assert metric(http, "dyknow_event_stream_blocked") == 1
-            assert slow_readers(http) == 1
+    with filled(engine, patient, clock) as (url, http):
+        with stalled(url, "/streams/s/events?since=start") as events:
+            until(lambda: metric(http, "dyknow_event_stream_blocked") == 1)
+            with stalled(url, HISTORY) as history:
+                until(lambda: is_reset(history))
+            assert not is_reset(events)
+            assert metric(http, "dyknow_event_stream_blocked") == 1
+        assert slow_readers(http) == 1
 
 
 @pytest.mark.parametrize("kind", ["application/x-ndjson", ARROW, "text/csv"])
