@@ -487,7 +487,10 @@ class _Player:
             self._show_evaluated(progress, tasks)
 
     def _show_evaluated(self, progress: Progress, tasks: Mapping[str, TaskID]) -> None:
-        """Show how many samples all readers have evaluated."""
+        """Show how many samples of these streams all readers have evaluated, unless the bar is off:
+        it costs a request for each stream."""
+        if progress.disable:
+            return
         self.looked = time.monotonic()
         for name, task in tasks.items():
             published = int(progress.tasks[task].completed)
@@ -507,7 +510,7 @@ class _Player:
             elapsed = max(1e-9, time.monotonic() - begun)
             progress.update(tasks[name], advance=len(part.batch), rate=sent[name] / elapsed)
             if time.monotonic() >= self.looked + _LOOK:
-                self._show_evaluated(progress, tasks)
+                self._show_evaluated(progress, {name: tasks[name]})
 
     def _publish(self, name: str, batch: SampleBatch) -> int:
         """Publish a part without the samples that are ahead of the clock, and report these; return
