@@ -192,15 +192,16 @@ class Execution:
     def _solved(self, part: Plan, ends: Sequence[int]) -> Relation:
         """Return the solutions of ``part`` for the windows at ``ends``, with the column `END` if
         there are several of these."""
-        found = []
-        for i, end in enumerate(ends):
-            source = _Source(self, WindowRows(self.windows.contents, end), None, None)
-            relation = execute(part, source, self.static.terms)
-            window = ObjectColumn(Kind.INTEGER, np.full(relation.rows, i))
-            found.append(Relation({END: window, **relation.columns}, relation.rows))
+        windows = (WindowRows(self.windows.contents, end) for end in ends)
+        sources = (_Source(self, rows, None, None) for rows in windows)
+        relations = [execute(part, source, self.static.terms) for source in sources]
         if len(ends) == 1:
-            return relation
-        return united(found, self.static.terms)
+            return relations[0]
+        numbered = []
+        for i, relation in enumerate(relations):
+            window = ObjectColumn(Kind.INTEGER, np.full(relation.rows, i))
+            numbered.append(Relation({END: window, **relation.columns}, relation.rows))
+        return united(numbered, self.static.terms)
 
     def follow(self, bulk: BulkAggregate) -> None:
         """Bring the aggregate to the last window of ``bulk``, which `in_bulk` has evaluated."""
