@@ -89,7 +89,7 @@ function Started({ made }) {
   const numbers = event ? Object.entries(event.values).filter(([, each]) => typeof each === "number") : [];
   return html`<div class="note" role="status"><b>It runs as ${made.id}.</b>
     ${event ? html` Last: <span class="mono">${event.object}</span> ${numbers.map(([name, each]) => `${name} ${value(each)}`).join(", ")}.` : " It waits for the first event."}
-    ${stream && ` ${rate(stream?.rate)}`} <a href=${`#live/${encodeURIComponent(made.stream)}`}>Follow it</a> ·
+    ${stream && ` ${rate(stream.rate)}`} <a href=${`#live/${encodeURIComponent(made.stream)}`}>Follow it</a> ·
     <a href=${`#graph/${encodeURIComponent(made.stream)}`}>Where it comes from</a></div>`;
 }
 

@@ -30,7 +30,7 @@ function lines(node, apart) {
   if (!stream) return [node.stream, ""];
   const asked = node.requests[0], more = node.requests.length > 1 ? ` × ${node.requests.length}` : "";
   const quiet = silence(stream);
-  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(stream?.rate);
+  const state = stream.ended ? "ended" : quiet === null ? "no sample yet" : quiet > SILENT ? `silent ${duration(quiet)}` : rate(stream.rate);
   const by = node.unit && !apart ? node.unit.transformation : stream.name;
   return [asked ? asked.name + more : title(stream), `${state} · ${by}`];
 }
