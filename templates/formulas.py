@@ -27,8 +27,7 @@ from ..matching.want import Want
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import shorten
-from ..reasoning.mtl.evaluator import sorts_of
-from ..reasoning.mtl.formulas import readings_of
+from ..reasoning.mtl.formulas import readings_of, sorts_of
 from ..reasoning.mtl.monitoring import RESULT_FIELDS
 from ..streams.sample import TIME_FIELDS
 from .needs import Needs, NeedsError

@@ -12,8 +12,7 @@ from ...matching.plan import Node, Supply
 from ...matching.subject import Sorts
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
-from ...reasoning.mtl.evaluator import sorts_of
-from ...reasoning.mtl.formulas import reach_of
+from ...reasoning.mtl.formulas import reach_of, sorts_of
 from ...reasoning.mtl.monitoring import VERDICT
 from ...reasoning.mtl.nodes import term_of
 from ...streams.generator import StreamGenerator

@@ -14,8 +14,9 @@ lower one false and the upper one true.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import prod
 from typing import Any, Final, TypeAlias
 
@@ -34,7 +35,7 @@ from ...languages.mtl.checked import (
 from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..states.states import States, Term, Values
-from .formulas import bound_sorts, parts_of, reach_of, readings_of
+from .formulas import parts_of, reach_of, readings_of, sorts_of
 from .nodes import END, Pass, spread_node, term_of
 from .robustness import Margins
 from .timelines import Timelines
@@ -77,6 +78,8 @@ class Verdicts:
     robustness: NDArray[np.float64] | None = None
     """The margin of each verdict (`robustness.Margins`), NaN for an unknown one; None: not asked
     for."""
+    unreported: Mapping[int, int] = field(default_factory=dict)
+    """The number of further verdicts, by their value, which the monitor does not report."""
 
     def __len__(self) -> int:
         return len(self.part)
@@ -254,14 +257,14 @@ class MonitorEvaluator:
         `TooManyStates`."""
         count = len(states.valid)
         if not count:
-            return _no_verdicts(len(self._axes))
+            return no_verdicts(len(self._axes))
         part = np.zeros(count, np.int64) if part is None else part
         left = states.valid if left is None else left
         most = self._most_at_once(states)
         if count <= most:
             return self._pushed(states, left, part)
         cuts = [slice(start, start + most) for start in range(0, count, most)]
-        return _concatenated([self._pushed(states.take(cut), left[cut], part[cut]) for cut in cuts])
+        return concatenated([self._pushed(states.take(cut), left[cut], part[cut]) for cut in cuts])
 
     def _pushed(self, states: States, left: Times, part: NDArray[np.int64]) -> Verdicts:
         count = len(states.valid)
@@ -288,7 +291,7 @@ class MonitorEvaluator:
         """Learn that every later state is valid after ``horizon``, which may be one for each
         part."""
         if not self.is_open:
-            return _no_verdicts(len(self._axes))
+            return no_verdicts(len(self._axes))
         kept = self._kept
         assert kept is not None
         is_open = ~kept.is_decided.reshape(len(kept.part), -1).all(axis=1)
@@ -460,12 +463,7 @@ class StateKeeper(MonitorEvaluator):
         kept = self._kept.states.values
         if sum(each.values.size for each in kept.values()) > MOST_VALUES:
             raise TooManyStates("the states have too many values to keep all of them")
-        return _no_verdicts(len(self._axes))
-
-
-def sorts_of(monitor: CheckedMonitor) -> dict[str, str]:
-    """Return the sort of each variable, an IRI."""
-    return {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
+        return no_verdicts(len(self._axes))
 
 
 def earliest(formula: Any, rows: NDArray[np.int64], once: Pass) -> NDArray[np.int64]:
@@ -503,9 +501,12 @@ def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([kept, new])
 
 
-def _concatenated(parts: Sequence[Verdicts]) -> Verdicts:
-    """The verdicts of states that were taken one after the other."""
+def concatenated(parts: Sequence[Verdicts]) -> Verdicts:
+    """Return the verdicts of states that were taken one after the other."""
     margins = [each.robustness for each in parts if each.robustness is not None]
+    unreported: Counter[int] = Counter()
+    for each in parts:
+        unreported.update(each.unreported)
     return Verdicts(
         np.concatenate([each.part for each in parts]),
         np.concatenate([each.start_time for each in parts]),
@@ -515,10 +516,12 @@ def _concatenated(parts: Sequence[Verdicts]) -> Verdicts:
         np.concatenate([each.binding for each in parts]),
         np.concatenate([each.witness_time for each in parts]),
         np.concatenate(margins) if margins else None,
+        unreported,
     )
 
 
-def _no_verdicts(parameters: int) -> Verdicts:
+def no_verdicts(parameters: int) -> Verdicts:
+    """Return no verdicts of a monitor with so many parameters."""
     none = np.empty(0, np.int64)
     values, binding = np.empty(0, np.int8), np.empty((0, parameters), np.int64)
     return Verdicts(none, none, none, none, values, binding, none)

@@ -14,8 +14,8 @@ from ...languages.mtl.ast import Monitor
 from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Reading
 from ...rdf.namespaces import shorten
 from ..states.states import States
-from .evaluator import earliest, sorts_of
-from .formulas import parts_of, reach_of, readings_of
+from .evaluator import earliest
+from .formulas import parts_of, reach_of, readings_of, sorts_of
 from .nodes import Axes, Pass
 from .timelines import Timelines
 from .windows import NEVER

@@ -50,6 +50,11 @@ def bound_sorts(formula: Any) -> dict[str, str]:
     return own
 
 
+def sorts_of(monitor: CheckedMonitor) -> dict[str, str]:
+    """Return the sort of each variable, an IRI."""
+    return {**dict(monitor.parameters), **bound_sorts(monitor.formula)}
+
+
 def compares_objects(node: Any) -> bool:
     """Whether a formula or value reads a variable as an object, and not only features of it."""
     return isinstance(node, ObjectVariable) or any(map(compares_objects, parts_of(node)))

@@ -19,6 +19,7 @@ from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
 from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import compares_objects, is_of_one_object
+from .sliced_evaluator import SlicedEvaluator, is_sliced
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
 LAST, ROBUSTNESS = "last", "robustness"
@@ -84,15 +85,19 @@ class Monitoring:
         decides: bool = True,
         grid: int | None = None,
         only: Sequence[str] | None = None,
+        has_own_states: bool | None = None,
     ) -> None:
         """``decides``: whether there are verdicts; otherwise all states are kept. ``grid``: a time
         (ns) of the grid of ``sample every``; None: as for `StateMaker`. ``only``: objects (IRIs);
-        others have no states of their own."""
+        others have no states of their own.
+        ``has_own_states``: whether each object has; None: as above."""
         self.monitor = monitor
-        self._evaluator = (MonitorEvaluator if decides else StateKeeper)(monitor)
         self._only = only
+        if has_own_states is None:
+            has_own_states = monitor.policy.period is None and is_of_one_object(monitor)
+        self.has_own_states = has_own_states
+        self._evaluator = self._made_evaluator(decides)
         self.terms: tuple[Term, ...] = tuple(sorted(self._evaluator.terms))
-        self.has_own_states = monitor.policy.period is None and is_of_one_object(monitor)
         self._departures = Departures(monitor.policy.max_delay, sources)
         policy, present_for = monitor.policy, monitor.present_for
         # One of both has samples.
@@ -108,6 +113,14 @@ class Monitoring:
         # A single start is a run by itself.
         has_runs = monitor.report is Report.CHANGES and not monitor.once
         self._runs = _Runs() if has_runs else None
+
+    def _made_evaluator(self, decides: bool) -> MonitorEvaluator | SlicedEvaluator:
+        if not decides:
+            return StateKeeper(self.monitor)
+        is_shared = not self.has_own_states
+        return (SlicedEvaluator if is_shared and is_sliced(self.monitor) else MonitorEvaluator)(
+            self.monitor
+        )
 
     @property
     def grid(self) -> int | None:
@@ -221,6 +234,7 @@ class Monitoring:
     def _begin_part(self, part: int, iri: str, values: Constants) -> None:
         """Let there be a part for an object, with its ``values`` of the formula's parameters."""
         self._own.make_room_for(part + 1)
+        assert isinstance(self._evaluator, MonitorEvaluator), "the states are not shared"
         self._evaluator.make_room_for(part + 1)
         if compares_objects(self.monitor.formula):
             values = {**values, self.monitor.parameters[0][0]: ObjectConstant(iri)}
@@ -251,6 +265,8 @@ class Monitoring:
 
     def _reported(self, found: Verdicts, moment: int | None) -> Reported:
         """The verdicts at ``moment``, or when their deciding states left."""
+        for value, count in found.unreported.items():
+            self._verdicts[value] += count
         available = found.left if moment is None else np.full(len(found), moment, np.int64)
         start = found.start_time
         return Reported(

@@ -99,7 +99,7 @@ class Pass:
         found = self.known.get(id(formula))
         if found is None:
             found = self.known[id(formula)] = (
-                self._atom(formula)[2] is None
+                self.atom(formula)[2] is None
                 if isinstance(formula, Atom)
                 else all(map(self.is_known, parts_of(formula)))
             )
@@ -110,7 +110,7 @@ class Pass:
             case Truth(value):
                 return self._constant(np.full(self.rows, value), ())
             case Atom():
-                axes, holds, known = self._atom(formula)
+                axes, holds, known = self.atom(formula)
                 if known is not None:
                     holds = (holds | ~known) if is_upper else (holds & known)
                 return self._constant(holds, axes)
@@ -227,7 +227,7 @@ class Pass:
 
     # -- atoms -------------------------------------------------------------------------------
 
-    def _atom(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
+    def atom(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
         """Whether the atom holds, and whether that is known (None: it always is)."""
         if id(atom) not in self.atoms:
             self.atoms[id(atom)] = self._evaluated(atom)

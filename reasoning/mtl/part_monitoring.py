@@ -14,7 +14,7 @@ from ...languages.mtl.checked import CheckedMonitor
 from ...streams.sample import Times
 from ..states.part_departures import PartDepartures, Parts
 from ..states.part_states import CommonSteps, StepsOfParts
-from .evaluator import Constants
+from .evaluator import Constants, MonitorEvaluator
 from .monitoring import WORDS, Monitoring, Reported
 
 
@@ -30,10 +30,11 @@ class PartMonitoring(Monitoring):
     a grid.
     """
 
+    _evaluator: MonitorEvaluator
+
     def __init__(self, monitor: CheckedMonitor, sources: int) -> None:
-        super().__init__(monitor, sources)
-        # Each part has a grid of its own.
-        self.has_own_states = True
+        # Each part has a grid of its own, too.
+        super().__init__(monitor, sources, has_own_states=True)
         self._part_departures = PartDepartures(sources)
         self._count = 0
         self.samples_of: NDArray[np.int64] = np.empty(0, np.int64)

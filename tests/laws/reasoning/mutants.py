@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[3]
 PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
 STATES, MONITORING = "test_states.py", "test_monitoring.py"
 PARTS = "test_part_monitoring.py"
+SLICED = "test_sliced.py"
 EPSPARQL, SASE = "test_epsparql.py", "test_sase.py"
 RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
 # ruff: noqa: E501
@@ -54,6 +55,16 @@ MUTANTS = (
     # Margins of both readings.
     ("mtl/robustness.py", "np.inf if is_upper else -np.inf", "-np.inf", ROBUSTNESS),
     ("mtl/robustness.py", "return axes, -table", "return axes, table", ROBUSTNESS),
+    # Over tables of bits: when an interval is over, which step decides, what is seen again.
+    ("mtl/sliced_steps.py", "np.uint64(horizon - valid[row]) >= np.uint64(end)", "np.uint64(horizon - valid[row]) > np.uint64(end)", SLICED),
+    ("mtl/sliced_steps.py", "control[STEP] += is_new", "control[STEP] += 1", SLICED),
+    ("mtl/sliced_steps.py", "= bits if is_first else tables[new, row, word] | bits", "= bits", SLICED),
+    ("mtl/sliced_steps.py", "more & tables[left * TABLES + NEW, row, word]", "more", SLICED),
+    ("mtl/sliced_steps.py", "high = reached if is_true else min(high, reached)", "high = reached", SLICED),
+    ("mtl/sliced_steps.py", "if row < control[OPEN] or (side and stamp[lower, row] == control[STEP]):", "if side:", SLICED),
+    ("mtl/sliced_evaluator.py", "rows] = self._used[domain]", "rows] = ~np.uint64(0)", SLICED),
+    ("mtl/sliced_evaluator.py", "self._has_two_readings and self._last_unknown < self._oldest()", "self._has_two_readings", SLICED),
+    ("mtl/sliced_evaluator.py", "self._earliest(self._monitor.formula, row) if self._looks_back else row", "row", SLICED),
     # A state leaves with the samples of its instant.
     ("states/kept_samples.py", 'left.searchsorted(rows.available, "left")', 'left.searchsorted(rows.available, "right")', STATES),
     ("states/departures.py", "moments > last", "moments >= last", STATES),
