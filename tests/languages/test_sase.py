@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
+from ending_soon import ends_within
 
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.sase import (
@@ -178,9 +177,7 @@ HOSTILE = [
 @pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
 def test_hostile_texts(text: str) -> None:
     """An error, soon; a stack overflow would end the process."""
-    begun = time.process_time()
-    is_sase(text)
-    assert time.process_time() - begun < 0.1
-    with pytest.raises(LanguageError):
+    with ends_within(20):
+        is_sase(text)
+    with ends_within(400), pytest.raises(LanguageError):
         parse_sase(text)
-    assert time.process_time() - begun < 2

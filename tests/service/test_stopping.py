@@ -100,7 +100,7 @@ class Publisher(threading.Thread):
 def wait_until_refused(address: str) -> None:
     while True:
         try:
-            socket.create_connection(address.split(":"), timeout=5).close()
+            socket.create_connection(address.split(":"), timeout=60).close()
         except ConnectionRefusedError:
             return
         time.sleep(0.01)

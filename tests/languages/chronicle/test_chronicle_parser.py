@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
+from ending_soon import ends_within
 
 from dyknow.languages.chronicle import (
     ast,
@@ -139,9 +138,8 @@ def test_prefixes_may_stand_before_register_and_after_as() -> None:
     ],
 )
 def test_the_first_words_tell_the_language(text: str, expected: bool) -> None:
-    begin = time.process_time()
-    assert is_chronicle(text) is expected
-    assert time.process_time() - begin < 1
+    with ends_within(200):
+        assert is_chronicle(text) is expected
     assert not (expected and (is_monitor(text) or is_formula_template(text)))
 
 
@@ -169,10 +167,8 @@ def test_a_template_has_each_parameter_once() -> None:
     ],
 )
 def test_hostile_texts_cost_little(text: str) -> None:
-    begin = time.process_time()
-    with pytest.raises(LanguageError):
+    with ends_within(600), pytest.raises(LanguageError):
         parse_chronicle(text)
-    assert time.process_time() - begin < 3
 
 
 def test_there_is_a_greatest_number_of_clauses() -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from random import Random
 
 import pytest
+from ending_soon import ends_within
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -156,11 +156,10 @@ def parsed(text: str) -> EpSparqlQuery | LanguageError:
     ],
 )
 def test_a_hostile_text_is_refused_at_once(text: str) -> None:
-    begin = time.process_time()
-    is_epsparql(text)
-    with pytest.raises(LanguageError):
-        parse_epsparql(text)
-    assert time.process_time() - begin < 1
+    with ends_within(200):
+        is_epsparql(text)
+        with pytest.raises(LanguageError):
+            parse_epsparql(text)
 
 
 @pytest.mark.parametrize(

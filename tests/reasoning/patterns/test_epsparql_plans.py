@@ -4,10 +4,10 @@ refused, and what a query asks of streams."""
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Sequence
 
 import pytest
+from ending_soon import ends_within
 from epsparql_definition import Sample, Value
 from epsparql_drawing import vocabulary
 from epsparql_running import Running
@@ -255,10 +255,8 @@ def nested(operator: str, depth: int) -> str:
     ],
 )
 def test_a_large_text_takes_no_long(text: str) -> None:
-    begin = time.process_time()
-    with contextlib.suppress(LanguageError):
+    with ends_within(400), contextlib.suppress(LanguageError):
         compiled(text)
-    assert time.process_time() - begin < 2
 
 
 # -- what a query asks of streams ------------------------------------------------------------

@@ -142,7 +142,7 @@ def test_what_another_thread_changes_under_a_lock_is_whole_and_free_in_a_copy():
     thread = threading.Thread(target=change)
     thread.start()
     begun.wait()
-    assert Snapshots(timeout=30).take(look, lock)() == ([True], [2, 2])
+    assert Snapshots(timeout=120).take(look, lock)() == ([True], [2, 2])
     assert lock.acquire(blocking=False), "it is free here, too"
     thread.join()
 
@@ -217,7 +217,7 @@ def test_who_asks_the_ontology_meanwhile_does_not_hold_a_checkpoint_up(tmp_path)
     asking = threading.Thread(target=ask)
     asking.start()
     begun.wait()
-    unwritten = recorded.checkpoint(Snapshots(timeout=10).take)
+    unwritten = recorded.checkpoint(Snapshots(timeout=120).take)
     assert unwritten.write() == ()
     asking.join()
     recorded.close(checkpoint=False)

@@ -253,7 +253,7 @@ def test_who_is_cancelled_frees_the_worker() -> None:
         try:
             begin = time.monotonic()
             with anyio.move_on_after(1.0):
-                await pool.run(lambda worker: worker.call(job(ENDLESS, 60), 1000), 5)
+                await pool.run(lambda worker: worker.call(job(ENDLESS, 600), 1000), 5)
             answer = await pool.run(lambda worker: worker.call(job("ASK {}"), 1000), 20)
             assert answer is not None
             return pool.ended, time.monotonic() - begin
@@ -262,7 +262,7 @@ def test_who_is_cancelled_frees_the_worker() -> None:
 
     ended, seconds = anyio.run(scenario)
     assert ended == 1
-    assert seconds < 30
+    assert seconds < 300
 
 
 def test_a_closed_pool_gives_no_worker() -> None:
