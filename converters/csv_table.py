@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import islice
+from itertools import accumulate, islice
+from operator import not_
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +27,8 @@ CHUNK = 8192
 UNPACKING: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 """The exceptions of reading a damaged gzip file."""
 
-TextChunk = tuple[list[int], dict[str, Sequence[str]]]
+_LINE_END: Final = re.compile(r"\r\n|\r|\n").findall
+TextChunk = tuple[Sequence[int], dict[str, Sequence[str]]]
 """Line numbers and the cells of each column."""
 
 
@@ -56,19 +59,35 @@ def read_csv_lines(
         if not any(names) and not any(any(row) for row in reader):
             raise EmptyTable(1, "the table is empty", "its first line names the columns")
         _check_header(names)
-        while rows := _chunk(reader, ends):
-            yield _columns(names, rows)
+        while True:
+            numbers, rows = _chunk(reader, ends)
+            if not rows:
+                return
+            yield _columns(names, numbers, rows)
     except (csv.Error, UnicodeDecodeError, *UNPACKING) as error:
         raise WireError(reader.line_num + 1, f"the table cannot be read: {error}") from error
 
 
-def _chunk(reader: Any, ends: Callable[[], bool] | None) -> list[tuple[int, list[str]]]:
-    rows = []
+def _chunk(reader: Any, ends: Callable[[], bool] | None) -> tuple[Sequence[int], list[list[str]]]:
+    """Rows, and the line at which each ends."""
+    before = reader.line_num
+    if ends is None:
+        rows = list(islice(reader, CHUNK))
+        if reader.line_num - before == len(rows):
+            return range(before + 1, before + 1 + len(rows)), rows
+        # A quoted cell may have several lines.
+        return list(accumulate((_line_count(row) for row in rows), initial=before))[1:], rows
+    lines, rows = [], []
     for row in islice(reader, CHUNK):
-        rows.append((reader.line_num, row))
-        if ends is not None and ends():
+        lines.append(reader.line_num)
+        rows.append(row)
+        if ends():
             break
-    return rows
+    return lines, rows
+
+
+def _line_count(row: Sequence[str]) -> int:
+    return 1 + sum(len(_LINE_END(cell)) for cell in row)
 
 
 def column_from_cells(
@@ -76,13 +95,17 @@ def column_from_cells(
 ) -> Column:
     """A column from its cells; raises `WireError` with the line."""
     empty = "" in cells
-    null = np.fromiter((cell == "" for cell in cells), np.bool_, len(cells)) if empty else None
+    null = np.fromiter(map(not_, cells), np.bool_, len(cells)) if empty else None
     if field.type is FieldType.STRING:
         assert pool is not None
         return text_column([cell or None for cell in cells], pool, null)
     parse = _PARSERS[field.type]
     try:
-        values = np.array([parse(cell) if cell else 0 for cell in cells], field.type.dtype)
+        # Only Python reads 1_000 as a number.
+        if "_" in "".join(cells):
+            raise ValueError
+        told = map(parse, cells) if not empty else (parse(c) if c else 0 for c in cells)
+        values = np.fromiter(told, field.type.dtype, len(cells))
         if field.type is not FieldType.FLOAT or np.isfinite(values).all():
             return Column(field.type, values, null)
     except (ValueError, KeyError, OverflowError):
@@ -114,34 +137,25 @@ def _check_header(names: Sequence[str]) -> None:
             raise WireError(1, f"column {name!r} is there twice")
 
 
-def _columns(names: Sequence[str], rows: list[tuple[int, list[str]]]) -> TextChunk:
-    kept = [(line, row) for line, row in rows if row]  # a blank line is no row
-    for line, row in kept:
-        if len(row) != len(names):
-            raise WireError(
-                line,
-                f"{len(row)} cells, but the header has {len(names)}",
-                "--delimiter names the character between cells",
-            )
-    cells = zip(*(row for _, row in kept), strict=True) if kept else [()] * len(names)
-    return [line for line, _ in kept], dict(zip(names, cells, strict=True))
-
-
-def _float(cell: str) -> float:
-    if "_" in cell:  # only Python reads 1_000 as a number
-        raise ValueError(cell)
-    return float(cell)
-
-
-def _integer(cell: str) -> int:
-    if "_" in cell:
-        raise ValueError(cell)
-    return int(cell)
+def _columns(names: Sequence[str], lines: Sequence[int], rows: Sequence[list[str]]) -> TextChunk:
+    if not all(rows):  # a blank line is no row
+        kept = [i for i, row in enumerate(rows) if row]
+        lines, rows = [lines[i] for i in kept], [rows[i] for i in kept]
+    if not rows:
+        return [], dict.fromkeys(names, ())
+    if set(map(len, rows)) != {len(names)}:
+        wrong = next(i for i, row in enumerate(rows) if len(row) != len(names))
+        raise WireError(
+            lines[wrong],
+            f"{len(rows[wrong])} cells, but the header has {len(names)}",
+            "--delimiter names the character between cells",
+        )
+    return lines, dict(zip(names, zip(*rows, strict=True), strict=True))
 
 
 _PARSERS: dict[FieldType, Callable[[str], Any]] = {
-    FieldType.FLOAT: _float,
-    FieldType.INTEGER: _integer,
+    FieldType.FLOAT: float,
+    FieldType.INTEGER: int,
     FieldType.BOOLEAN: TRUTH.__getitem__,
 }
 
@@ -149,6 +163,6 @@ _PARSERS: dict[FieldType, Callable[[str], Any]] = {
 def _fits(type: FieldType, cell: str) -> bool:
     try:
         value = _PARSERS[type](cell)
-        return bool(np.isfinite(np.array(value, type.dtype)))
+        return "_" not in cell and bool(np.isfinite(np.array(value, type.dtype)))
     except (ValueError, KeyError, OverflowError):
         return False

@@ -43,6 +43,9 @@ TRUTH: Final = {
     "False": False,
     "FALSE": False,
 }
+# Years that 64 bits of ns hold whole.
+_PLAIN_TIME = r"(?:1[7-9]|2[01])\d\d-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,9})?Z"
+_PLAIN_TIMES = re.compile(rf"{_PLAIN_TIME}(?:\n{_PLAIN_TIME})*", re.ASCII).fullmatch
 _OBJECT_NAME = re.compile(
     r"(?:.*[_\-. ])?(?:id|uid|uuid|icao|icao24|hex|mmsi|imo|callsign|registration|squawk)"
     r"|.*[a-z]I[dD]"
@@ -136,6 +139,11 @@ class TimeReader:
         self._greatest = 0.0
 
     def observe(self, times: Iterable[object]) -> None:
+        times = list(times)
+        whole = _whole_numbers(times)
+        if whole is not None:
+            self._greatest = max(self._greatest, float(np.abs(whole).max()))
+            return
         for time in times:
             if isinstance(time, str):
                 if not _NUMBER(time):
@@ -159,6 +167,13 @@ class TimeReader:
     def read(self, times: Sequence[object], lines: Sequence[int], key: str) -> Times:
         """A column of times in ns; raises `WireError` with the line of a bad one."""
         scale = TIME_UNITS[self.unit]
+        if self._parse is None:
+            whole = _whole_numbers(times)
+            if whole is not None and int(np.abs(whole).max()) <= TIME_MAX // scale:
+                return whole * scale
+            spelled = _plain_times(times)
+            if spelled is not None:
+                return spelled
         pairs = zip(times, lines, strict=True)
         return np.array([self._one(time, scale, line, key) for time, line in pairs], np.int64)
 
@@ -199,6 +214,39 @@ class TimeReader:
                 f"{key!r}: {shown(time)} is no time of the format {self._format!r}: {error}",
                 "every time of the table has this format",
             ) from None
+
+
+def _whole_numbers(times: Sequence[object]) -> Times | None:
+    """Times that are all whole numbers of 64 bits, of one kind; None if some are not, or there are
+    none."""
+    kinds = set(map(type, times))
+    if kinds == {str}:
+        digits = "".join(times)  # type: ignore[arg-type]  # all are texts
+        if not (digits.isascii() and digits.isdigit()) or "" in times:
+            return None
+    elif kinds != {int}:
+        return None
+    try:
+        found = np.fromiter(map(int, times), np.int64, len(times))  # type: ignore[arg-type]
+    except OverflowError:
+        return None
+    # The absolute value of the least one does not fit.
+    return None if int(found.min()) == TIME_MIN else found
+
+
+def _plain_times(times: Sequence[object]) -> Times | None:
+    """Times of the commonest spelling, 2021-10-07T19:12:53.5Z; None if some are not, or there are
+    none: they are then read one by one."""
+    if set(map(type, times)) != {str}:
+        return None
+    lines = "\n".join(times)  # type: ignore[arg-type]  # all are texts
+    if not _PLAIN_TIMES(lines):
+        return None
+    try:
+        found = np.array(lines.replace("Z", "").split("\n"), "datetime64[ns]")
+    except ValueError:
+        return None
+    return found.astype(np.int64) if len(found) == len(times) else None
 
 
 def _decimal_time(text: str, scale: int, line: int, key: str) -> int:

@@ -119,6 +119,10 @@ class StringPool:
             return np.fromiter(map(self._codes.__getitem__, strings), np.int32, len(strings))
         except KeyError:
             code = self.code
+            if not self._late:
+                for string in dict.fromkeys(strings):
+                    code(string)
+                return np.fromiter(map(self._codes.__getitem__, strings), np.int32, len(strings))
             return np.fromiter((code(s) for s in strings), np.int32, len(strings))
 
     def strings(self, start: int = 0) -> Sequence[str]:

@@ -76,6 +76,14 @@ class Recording:
     """Which numbers float fields have rounded, as far as it was read."""
     is_rdf: bool = False
     """Whether its rows are statements of RDF."""
+    read_times: Callable[[], Iterator[Times]] | None = field(default=None, repr=False)
+    """Read the available times alone, which costs less; None: they come with the rows."""
+
+    def available_times(self) -> Iterator[Times]:
+        """The times of `read` by which rows become available, in chunks."""
+        if self.read_times is not None:
+            return self.read_times()
+        return (batch.available for batch in self.read())
 
     @property
     def out_of_order_effect(self) -> str:
@@ -197,7 +205,23 @@ def open_cells(
             rounded = tally.count(rounded, cells, lines, batch)
             yield batch
 
-    return Recording(schema, count, pools, read, stamped_column, valid, tally)
+    def read_times() -> Iterator[Times]:
+        name = "available" if stamped_column else valid
+        return (times.read(cells[name], lines, name) for lines, cells in chunks())
+
+    # What cannot be read is told before the first row is used.
+    are_read = all(_reads(f.type, observed[f.name].type) for f in schema.fields)
+    times_alone = read_times if are_read else None
+    return Recording(
+        schema, count, pools, read, stamped_column, valid, tally, read_times=times_alone
+    )
+
+
+def _reads(wanted: FieldType, found: FieldType) -> bool:
+    """Whether each cell of a column, found to be of a type, is one of the type wanted."""
+    return wanted in (found, FieldType.STRING) or (
+        (wanted, found) == (FieldType.FLOAT, FieldType.INTEGER)
+    )
 
 
 def _decimal_commas(cells_again: Callable[[], Iterator[TextChunk]]) -> AbstractSet[str]:

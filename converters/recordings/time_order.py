@@ -58,7 +58,7 @@ def in_time_order(recording: Recording, sort: bool | None = None) -> TimeOrder:
     Cost: one more pass over the recording; sorting adds one per run, O(n log n). Memory: 16 bytes a
     row, and one run of rows.
     """
-    parts = [batch.available for batch in recording.read()]
+    parts = list(recording.available_times())
     times = np.concatenate(parts) if parts else np.empty(0, np.int64)
     if not len(times):
         return TimeOrder(recording)
@@ -69,7 +69,8 @@ def in_time_order(recording: Recording, sort: bool | None = None) -> TimeOrder:
     place = np.empty(len(times), np.int64)
     place[np.argsort(times, kind="stable")] = np.arange(len(times))
     read = partial(_read_sorted, recording.read, place)
-    return TimeOrder(replace(recording, read=read), out_of_order, is_sorted=True)
+    sorted_ = replace(recording, read=read, read_times=None)
+    return TimeOrder(sorted_, out_of_order, is_sorted=True)
 
 
 def by_valid_time(recording: Recording) -> Recording:
@@ -81,7 +82,7 @@ def by_valid_time(recording: Recording) -> Recording:
         for batch in recording.read():
             yield batch.with_available(batch.valid)
 
-    return replace(recording, read=read, has_available=False)
+    return replace(recording, read=read, read_times=None, has_available=False)
 
 
 def _read_sorted(read: Callable[[], Iterator[SampleBatch]], place: Times) -> Iterator[SampleBatch]:
