@@ -230,14 +230,15 @@ class SlicedEvaluator:
 
     def _take_atoms(self, states: States, rows: slice) -> Mask | None:
         """Take the values of atoms; return at which states one that matters is unknown, or None."""
-        once = Pass(states, self._sorts, _NO_TIMELINES)
-        found: Mask | None = None
+        once = found = None
         for number, (atom, threshold) in enumerate(self._atoms):
             if threshold is None:
+                once = once or Pass(states, self._sorts, _NO_TIMELINES)
                 _, holds, known = once.atom(atom)
             else:
                 holds, known = threshold.of(states)
-            holds = holds.reshape(len(holds), -1)
+            if holds.ndim == 1:
+                holds = holds[:, None]
             domain = self._domains_of_atoms[number]
             table = int(self._control[sliced_steps.HOLDS]) + number
             if known is None:
