@@ -34,19 +34,19 @@ from ...streams.jit import JIT
 from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MIN
 from ..states.states import States, Term
-from . import sliced_program, sliced_steps
+from . import sliced_program, sliced_tables, sliced_verdicts
 from .evaluator import TooManyStates, Verdicts, concatenated, no_verdicts
 from .formulas import parts_of, readings_of, sorts_of
 from .nodes import END, OPERATORS, Pass, term_of
 from .sliced_program import Compiler
-from .sliced_steps import CONTROLS
+from .sliced_tables import CONTROLS
 from .timelines import Timelines
 
 ROWS: Final = 64
 """The least number of states that there is room for."""
 CELLS: Final = 1 << 12
 """Words of a table that are filled at once: some dozens of such tables fit into a core's cache."""
-_COUNTS: Final = [sliced_steps.EMITTED, sliced_steps.TRUES, sliced_steps.UNKNOWNS]
+_COUNTS: Final = [sliced_tables.EMITTED, sliced_tables.TRUES, sliced_tables.UNKNOWNS]
 _NO_TIMELINES: Final = Timelines.one(0)
 
 
@@ -113,10 +113,10 @@ class SlicedEvaluator:
         self.states_of: NDArray[np.int64] = np.zeros(1, np.int64)
         """The number of states by now; a part as for `MonitorEvaluator`."""
         self._control = np.zeros(CONTROLS, np.int64)
-        self._control[sliced_steps.IS_WHOLE] = 1
-        self._control[sliced_steps.LOOKS_BACK] = self._looks_back
-        self._control[sliced_steps.REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
-        self._control[sliced_steps.ROOT_DOMAIN] = self._compiler.root_domain
+        self._control[sliced_tables.IS_WHOLE] = 1
+        self._control[sliced_tables.LOOKS_BACK] = self._looks_back
+        self._control[sliced_tables.REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
+        self._control[sliced_tables.ROOT_DOMAIN] = self._compiler.root_domain
         self._out = np.empty((256, 5), np.int64)
         self._none = no_verdicts(len(monitor.parameters))
         self._program = self._compiler.program(has_two_readings=False)
@@ -142,14 +142,14 @@ class SlicedEvaluator:
     @property
     def is_open(self) -> bool:
         """Whether a start seen by now has no verdict yet."""
-        return int(self._control[sliced_steps.OPEN]) < self._count
+        return int(self._control[sliced_tables.OPEN]) < self._count
 
     def settled(self) -> NDArray[np.int64]:
         """As `MonitorEvaluator.settled`, of one part."""
         domain = self._compiler.root_domain
-        rows = slice(int(self._control[sliced_steps.OPEN]), self._count)
-        present = self._tables[self._control[sliced_steps.PRESENT] + domain, rows]
-        bits = present & ~self._tables[self._control[sliced_steps.DONE], rows]
+        rows = slice(int(self._control[sliced_tables.OPEN]), self._count)
+        present = self._tables[self._control[sliced_tables.PRESENT] + domain, rows]
+        bits = present & ~self._tables[self._control[sliced_tables.DONE], rows]
         is_open = _unpacked(bits, self._objects[domain])
         # Where none is open all starts by now have their verdicts.
         after = np.append(self._valid[rows], self._valid[self._count - 1] + 1)
@@ -202,11 +202,11 @@ class SlicedEvaluator:
             left,
         )
         control = self._control
-        first = int(control[sliced_steps.PRESENT])
+        first = int(control[sliced_tables.PRESENT])
         for domain, sort in enumerate(self._compiler.domains[1:], start=1):
             self._put(first + domain, rows, states.present[sort])
         # A single start is the first state of all.
-        done = self._tables[control[sliced_steps.DONE], rows]
+        done = self._tables[control[sliced_tables.DONE], rows]
         done[:] = ~np.uint64(0) if self._monitor.once else np.uint64(0)
         if self._monitor.once and not self.states_of[0]:
             done[0] = 0
@@ -240,7 +240,7 @@ class SlicedEvaluator:
             if holds.ndim == 1:
                 holds = holds[:, None]
             domain = self._domains_of_atoms[number]
-            table = int(self._control[sliced_steps.HOLDS]) + number
+            table = int(self._control[sliced_tables.HOLDS]) + number
             if known is None:
                 self._put(table, rows, holds)
                 self._tables[table + len(self._compiler.atoms), rows] = self._used[domain]
@@ -262,8 +262,8 @@ class SlicedEvaluator:
         at a start without a verdict. The past may be that of an object to come."""
         if self._looks_back or not domain:
             return np.ones((1, 1), np.bool_)
-        table = self._tables[self._control[sliced_steps.PRESENT] + domain]
-        rows = table[int(self._control[sliced_steps.OPEN]) : self._count]
+        table = self._tables[self._control[sliced_tables.PRESENT] + domain]
+        rows = table[int(self._control[sliced_tables.OPEN]) : self._count]
         before = _unpacked(np.bitwise_or.reduce(rows, axis=0)[None], self._objects[domain])
         present = states.present[self._compiler.domains[domain]]
         return np.logical_or.accumulate(np.concatenate([before, present]))[1:]
@@ -276,13 +276,13 @@ class SlicedEvaluator:
         wide = int(words.max())
         atoms, domains = len(self._compiler.atoms), len(words)
         tables = nodes * sliced_program.TABLES
-        control[sliced_steps.HOLDS] = tables
-        control[sliced_steps.KNOWN] = tables + atoms
-        control[sliced_steps.PRESENT] = tables + 2 * atoms
-        control[sliced_steps.DONE] = tables + 2 * atoms + domains
-        control[sliced_steps.NEWS] = tables + 2 * atoms + domains + 1
+        control[sliced_tables.HOLDS] = tables
+        control[sliced_tables.KNOWN] = tables + atoms
+        control[sliced_tables.PRESENT] = tables + 2 * atoms
+        control[sliced_tables.DONE] = tables + 2 * atoms + domains
+        control[sliced_tables.NEWS] = tables + 2 * atoms + domains + 1
         lower, upper = self._program.lower, self._program.upper
-        control[sliced_steps.LOWER_T : sliced_steps.UPPER_F + 1] = (
+        control[sliced_tables.LOWER_T : sliced_tables.UPPER_F + 1] = (
             lower.true, lower.false, upper.true, upper.false,
         )  # fmt: skip
         self._tables = np.zeros((tables + 2 * atoms + domains + 2, rows, wide), np.uint64)
@@ -358,13 +358,13 @@ class SlicedEvaluator:
             else:
                 new[:, : count - oldest] = before[:, oldest:count]
         # Rows of the nodes begin empty.
-        self._tables[: int(self._control[sliced_steps.HOLDS]), count - oldest : count] = 0
+        self._tables[: int(self._control[sliced_tables.HOLDS]), count - oldest : count] = 0
         self._first, self._closed = (np.maximum(each - oldest, 0) for each in pointers)
         self._count -= oldest
         self._last_unknown -= oldest
-        self._control[sliced_steps.OPEN] -= oldest
+        self._control[sliced_tables.OPEN] -= oldest
         if oldest:
-            self._control[sliced_steps.IS_WHOLE] = 0
+            self._control[sliced_tables.IS_WHOLE] = 0
 
     @property
     def _arrays(self) -> tuple[NDArray[Any], ...]:
@@ -384,24 +384,24 @@ class SlicedEvaluator:
         self._make_tables(len(self._valid), words)
         self._given[:, :, : given.shape[2]] = given
         self._valid, self._horizon, self._left = times
-        self._control[sliced_steps.IS_REPLAY] = 1
+        self._control[sliced_tables.IS_REPLAY] = 1
         self._run(0, self._count)
-        self._control[sliced_steps.IS_REPLAY] = 0
+        self._control[sliced_tables.IS_REPLAY] = 0
         if not self._looks_back:
-            np.maximum(self._first, self._control[sliced_steps.OPEN], out=self._first)
+            np.maximum(self._first, self._control[sliced_tables.OPEN], out=self._first)
 
     @property
     def _given(self) -> NDArray[np.uint64]:
         """The tables that do not follow from others."""
         control = self._control
-        return self._tables[control[sliced_steps.HOLDS] : control[sliced_steps.DONE] + 1]
+        return self._tables[control[sliced_tables.HOLDS] : control[sliced_tables.DONE] + 1]
 
     def _oldest(self) -> int:
         """The row of the first state that a verdict to come needs."""
         if not self._count:
             return 0
         # The last one stays: `advance` raises its horizon, and past operators look back from it.
-        row = min(int(self._control[sliced_steps.OPEN]), self._count - 1)
+        row = min(int(self._control[sliced_tables.OPEN]), self._count - 1)
         return self._earliest(self._monitor.formula, row) if self._looks_back else row
 
     def _earliest(self, formula: Formula, row: int) -> int:
@@ -429,7 +429,7 @@ class SlicedEvaluator:
 
     def _run(self, begin: int, end: int, *, is_new: bool = True) -> None:
         while begin < end:
-            begin = sliced_steps.run(
+            begin = sliced_verdicts.run(
                 self._tables, self._valid, self._horizon, self._program.nodes, self._words,
                 self._masks, self._full, self._stamp, self._changed, self._changes, self._first,
                 self._closed, self._spare, self._fresh, self._control, self._out, begin, end,

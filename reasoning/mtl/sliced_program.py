@@ -30,6 +30,7 @@ from ...languages.mtl.checked import (
     Until,
     Within,
 )
+from ...streams.time import TIME_MAX
 from .formulas import compares_objects, parts_of, readings_of, sorts_of
 
 TRUE, FALSE, NEW, BY_LEFT = range(4)
@@ -37,6 +38,8 @@ TRUE, FALSE, NEW, BY_LEFT = range(4)
 TABLES: Final = 4
 NO_END: Final = -1
 """The end of an interval that has none."""
+LONGEST: Final = TIME_MAX - 1
+"""The greatest bound of an interval, in ns: 292 years."""
 
 
 TRUTH, ATOM, OR, EVENTUALLY, ONCE, UNTIL, SINCE, PREVIOUS, EXISTS, SPREAD = range(10)
@@ -199,8 +202,8 @@ class Compiler:
             read = operand.negated() if is_dual else operand
             row[true], row[false] = read.true, read.false
         if interval is not None:
-            row[START] = interval.start
-            row[END] = NO_END if interval.end is None else interval.end
+            row[START] = min(interval.start, LONGEST)
+            row[END] = NO_END if interval.end is None else min(interval.end, LONGEST)
         for name, value in (more or {}).items():
             row[name] = value
         self._nodes.append(row)

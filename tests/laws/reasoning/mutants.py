@@ -61,7 +61,7 @@ MUTANTS = (
     ("mtl/sliced_steps.py", "= bits if is_first else tables[new, row, word] | bits", "= bits", SLICED),
     ("mtl/sliced_steps.py", "more & tables[left * TABLES + NEW, row, word]", "more", SLICED),
     ("mtl/sliced_steps.py", "high = reached if is_true else min(high, reached)", "high = reached", SLICED),
-    ("mtl/sliced_steps.py", "if row < control[OPEN] or (side and stamp[lower, row] == control[STEP]):", "if side:", SLICED),
+    ("mtl/sliced_verdicts.py", "if row < control[OPEN] or (side and stamp[lower, row] == control[STEP]):", "if side:", SLICED),
     ("mtl/sliced_evaluator.py", "rows] = self._used[domain]", "rows] = ~np.uint64(0)", SLICED),
     ("mtl/sliced_evaluator.py", "self._has_two_readings and self._last_unknown < self._oldest()", "self._has_two_readings", SLICED),
     ("mtl/sliced_evaluator.py", "self._earliest(self._monitor.formula, row) if self._looks_back else row", "row", SLICED),
