@@ -170,9 +170,8 @@ class SlicedEvaluator:
         found = []
         while at < count:
             cut = slice(at, at + self._make_room(count - at))
-            found.append(
-                self._taken(states.take(cut) if cut != slice(0, count) else states, left[cut])
-            )
+            some = states if cut == slice(0, count) else states.take(cut)
+            found.append(self._taken(some, left[cut]))
             at = cut.stop
         return found[0] if len(found) == 1 else concatenated(found)
 
@@ -196,11 +195,8 @@ class SlicedEvaluator:
         """Take states for which there are rows."""
         begin, count = self._count, len(states.valid)
         rows = slice(begin, begin + count)
-        self._valid[rows], self._horizon[rows], self._left[rows] = (
-            states.valid,
-            states.horizon,
-            left,
-        )
+        self._valid[rows], self._horizon[rows] = states.valid, states.horizon
+        self._left[rows] = left
         control = self._control
         first = int(control[sliced_tables.PRESENT])
         for domain, sort in enumerate(self._compiler.domains[1:], start=1):
@@ -255,7 +251,7 @@ class SlicedEvaluator:
     def _put(self, table: int, rows: slice, bits: Mask) -> None:
         """Write truths, shape ``(states, objects)``, into rows of a table."""
         packed = np.packbits(bits, axis=1, bitorder="little")
-        self._bytes[table, rows, : packed.shape[1]] = packed
+        self._tables[table, rows].view(np.uint8)[:, : packed.shape[1]] = packed
 
     def _matters(self, domain: int, states: States) -> Mask:
         """At which states and objects it matters whether an atom is known: of those that were there
@@ -286,7 +282,6 @@ class SlicedEvaluator:
             lower.true, lower.false, upper.true, upper.false,
         )  # fmt: skip
         self._tables = np.zeros((tables + 2 * atoms + domains + 2, rows, wide), np.uint64)
-        self._bytes = self._tables.view(np.uint8)
         # A closed formula is about something that is always there.
         self._tables[tables + 2 * atoms, :, 0] = 1
         self._valid, self._horizon, self._left = np.zeros((3, rows), np.int64)

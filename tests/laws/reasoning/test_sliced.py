@@ -4,6 +4,7 @@ however the states are cut into batches, and whichever objects come."""
 from __future__ import annotations
 
 import itertools
+import pickle
 
 import numpy as np
 import pytest
@@ -124,6 +125,8 @@ def compared(seed: int, count: int, objects: int, depth: int) -> int:
         seen = max(seen, 1, *(there + 1)) if len(there) else max(seen, 1)
         part = columns_of(states.take(cut), seen)
         same(moments.push(part), bits.push(part))
+        if draw.random.random() < 0.2:
+            bits = pickle.loads(pickle.dumps(bits))  # as a checkpoint does
         if draw.random.random() < 0.3:
             # The horizon goes on without a state.
             last = cut.stop - 1
