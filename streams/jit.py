@@ -5,9 +5,10 @@ With ``NUMBA_DISABLE_JIT=1`` or ``DYKNOW_JIT=off`` each caller takes another way
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -61,26 +62,37 @@ class Kernel:
 
                 for function in self._calls:
                     register_jitable(forceinline=True)(function)
-                if self._calls:
-                    _renew(Path(self.py_func.__code__.co_filename))
+                loop = njit(**self._options)(self.py_func)
                 try:
-                    self._compiled = njit(self.signature(), cache=True, **self._options)(
-                        self.py_func
-                    )
+                    loop.enable_caching()
+                    if self._calls:
+                        _depend(loop, _sources(Path(self.py_func.__code__.co_filename).parents[1]))
                 except RuntimeError:
                     # No directory for the cache (a read-only root, no home): compile at each start.
-                    self._compiled = njit(self.signature(), **self._options)(self.py_func)
+                    loop = njit(**self._options)(self.py_func)
+                loop.compile(self.signature())
+                loop.disable_compile()
+                self._compiled = loop
             return self._compiled
 
 
-def _renew(source: Path) -> None:
-    """Give a module the time of the newest one in its folder and the folders beside it: numba's
-    cache compares the time of the module only, and its loops have code of others in them."""
-    newest = max(each.stat().st_mtime_ns for each in source.parents[1].rglob("*.py"))
-    if newest > source.stat().st_mtime_ns:
-        # Where nothing can be written, nobody changes modules one by one.
-        with suppress(OSError):
-            os.utime(source, ns=(newest, newest))
+def _depend(loop: Any, sources: str) -> None:
+    """Let what the cache has of a loop be valid for these sources only.
+
+    Numba compares the module of the loop, but code and constants of others are in the loop, too.
+    There is no public way to say so.
+    """
+    file = loop._cache._cache_file
+    file._source_stamp = file._source_stamp, sources
+
+
+@cache
+def _sources(folder: Path) -> str:
+    """A digest of the modules in a folder and the folders in it."""
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        found.update(path.read_bytes())
+    return found.hexdigest()
 
 
 def _ignore(_done: int, _count: int) -> None:

@@ -147,7 +147,7 @@ def _candidates(nodes: Any, node: Any, count: Any, is_new: Any, changes: Any, fi
     left, right = nodes[node, LEFT_T] // TABLES, nodes[node, RIGHT_T] // TABLES
     if operation == OR:
         return changes[left] + changes[right]
-    if operation in (UNTIL, SINCE, ONCE):
+    if operation in (SINCE, ONCE):
         return count - first[node]
     return changes[left] + (is_new if operation != SPREAD else 0)
 
@@ -159,7 +159,7 @@ def _candidate(
     left = nodes[node, LEFT_T] // TABLES
     if operation in (ATOM, TRUTH):
         return count - 1
-    if operation in (UNTIL, SINCE, ONCE):
+    if operation in (SINCE, ONCE):
         return first[node] + k
     if k < changes[left]:
         row = changed[left, k] + (operation == PREVIOUS)
@@ -224,38 +224,32 @@ def _evaluate_once(
 
 
 def _join(
-    tables: Any, nodes: Any, node: Any, other: Any, is_inside: Any, words: Any, spare: Any
-) -> None:
-    """Let `until` or `since` be what the operands say at a state, and else what it is beyond."""
+    tables: Any, nodes: Any, node: Any, other: Any, is_inside: Any, words: Any, spare: Any,
+    place: Any,
+) -> None:  # fmt: skip
+    """Go on by one state: let ``spare[place]`` and ``spare[place + 1]`` say where `until`, or
+    `since`, is true and false from this state on; they say it from the state beyond on."""
     left_t, left_f = nodes[node, LEFT_T], nodes[node, LEFT_F]
     right_t, right_f = nodes[node, RIGHT_T], nodes[node, RIGHT_F]
     for word in range(words):
-        true = tables[left_t, other, word] & spare[0, word]
-        false = tables[left_f, other, word] | spare[1, word]
+        true = tables[left_t, other, word] & spare[place, word]
+        false = tables[left_f, other, word] | spare[place + 1, word]
         if is_inside:
             true |= tables[right_t, other, word]
             false &= tables[right_f, other, word]
-        spare[0, word] = true
-        spare[1, word] = false
+        spare[place, word] = true
+        spare[place + 1, word] = false
 
 
-def _evaluate_until(
-    tables: Any, nodes: Any, node: Any, row: Any, count: Any, valid: Any, words: Any, closed: Any,
-    spare: Any,
-) -> None:  # fmt: skip
-    is_closed, is_past = row < closed[node], nodes[node, OPERATION] == SINCE
+def _evaluate_since(
+    tables: Any, nodes: Any, node: Any, row: Any, valid: Any, words: Any, spare: Any
+) -> None:
     for word in range(words):
         spare[0, word] = 0
-        spare[1, word] = ~np.uint64(0) if is_closed or is_past else np.uint64(0)
-    if is_past:
-        low, high = back(valid, row, nodes[node, END]), _behind(valid, row, nodes[node, START])
-        for other in range(low, row + 1):
-            _join(tables, nodes, node, other, other < high, words, spare)
-    else:
-        low = ahead(valid, row, nodes[node, START], count)
-        high = reach(valid, row, nodes[node, END], count)
-        for other in range(high - 1, row - 1, -1):
-            _join(tables, nodes, node, other, other >= low, words, spare)
+        spare[1, word] = ~np.uint64(0)
+    low, high = back(valid, row, nodes[node, END]), _behind(valid, row, nodes[node, START])
+    for other in range(low, row + 1):
+        _join(tables, nodes, node, other, other < high, words, spare, 0)
 
 
 def _evaluate_exists(
@@ -273,8 +267,8 @@ def _evaluate_exists(
 
 
 def _evaluate(
-    tables: Any, valid: Any, nodes: Any, words: Any, full: Any, stamp: Any, closed: Any, spare: Any,
-    control: Any, count: Any, node: Any, row: Any,
+    tables: Any, valid: Any, nodes: Any, words: Any, full: Any, stamp: Any, spare: Any,
+    control: Any, node: Any, row: Any,
 ) -> None:  # fmt: skip
     operation, wide = nodes[node, OPERATION], words[nodes[node, DOMAIN]]
     left_t, left_f = nodes[node, LEFT_T], nodes[node, LEFT_F]
@@ -284,8 +278,8 @@ def _evaluate(
         _evaluate_or(tables, nodes, node, row, wide, stamp, spare, control)
     elif operation == ONCE:
         _evaluate_once(tables, nodes, node, row, valid, wide, full, spare)
-    elif operation in (UNTIL, SINCE):
-        _evaluate_until(tables, nodes, node, row, count, valid, wide, closed, spare)
+    elif operation == SINCE:
+        _evaluate_since(tables, nodes, node, row, valid, wide, spare)
     elif operation == EXISTS:
         _evaluate_exists(tables, nodes, node, row, words[nodes[node, OVER]], spare, control)
     else:
@@ -334,6 +328,17 @@ def _put_false(
                 spare[1, word] &= tables[left_t, other, word] | tables[left_f, other, word]
 
 
+def _close(
+    valid: Any, horizon: Any, end: Any, first: Any, closed: Any, count: Any, node: Any
+) -> Any:
+    """Go on to the first row whose interval may still get states, and return it."""
+    row = max(closed[node], first[node])
+    while row < count and is_over(valid, row, end, horizon[count - 1]):
+        row += 1
+    closed[node] = row
+    return row
+
+
 def _eventually(
     tables: Any, valid: Any, horizon: Any, nodes: Any, words: Any, masks: Any, full: Any,
     stamp: Any, changed: Any, changes: Any, first: Any, closed: Any, spare: Any, control: Any,
@@ -346,10 +351,7 @@ def _eventually(
     wide, mask, step = words[domain], masks[domain], control[STEP]
     operand, last = table // TABLES, count - 1
     before = closed[node]
-    now = max(before, first[node])
-    while now < count and is_over(valid, now, end, horizon[last]):
-        now += 1
-    closed[node] = now
+    now = _close(valid, horizon, end, first, closed, count, node)
     is_many = changes[operand] > MANY
     groups = 1 if is_many else changes[operand]
     low_change, high_change = count, -1
@@ -402,6 +404,55 @@ def _eventually(
                 )  # fmt: skip
 
 
+def _until(
+    tables: Any, valid: Any, horizon: Any, nodes: Any, words: Any, masks: Any, full: Any,
+    stamp: Any, changed: Any, changes: Any, first: Any, closed: Any, spare: Any, control: Any,
+    count: Any, node: Any,
+) -> None:  # fmt: skip
+    """From the newest start back. Where the interval may still get states, what is known from its
+    first state on is that of the later starts, and more."""
+    start, end = nodes[node, START], nodes[node, END]
+    domain = nodes[node, DOMAIN]
+    wide, step = words[domain], control[STEP]
+    left, right = nodes[node, LEFT_T] // TABLES, nodes[node, RIGHT_T] // TABLES
+    before = closed[node]
+    now = _close(valid, horizon, end, first, closed, count, node)
+    low, high, known = first[node], count, count
+    if changes[left] == 0 and changes[right] == 0:
+        # Only rows whose interval is over now.
+        low, high = max(low, before), now
+    for word in range(wide):
+        spare[0, word] = spare[1, word] = 0
+    for row in range(high - 1, low - 1, -1):
+        inside = ahead(valid, row, start, count)
+        place = 0
+        if row >= now:
+            while known > inside:
+                known -= 1
+                _join(tables, nodes, node, known, True, wide, spare, 0)
+            if full[node, row]:
+                continue
+            if inside > row:
+                place = 2
+                for word in range(wide):
+                    spare[2, word], spare[3, word] = spare[0, word], spare[1, word]
+                for other in range(inside - 1, row - 1, -1):
+                    _join(tables, nodes, node, other, False, wide, spare, 2)
+        elif full[node, row]:
+            continue
+        else:
+            place = 2
+            for word in range(wide):
+                spare[2, word], spare[3, word] = 0, ~np.uint64(0)
+            for other in range(reach(valid, row, end, count) - 1, row - 1, -1):
+                _join(tables, nodes, node, other, other >= inside, wide, spare, 2)
+        for side in range(2):
+            _gain(
+                tables, node * TABLES + side, row, spare[place + side], wide, masks[domain], full,
+                stamp, step, changed, changes,
+            )  # fmt: skip
+
+
 def take_step(
     tables: Any, valid: Any, horizon: Any, nodes: Any, words: Any, masks: Any, full: Any,
     stamp: Any, changed: Any, changes: Any, first: Any, closed: Any, spare: Any, control: Any,
@@ -426,21 +477,18 @@ def take_step(
                 tables, valid, horizon, nodes, words, masks, full, stamp, changed, changes, first,
                 closed, spare, control, count, node,
             )  # fmt: skip
+        elif operation == UNTIL:
+            _until(
+                tables, valid, horizon, nodes, words, masks, full, stamp, changed, changes, first,
+                closed, spare, control, count, node,
+            )  # fmt: skip
         else:
-            if operation == UNTIL:
-                now = max(closed[node], first[node])
-                while now < count and is_over(valid, now, nodes[node, END], horizon[last]):
-                    now += 1
-                closed[node] = now
             for k in range(_candidates(nodes, node, count, is_new, changes, first)):
                 row = _candidate(nodes, node, k, count, changed, changes, first)
                 is_again = operation == OR and stamp[node, row] == step
                 if full[node, row] and not is_again:
                     continue
-                _evaluate(
-                    tables, valid, nodes, words, full, stamp, closed, spare, control, count, node,
-                    row,
-                )  # fmt: skip
+                _evaluate(tables, valid, nodes, words, full, stamp, spare, control, node, row)
                 for side in range(2):
                     _gain(
                         tables, node * TABLES + side, row, spare[side], wide, mask, full, stamp,
@@ -452,7 +500,7 @@ def take_step(
 
 STEPS: Final = (
     _is_later, _is_near, ahead, _behind, reach, back, is_over, _gain, _candidates, _candidate,
-    _evaluate_atom, _evaluate_or, _evaluate_once, _join, _evaluate_until, _evaluate_exists,
-    _evaluate, _put_new_true, _put_false, _eventually, take_step,
+    _evaluate_atom, _evaluate_or, _evaluate_once, _join, _evaluate_since, _evaluate_exists,
+    _evaluate, _put_new_true, _put_false, _close, _eventually, _until, take_step,
 )  # fmt: skip
 """The functions of a step: `Kernel` compiles them into the loop that calls them."""
