@@ -159,26 +159,27 @@ class Monitoring:
         has_begun = self.monitor.once and not self.has_own_states and self.states > 0
         return has_begun and not self.has_open
 
-    def add(
-        self, source: int, term: Term, available: Times, valid: Times, objects: NDArray[Any],
-        values: NDArray[Any],
-    ) -> None:  # fmt: skip
-        """Take samples of a term from a stream, in order of available time. ``objects``: the IRI of
-        each variable argument, shape ``(n, variables)``. `came` must tell of them, too."""
+    def place(self, term: Term, variable: int, iri: str) -> int:
+        """Return the number of an object for `add`, as a variable argument of a term; -1 where the
+        monitor is not about it."""
         if not self.has_own_states:
-            maker = self._shared
-            columns = [
-                np.array([maker.place(sort, iri) for iri in objects[:, i]], np.int64)
-                for i, sort in enumerate(variables_of(term))
-            ]
-            places = np.stack(columns, axis=1) if columns else np.empty((len(valid), 0), np.int64)
-            maker.add(term, source, Rows(available, valid, places, values))
+            return self._shared.place(variables_of(term)[variable], iri)
+        return self._part(iri) if self._only is None or iri in self._only else -1
+
+    def add(
+        self, source: int, term: Term, available: Times, valid: Times,
+        places: NDArray[np.int64], values: NDArray[Any],
+    ) -> None:  # fmt: skip
+        """Take samples of a term from a stream, in order of available time. ``places``: the `place`
+        of each variable argument, shape ``(n, variables)``. `came` must tell of them, too."""
+        if not self.has_own_states:
+            self._shared.add(term, source, Rows(available, valid, places, values))
             return
+        part = places[:, 0]
         if self._only is not None:
-            named = np.isin(objects[:, 0], self._only)
-            available, valid, values = available[named], valid[named], values[named]
-            objects = objects[named]
-        self._own.add(term, source, available, valid, self._parts_of(objects), values)
+            own = part >= 0
+            available, valid, part, values = available[own], valid[own], part[own], values[own]
+        self._own.add(term, source, available, valid, part, values)
 
     def came(self, source: int, available: Times, valid: Times) -> None:
         """Take the times of all samples of a stream, in order of available time."""
@@ -220,10 +221,6 @@ class Monitoring:
         if states is None or not self.has_own_states:
             return states
         return replace(states, objects=dict.fromkeys(states.objects, tuple(objects)))
-
-    def _parts_of(self, objects: NDArray[Any]) -> NDArray[np.int64]:
-        """The parts of objects; shape ``(n, 1)``."""
-        return np.array([self._part(iri) for iri in objects[:, 0]], np.int64)
 
     def _part(self, iri: str) -> int:
         if iri not in self._parts:

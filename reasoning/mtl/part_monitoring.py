@@ -104,9 +104,6 @@ class PartMonitoring(Monitoring):
         made = self._own.advance(watermark, steps)
         return self._report(self._decided(made, steps.latest, watermark if by_clock else None))
 
-    def _parts_of(self, objects: NDArray[Any]) -> Parts:
-        return objects
-
     @property
     def _names(self) -> NDArray[Any]:
         return np.arange(self._count)

@@ -35,12 +35,10 @@ class KeptSamples:
         self._variables = variables
         self._waiting: list[tuple[int, Rows]] = []
         self._rows = self._none = _no_rows(variables)
-        self._order: NDArray[np.int64] = np.empty(0, np.int64)
-        """The rank of each row by available time, source and arrival."""
-        self._entered = 0
+        """Those of one valid time in order of available time, source and arrival."""
 
     def __len__(self) -> int:
-        return len(self._order) + sum(len(rows.valid) for _, rows in self._waiting)
+        return len(self._rows.valid) + sum(len(rows.valid) for _, rows in self._waiting)
 
     def add(self, source: int, rows: Rows) -> None:
         self._waiting.append((source, rows))
@@ -61,10 +59,7 @@ class KeptSamples:
         if len(due) > 1:
             # Stable: parts of one source came in order.
             new = new.take(np.argsort(new.available, kind="stable"))
-        order = self._entered + np.arange(len(new.valid), dtype=np.int64)
-        self._entered += len(order)
         self._rows = _joined([self._rows, new], self._variables)
-        self._order = np.concatenate([self._order, order])
         return new
 
     def at(
@@ -73,31 +68,30 @@ class KeptSamples:
         """The value at each state, and its sample's valid time (`TIME_MIN`: none); shape
         ``(n, *shape)``. Forgets the samples that no later state needs."""
         rows, count = self._rows, len(due)
+        if bool((rows.valid[1:] < rows.valid[:-1]).any()):
+            rows = rows.take(np.argsort(rows.valid, kind="stable"))
         # The first state that a sample counts for: it is valid then, and has come.
         first = np.maximum(
             due.searchsorted(rows.valid, "left"),
             left.searchsorted(rows.available, "left"),
         )
-        newest = np.lexsort((self._order, rows.valid))
-        rank = np.empty(len(newest), np.int64)
-        rank[newest] = np.arange(len(newest))
         cells = int(np.prod(shape, dtype=np.int64))
         cell = _cell_of(rows.places, shape)
         best = np.full((count, cells), -1, np.int64)
-        counts = first < count
-        np.maximum.at(best, (first[counts], cell[counts]), rank[counts])
+        counts = np.flatnonzero(first < count)
+        # Of several rows of one cell the last one stays.
+        best[first[counts], cell[counts]] = counts
         np.maximum.accumulate(best, axis=0, out=best)
-        if len(newest):
-            place = newest[best]
-            values = rows.values[place]
-            valid = np.where(best < 0, TIME_MIN, rows.valid[place])
+        if len(first):
+            values = rows.values[best]
+            valid = np.where(best < 0, TIME_MIN, rows.valid[best])
         else:
             values = np.zeros(best.shape, rows.values.dtype)
             valid = np.full(best.shape, TIME_MIN, np.int64)
-        keep = ~counts
+        keep = first >= count
         winners = best[-1]
-        keep[newest[winners[winners >= 0]]] = True
-        self._rows, self._order = rows.take(keep), self._order[keep]
+        keep[winners[winners >= 0]] = True
+        self._rows = rows.take(keep)
         return values.reshape(count, *shape), valid.reshape(count, *shape)
 
     def at_parts(
@@ -107,33 +101,29 @@ class KeptSamples:
         are in order of part: those of part p are ``begin[p] .. begin[p + 1] - 1``; shape
         ``(n,)``."""
         rows = self._rows
-        if not len(self._order):
+        if not len(rows.valid):
             return np.zeros(len(due), rows.values.dtype), np.full(len(due), TIME_MIN, np.int64)
+        rows = rows.take(np.lexsort((rows.valid, rows.places[:, 0])))
         own = np.ascontiguousarray(rows.places[:, 0])
         first = np.maximum(
             search(begin, due, own, rows.valid), search(begin, left, own, rows.available)
         )
-        counts = first < begin[own + 1]
-        newest = np.lexsort((self._order, rows.valid, own))
-        rank = np.empty(len(newest), np.int64)
-        rank[newest] = np.arange(len(newest))
+        counts = np.flatnonzero(first < begin[own + 1])
         best = np.full(len(due), -1, np.int64)
-        np.maximum.at(best, first[counts], rank[counts])
-        # Ranks increase with the part, so that of an earlier part stands for no sample.
+        best[first[counts]] = counts
+        # Rows are in order of parts, so one of an earlier part stands for no sample.
         np.maximum.accumulate(best, out=best)
-        place = newest[best]
-        is_own = (best >= 0) & (own[place] == part)
+        is_own = (best >= 0) & (own[best] == part)
         last = begin[1:][begin[1:] > begin[:-1]] - 1
-        keep = ~counts
-        keep[place[last[is_own[last]]]] = True
-        found = rows.values[place], np.where(is_own, rows.valid[place], TIME_MIN)
-        self._rows, self._order = rows.take(keep), self._order[keep]
+        keep = first >= begin[own + 1]
+        keep[best[last[is_own[last]]]] = True
+        found = rows.values[best], np.where(is_own, rows.valid[best], TIME_MIN)
+        self._rows = rows.take(keep)
         return found
 
     def drop(self, place: int) -> None:
         """Forget the samples with this first place."""
-        keep = self._rows.places[:, 0] != place
-        self._rows, self._order = self._rows.take(keep), self._order[keep]
+        self._rows = self._rows.take(self._rows.places[:, 0] != place)
         self._waiting = [
             (source, rows.take(rows.places[:, 0] != place)) for source, rows in self._waiting
         ]

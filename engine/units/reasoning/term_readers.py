@@ -44,8 +44,12 @@ def term_readers(
     return found
 
 
+_UNKNOWN: Final = -2
+"""The place of an object that was not asked for."""
+
+
 class TermReader:
-    """Reads the values of one term from one stream."""
+    """Reads the values of one term from one stream, always for the same monitor."""
 
     def __init__(self, input: TermInput, dictionary: TermDictionary) -> None:
         self._term = input.term
@@ -55,6 +59,8 @@ class TermReader:
         self._names: list[str] = []
         """IRIs by their codes."""
         self._code_of: dict[str, int] = {}
+        self._places = [np.empty(0, np.int64) for _ in input.variables]
+        """The places of objects in the monitor, by their codes, for each variable argument."""
         self._codes = [
             ObjectCodes(object, dictionary, self._code, input.input.is_wanted if i == 0 else None)
             for i, object in enumerate(input.input.objects)
@@ -74,7 +80,8 @@ class TermReader:
         if parts is not None:
             rows = np.flatnonzero(present)
             times = batch.available[rows], batch.valid[rows]
-            monitoring.add(place, self._term, *times, parts[rows], self._values(column.take(rows)))
+            numbers = parts[rows].reshape(-1, 1)
+            monitoring.add(place, self._term, *times, numbers, self._values(column.take(rows)))
             return
         codes = []
         for encoder in self._codes:
@@ -84,13 +91,28 @@ class TermReader:
         rows = np.flatnonzero(present)
         if not len(rows):
             return
-        names = self._names
-        objects = np.empty((len(rows), len(self._variables)), object)
+        places = np.empty((len(rows), len(self._variables)), np.int64)
         for i, argument in enumerate(self._variables):
-            objects[:, i] = [names[code] for code in codes[argument][rows].tolist()]
+            places[:, i] = self._places_of(codes[argument][rows], i, monitoring)
         values = self._values(column.take(rows))
-        available, valid = batch.available[rows], batch.valid[rows]
-        monitoring.add(place, self._term, available, valid, objects, values)
+        monitoring.add(place, self._term, batch.available[rows], batch.valid[rows], places, values)
+
+    def _places_of(
+        self, codes: NDArray[np.int32], variable: int, monitoring: Monitoring
+    ) -> NDArray[np.int64]:
+        """The places of objects by their codes; each is asked for once."""
+        table = self._places[variable]
+        more = len(self._names) - len(table)
+        if more > 0:
+            more = max(more, len(table))
+            table = self._places[variable] = np.concatenate([table, np.full(more, _UNKNOWN)])
+        found = table[codes]
+        if len(found) and int(found.min()) == _UNKNOWN:
+            # In the order in which they come.
+            for code in dict.fromkeys(codes[found == _UNKNOWN].tolist()):
+                table[code] = monitoring.place(self._term, variable, self._names[code])
+            found = table[codes]
+        return found
 
     def _code(self, iri: str) -> int:
         code = self._code_of.setdefault(iri, len(self._names))

@@ -67,6 +67,7 @@ MUTANTS = (
     ("mtl/sliced_evaluator.py", "self._earliest(self._monitor.formula, row) if self._looks_back else row", "row", SLICED),
     # A state leaves with the samples of its instant.
     ("states/kept_samples.py", 'left.searchsorted(rows.available, "left")', 'left.searchsorted(rows.available, "right")', STATES),
+    ("states/kept_samples.py", "np.argsort(rows.valid, kind=\"stable\")", "np.argsort(-rows.valid, kind=\"stable\")", STATES),
     ("states/departures.py", "moments > last", "moments >= last", STATES),
     ("mtl/monitoring.py", "self._evaluator.advance(latest - 1)", "self._evaluator.advance(latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
@@ -74,7 +75,7 @@ MUTANTS = (
     ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PARTS),
     ("mtl/evaluator.py", "known[rows.part] for name", "known[0 * rows.part] for name", PARTS),
     ("states/part_states.py", "np.maximum(steps.left(part, due), self._begun[part])", "steps.left(part, due)", PARTS),
-    ("states/kept_samples.py", "(best >= 0) & (own[place] == part)", "best >= 0", PARTS),
+    ("states/kept_samples.py", "(best >= 0) & (own[best] == part)", "best >= 0", PARTS),
     # SEQ is strict; EQUALS is of both times.
     ("patterns/compilation/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
     ("patterns/compilation/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),

@@ -242,15 +242,16 @@ class Playing:
 
     def _add(self, source: int, term, part: list[Sample]) -> None:
         variables = [i for i, sort in enumerate(term[1]) if not sort.startswith("<")]
-        objects = np.empty((len(part), len(variables)), object)
-        for row, sample in enumerate(part):
-            objects[row] = [sample.objects[i] for i in variables]
+        place = self.monitoring.place
+        places = [
+            [place(term, v, sample.objects[i]) for v, i in enumerate(variables)] for sample in part
+        ]
         self.monitoring.add(
             source,
             term,
             np.array([s.available for s in part]),
             np.array([s.valid for s in part]),
-            objects,
+            np.array(places, np.int64).reshape(len(part), len(variables)),
             np.array([s.value for s in part], np.bool_),
         )
 
@@ -332,9 +333,9 @@ def rows_told(formula, report: Report, rows, *, once: bool = False) -> list[tupl
     found = []
     (term,) = monitoring.terms
     for time, name, value in rows:
-        times, objects = np.array([time]), np.array([[name]], object)
+        times, places = np.array([time]), np.array([[monitoring.place(term, 0, name)]])
         monitoring.came(0, times, times)
-        monitoring.add(0, term, times, times, objects, np.array([value]))
+        monitoring.add(0, term, times, times, places, np.array([value]))
         found.append(monitoring.advance(time))
         if monitoring.is_over:
             break

@@ -183,11 +183,11 @@ class Play:
             self.alone[p].came(stream, available[part == p], valid[part == p])
         for i, each in enumerate(self.terms):
             mine = term == i
-            rows = available[mine], valid[mine], part[mine], values[mine]
+            rows = available[mine], valid[mine], part[mine, None], values[mine]
             self.shared.add(stream, each, *rows)
             for p in set(part[mine].tolist()):
                 own = mine & (part == p)
-                names = np.full((int(own.sum()), 1), self.objects[p], dtype=np.object_)
+                names = np.full((int(own.sum()), 1), self.alone[p].place(each, 0, self.objects[p]))
                 times = available[own], valid[own]
                 self.alone[p].add(stream, each, *times, names, values[own])
 
