@@ -255,7 +255,7 @@ def nested(operator: str, depth: int) -> str:
     ],
 )
 def test_a_large_text_takes_no_long(text: str) -> None:
-    with ends_within(400), contextlib.suppress(LanguageError):
+    with ends_within(2_000), contextlib.suppress(LanguageError):
         compiled(text)
 
 

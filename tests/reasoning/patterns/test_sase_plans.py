@@ -69,7 +69,7 @@ def test_the_greatest_patterns_compile_soon(conditions: list[str], strategy: str
         for kind in (*KINDS, *(f"f{i}" for i in range(16)))
         for field in ("x", "y", *(f"x{i}" for i in range(256)))
     }
-    with ends_within(600):
+    with ends_within(3_000):
         checked = check_sase(parse_sase(text), text, vocabulary(features))
         sase_query(checked, kinds)
 
