@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from dyknow.converters.wire import Incoming
+from dyknow.engine.engine import Engine
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
 from dyknow.languages.mtl.checked import (
     Atom,
@@ -34,6 +36,8 @@ from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
 from dyknow.reasoning.mtl.sliced_evaluator import SlicedEvaluator
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
+from dyknow.streams.sample import batch_from_rows
+from dyknow.streams.time import SECOND
 
 SORT, SPEED = "urn:Car", "urn:speed"
 TERM = (SPEED, (SORT,))
@@ -49,6 +53,12 @@ ROWS = {
     "100,000 objects, a state a batch": (100_000, 100, 1, 10),
 }
 """Objects, states, states a batch, the end of the outer interval in s."""
+
+
+IN_ENGINE = (
+    "monitor m(?x in UAV) = always [0s, 10s] (speed(?x) > 100 [m.s-1] -> "
+    "eventually [0s, 5s] speed(?x) < 90 [m.s-1]) with sample every 1s, report violations"
+)
 
 
 def monitor(end: int, *, robustness: bool = False) -> CheckedMonitor:
@@ -159,6 +169,39 @@ def violations_by_hand(
         yield failed(state)
 
 
+def through_an_engine(objects: int, count: int = 30) -> None:
+    """A sample of each object a second, in an engine: what a monitor on a grid costs beyond
+    publishing."""
+    draw = np.random.default_rng(1)
+
+    def seconds(text: str | None) -> float:
+        engine = Engine()
+        engine.annotate("stream a contains speed(UAV) = v [m.s-1] for every UAV = id")
+        if text is not None:
+            engine.queries.register(text)
+        generator = engine.generator("a")
+        pools, parts = generator.stream.pools, []
+        for state in range(1, count + 1):
+            speeds = draw.normal(80, 15, objects).tolist()
+            rows = [
+                (state * SECOND, state * SECOND, {"id": f"u{i}", "v": speed})
+                for i, speed in enumerate(speeds)
+            ]
+            parts.append(Incoming(batch_from_rows(generator.schema, rows, pools), False))
+        for part in parts[:5]:
+            engine.publish("a", part, 0)
+        begun = time.process_time()
+        for part in parts[5:]:
+            engine.publish("a", part, 0)
+        return (time.process_time() - begun) / (count - 5)
+
+    alone, beside = (min(seconds(text) for _ in range(RUNS)) for text in (None, IN_ENGINE))
+    print(
+        f"{objects:,} objects through an engine, sample every 1s: {(beside - alone) * 1e6:,.0f} µs "
+        f"a state beyond {alone * 1e6:,.0f} of publishing"
+    )
+
+
 def peers() -> None:
     """The same rule by RTAMT and Reelay, where they are installed."""
     speeds = np.random.default_rng(1).normal(80, 15, 100_000).tolist()
@@ -197,6 +240,8 @@ def main() -> None:
         by_hand(name)
     for name in ("1 object, one batch", "1,000 objects, batches of 100"):
         run(name, MonitorEvaluator, robustness=True)
+    for objects in (1_000, 10_000):
+        through_an_engine(objects)
     peers()
 
 
