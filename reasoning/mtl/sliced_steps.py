@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...streams.time import TIME_MAX
 from .sliced_program import (
     ATOM,
     BY_LEFT,
@@ -19,7 +18,6 @@ from .sliced_program import (
     LEFT_F,
     LEFT_T,
     NEW,
-    NO_END,
     NUMBER,
     ONCE,
     OPERATION,
@@ -37,74 +35,10 @@ from .sliced_program import (
     UNTIL,
 )
 from .sliced_tables import HOLDS, KNOWN, PRESENT, STEP
+from .sliced_times import SEARCHES, ahead, back, behind, is_later, is_near, is_over, reach
 
 MANY: Final = 2
 """More changed rows of an operand are taken together."""
-
-
-def _is_later(valid: Any, row: Any, other: Any, gap: Any) -> Any:
-    """Whether ``other`` is valid at least ``gap`` after ``row``, which is not later."""
-    return np.uint64(valid[other] - valid[row]) >= np.uint64(gap)
-
-
-def _is_near(valid: Any, row: Any, other: Any, end: Any) -> Any:
-    """Whether ``other`` is valid at most ``end`` after ``row``, which is not later."""
-    return end == NO_END or np.uint64(valid[other] - valid[row]) <= np.uint64(end)
-
-
-def ahead(valid: Any, row: Any, gap: Any, count: Any) -> Any:
-    """The first row that is valid at least ``gap`` after ``row``; ``count`` if there is none."""
-    if gap == 0:
-        return row
-    low, step = row, 1
-    while low + step < count and not _is_later(valid, row, low + step, gap):
-        low += step
-        step *= 2
-    # ``low`` is not so late; ``high`` is, or it is the end.
-    high = min(low + step, count)
-    while high - low > 1:
-        middle = (low + high) >> 1
-        if _is_later(valid, row, middle, gap):
-            high = middle
-        else:
-            low = middle
-    return high
-
-
-def _behind(valid: Any, row: Any, gap: Any) -> Any:
-    """The row after the last one that is valid at least ``gap`` before ``row``; 0 if there is
-    none."""
-    if gap == 0:
-        return row + 1
-    high, step = row, 1
-    while high - step >= 0 and not _is_later(valid, high - step, row, gap):
-        high -= step
-        step *= 2
-    low = max(high - step, -1)
-    while high - low > 1:
-        middle = (low + high) >> 1
-        if _is_later(valid, middle, row, gap):
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-def reach(valid: Any, row: Any, end: Any, count: Any) -> Any:
-    """The row after the last one that is valid at most ``end`` after ``row``."""
-    return count if end == NO_END else ahead(valid, row, end + 1, count)
-
-
-def back(valid: Any, row: Any, end: Any) -> Any:
-    """The first row that is valid at most ``end`` before ``row``."""
-    return 0 if end == NO_END else _behind(valid, row, end + 1)
-
-
-def is_over(valid: Any, row: Any, end: Any, horizon: Any) -> Any:
-    """Whether no later state is valid up to ``end`` after ``row``."""
-    if horizon == TIME_MAX:
-        return True
-    return end != NO_END and np.uint64(horizon - valid[row]) >= np.uint64(end)
 
 
 def _gain(
@@ -212,7 +146,7 @@ def _evaluate_once(
     for word in range(words):
         spare[0, word] = 0
         spare[1, word] = ~np.uint64(0)
-    low, high = back(valid, row, nodes[node, END]), _behind(valid, row, nodes[node, START])
+    low, high = back(valid, row, nodes[node, END]), behind(valid, row, nodes[node, START])
     for other in range(low, high):
         is_full = full[operand, other]
         for word in range(words):
@@ -247,7 +181,7 @@ def _evaluate_since(
     for word in range(words):
         spare[0, word] = 0
         spare[1, word] = ~np.uint64(0)
-    low, high = back(valid, row, nodes[node, END]), _behind(valid, row, nodes[node, START])
+    low, high = back(valid, row, nodes[node, END]), behind(valid, row, nodes[node, START])
     for other in range(low, row + 1):
         _join(tables, nodes, node, other, other < high, words, spare, 0)
 
@@ -367,7 +301,7 @@ def _eventually(
             if not is_many:
                 other = changed[operand, group if is_true else group - groups]
                 low = max(low, back(valid, other, end))
-            reached = _behind(valid, other, start)
+            reached = behind(valid, other, start)
             high = reached if is_true else min(high, reached)
         has_some = not is_true
         if is_true and not is_many:
@@ -377,10 +311,10 @@ def _eventually(
         for row in range(high - 1, low - 1, -1):
             place, has_own = 0, has_some
             if is_true and is_many:
-                if _is_near(valid, row, last, end):
+                if is_near(valid, row, last, end):
                     # All that the later intervals have, and more.
                     while (
-                        other >= row and other >= low_change and _is_later(valid, row, other, start)
+                        other >= row and other >= low_change and is_later(valid, row, other, start)
                     ):
                         if stamp[operand, other] == step:
                             has_some |= _put_new_true(
@@ -499,7 +433,7 @@ def take_step(
 
 
 STEPS: Final = (
-    _is_later, _is_near, ahead, _behind, reach, back, is_over, _gain, _candidates, _candidate,
+    *SEARCHES, _gain, _candidates, _candidate,
     _evaluate_atom, _evaluate_or, _evaluate_once, _join, _evaluate_since, _evaluate_exists,
     _evaluate, _put_new_true, _put_false, _close, _eventually, _until, take_step,
 )  # fmt: skip

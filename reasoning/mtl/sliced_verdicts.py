@@ -30,7 +30,7 @@ from .sliced_program import (
     TRUTH,
     UNTIL,
 )
-from .sliced_steps import STEPS, ahead, back, is_over, reach, take_step
+from .sliced_steps import STEPS, take_step
 from .sliced_tables import (
     DONE,
     EMITTED,
@@ -52,6 +52,7 @@ from .sliced_tables import (
     UPPER_T,
     WAITING,
 )
+from .sliced_times import ahead, back, is_over, reach
 
 
 def _ones(word: Any) -> Any:

@@ -56,7 +56,7 @@ MUTANTS = (
     ("mtl/robustness.py", "np.inf if is_upper else -np.inf", "-np.inf", ROBUSTNESS),
     ("mtl/robustness.py", "return axes, -table", "return axes, table", ROBUSTNESS),
     # Over tables of bits: when an interval is over, which step decides, what is seen again.
-    ("mtl/sliced_steps.py", "np.uint64(horizon - valid[row]) >= np.uint64(end)", "np.uint64(horizon - valid[row]) > np.uint64(end)", SLICED),
+    ("mtl/sliced_times.py", "np.uint64(horizon - valid[row]) >= np.uint64(end)", "np.uint64(horizon - valid[row]) > np.uint64(end)", SLICED),
     ("mtl/sliced_steps.py", "control[STEP] += is_new", "control[STEP] += 1", SLICED),
     ("mtl/sliced_steps.py", "= bits if is_first else tables[new, row, word] | bits", "= bits", SLICED),
     ("mtl/sliced_steps.py", "more & tables[left * TABLES + NEW, row, word]", "more", SLICED),
