@@ -123,6 +123,14 @@ class Monitoring:
         )
 
     @property
+    def way(self) -> str:
+        """How verdicts are made, for people."""
+        if isinstance(self._evaluator, SlicedEvaluator):
+            return "over tables of bits, 64 objects at a time"
+        each = "each object's own states" if self.has_own_states else "the states of all objects"
+        return f"by moments, over {each}"
+
+    @property
     def grid(self) -> int | None:
         """A time (ns) of the grid, once it has begun."""
         return None if self.has_own_states else self._shared.grid

@@ -109,6 +109,7 @@ def explain_verdicts(run: Monitoring, samples: int) -> Iterator[str]:
     )
     yield f"verdicts     {verdicts}"
     yield f"in memory    {run.retained:,} samples and states"
+    yield f"evaluated    {run.way}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

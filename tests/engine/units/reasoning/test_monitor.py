@@ -4,6 +4,7 @@ import pytest
 from feeding import feed, samples
 
 from dyknow.engine.model.views import StreamDeclaration
+from dyknow.streams.jit import JIT
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
@@ -75,3 +76,32 @@ def test_robustness_is_a_column_of_numbers(engine):
     assert margins[:-1] == pytest.approx(expected)
     # No speed changes a verdict on uav2.
     assert margins[-1] is None
+
+
+@pytest.mark.skipif(not JIT, reason="tables of bits need compiled loops")
+@pytest.mark.parametrize(
+    ("options", "way"),
+    [
+        ("report verdicts", "by moments, over each object's own states"),
+        ("sample every 1s", "over tables of bits, 64 objects at a time"),
+        ("sample every 1s, robustness, report verdicts", "by moments, over the states of all"),
+    ],
+)
+def test_the_explanation_says_how_verdicts_are_made(engine, options, way):
+    engine.annotate("stream speeds contains speed(UAV) = v for every UAV = id")
+    name = engine.queries.register(f"monitor m(?x in UAV) = speed(?x) < 3 with {options}").name
+    feed(engine, "speeds", [(t, {"id": "u", "v": 1.0}) for t in range(3)])
+    assert f"evaluated    {way}" in engine.queries.unit(name).explain()
+
+
+def test_intervals_on_a_grid_may_reach_beyond_the_end_of_time(engine):
+    engine.annotate("stream speeds contains speed(UAV) = v for every UAV = id")
+    century = "always [0s, 4000000000s]"
+    engine.queries.register(
+        f"monitor m(?x in UAV) = {century} {century} {century} speed(?x) < 3"
+        " with sample every 1s, report verdicts"
+    )
+    feed(engine, "speeds", [(t, {"id": "u", "v": v}) for t, v in ((1, 1.0), (2, 2.5))])
+    assert samples(engine, "m") == []
+    engine.end("speeds")
+    assert [s["verdict"] for _, s in samples(engine, "m")] == ["true"] * 2
