@@ -35,8 +35,8 @@ from ...languages.mtl.checked import (
 from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..states.states import States, Term, Values
-from .formulas import parts_of, reach_of, readings_of, sorts_of
-from .nodes import END, Pass, spread_node, term_of
+from .formulas import looks_back, parts_of, reach_of, sorts_of
+from .nodes import END, Pass, spread_node, terms_of
 from .robustness import Margins
 from .timelines import Timelines
 from .windows import NEVER, Moments
@@ -179,7 +179,7 @@ class MonitorEvaluator:
         self._limit = limit
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
-        self._looks_back = _looks_back(monitor.formula)
+        self._looks_back = looks_back(monitor.formula)
         self._kept: _Rows | None = None
         self._values: dict[str, NDArray[Any]] = {}
         """The values of parameters of the formula, by part."""
@@ -189,8 +189,7 @@ class MonitorEvaluator:
     @property
     def terms(self) -> frozenset[Term]:
         """The terms whose values `push` needs."""
-        found = readings_of(self._monitor.formula)
-        return frozenset(term_of(reading, self._sorts) for reading in found)
+        return terms_of(self._monitor.formula, self._sorts)
 
     @property
     def pending(self) -> int:
@@ -480,17 +479,6 @@ def earliest(formula: Any, rows: NDArray[np.int64], once: Pass) -> NDArray[np.in
     for part in parts_of(formula):
         rows = np.minimum(rows, earliest(part, rows, once))
     return rows
-
-
-def _looks_back(formula: Any) -> bool:
-    """Whether the formula has an operator of the past."""
-    match formula:
-        case Previous() | Until(True):
-            return True
-        case Within(operator) if operator.is_past:
-            return True
-        case _:
-            return any(map(_looks_back, parts_of(formula)))
 
 
 def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

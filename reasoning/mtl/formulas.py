@@ -68,6 +68,17 @@ def is_of_one_object(monitor: CheckedMonitor) -> bool:
     return all(reading.arguments == own for reading in readings_of(monitor.formula))
 
 
+def looks_back(formula: Any) -> bool:
+    """Whether the formula has an operator of the past."""
+    match formula:
+        case Previous() | Until(True):
+            return True
+        case Within(operator) if operator.is_past:
+            return True
+        case _:
+            return any(map(looks_back, parts_of(formula)))
+
+
 def reach_of(formula: Any) -> int | None:
     """Return how long after its start (ns) a verdict is decided at the latest; None: no bound."""
     below = [reach_of(part) for part in parts_of(formula)]

@@ -35,7 +35,7 @@ from ...streams.time import TIME_MAX
 from ...streams.time_arithmetic import earlier, later
 from ..states.states import States, Term
 from . import windows
-from .formulas import parts_of
+from .formulas import parts_of, readings_of
 from .timelines import Timelines
 from .windows import NEVER, Moments
 
@@ -314,6 +314,11 @@ def term_of(reading: Reading, sorts: Mapping[str, str]) -> Term:
     return reading.feature, tuple(
         sorts[a.name] if isinstance(a, ObjectVariable) else f"<{a.iri}>" for a in reading.arguments
     )
+
+
+def terms_of(formula: Formula, sorts: Mapping[str, str]) -> frozenset[Term]:
+    """Return the terms whose values a formula reads."""
+    return frozenset(term_of(reading, sorts) for reading in readings_of(formula))
 
 
 # -- tables ----------------------------------------------------------------------------------

@@ -36,8 +36,8 @@ from ...streams.time import TIME_MIN
 from ..states.states import States, Term
 from . import sliced_program, sliced_tables, sliced_verdicts
 from .evaluator import TooManyStates, Verdicts, concatenated, no_verdicts
-from .formulas import parts_of, readings_of, sorts_of
-from .nodes import END, OPERATORS, Pass, term_of
+from .formulas import looks_back, parts_of, sorts_of
+from .nodes import END, OPERATORS, Pass, term_of, terms_of
 from .sliced_program import Compiler
 from .sliced_tables import CONTROLS
 from .timelines import Timelines
@@ -99,7 +99,7 @@ class SlicedEvaluator:
         self._limit = limit
         self._sorts = sorts_of(monitor)
         self._compiler = Compiler(monitor)
-        self._looks_back = sliced_program.looks_back(monitor.formula)
+        self._looks_back = looks_back(monitor.formula)
         self._count = 0
         """The states in the rows; those before the first row were dropped."""
         self._atoms = [
@@ -126,8 +126,7 @@ class SlicedEvaluator:
     @property
     def terms(self) -> frozenset[Term]:
         """The terms whose values `push` needs."""
-        found = readings_of(self._monitor.formula)
-        return frozenset(term_of(reading, self._sorts) for reading in found)
+        return terms_of(self._monitor.formula, self._sorts)
 
     @property
     def pending(self) -> int:

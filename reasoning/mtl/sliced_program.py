@@ -31,7 +31,7 @@ from ...languages.mtl.checked import (
     Within,
 )
 from ...streams.time import TIME_MAX
-from .formulas import compares_objects, parts_of, readings_of, sorts_of
+from .formulas import compares_objects, looks_back, parts_of, readings_of, sorts_of
 
 TRUE, FALSE, NEW, BY_LEFT = range(4)
 """The tables of a node, in order."""
@@ -225,17 +225,6 @@ def is_sliced(monitor: CheckedMonitor) -> bool:
         or not _has_bounded_past(formula)
         or not _is_witnessed_by_bits(formula, in_quantifier=False)
     )
-
-
-def looks_back(formula: Formula) -> bool:
-    """Whether the formula has an operator of the past."""
-    match formula:
-        case Previous() | Until(True):
-            return True
-        case Within(operator) if operator.is_past:
-            return True
-        case _:
-            return any(map(looks_back, _subformulas(formula)))
 
 
 def looks_ahead(formula: Formula) -> bool:
