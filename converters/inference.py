@@ -46,6 +46,8 @@ TRUTH: Final = {
 # Years that 64 bits of ns hold whole.
 _PLAIN_TIME = r"(?:1[7-9]|2[01])\d\d-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,9})?Z"
 _PLAIN_TIMES = re.compile(rf"{_PLAIN_TIME}(?:\n{_PLAIN_TIME})*", re.ASCII).fullmatch
+_DOUBLE_DIGITS: Final = 300
+"""A number of no more digits is one of a double."""
 _OBJECT_NAME = re.compile(
     r"(?:.*[_\-. ])?(?:id|uid|uuid|icao|icao24|hex|mmsi|imo|callsign|registration|squawk)"
     r"|.*[a-z]I[dD]"
@@ -68,6 +70,8 @@ class TextColumnType:
         numbers = {FieldType.INTEGER, FieldType.FLOAT, FieldType.BOOLEAN}
         self._may_be = set() if names_objects(name) else numbers
         self._seen = False
+        self.may_overflow = False
+        """Whether a number may be too large for a double."""
 
     def observe(self, cells: Iterable[str]) -> None:
         """Narrow by more cells of the column."""
@@ -86,6 +90,9 @@ class TextColumnType:
         for type, test in tests:
             if type in self._may_be and not all(test(cell) is not None for cell in distinct):
                 self._may_be.discard(type)
+        spelled = "".join(distinct)
+        if "e" in spelled or "E" in spelled or max(map(len, distinct)) > _DOUBLE_DIGITS:
+            self.may_overflow = True
 
     @property
     def type(self) -> FieldType:

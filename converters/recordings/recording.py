@@ -210,18 +210,18 @@ def open_cells(
         return (times.read(cells[name], lines, name) for lines, cells in chunks())
 
     # What cannot be read is told before the first row is used.
-    are_read = all(_reads(f.type, observed[f.name].type) for f in schema.fields)
+    are_read = all(_reads(f.type, observed[f.name]) for f in schema.fields)
     times_alone = read_times if are_read else None
     return Recording(
         schema, count, pools, read, stamped_column, valid, tally, read_times=times_alone
     )
 
 
-def _reads(wanted: FieldType, found: FieldType) -> bool:
-    """Whether each cell of a column, found to be of a type, is one of the type wanted."""
-    return wanted in (found, FieldType.STRING) or (
-        (wanted, found) == (FieldType.FLOAT, FieldType.INTEGER)
-    )
+def _reads(wanted: FieldType, found: TextColumnType) -> bool:
+    """Whether each cell of a column is surely one of the type wanted."""
+    if wanted is FieldType.FLOAT:
+        return found.type in (FieldType.FLOAT, FieldType.INTEGER) and not found.may_overflow
+    return wanted in (found.type, FieldType.STRING)
 
 
 def _decimal_commas(cells_again: Callable[[], Iterator[TextChunk]]) -> AbstractSet[str]:

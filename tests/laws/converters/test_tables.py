@@ -93,7 +93,9 @@ def test_times(times: list, unit: str | None) -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, 50), st.sampled_from(["1", "2.5", "", "x"])), min_size=1),
+    st.lists(
+        st.tuples(st.integers(0, 50), st.sampled_from(["1", "2.5", "", "x", "1e+999"])), min_size=1
+    ),
     st.booleans(),
     st.sampled_from([None, FieldType.FLOAT, FieldType.STRING]),
 )
