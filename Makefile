@@ -19,7 +19,7 @@ serve: $(VENV)/installed ## leave the service running with the same flights repl
 PYTEST := $(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist worksteal
 
 # How much of each law's examples: CI has a quarter of an hour. `make soak` draws all, several times.
-SHARE ?= 0.25
+SHARE ?= 0.2
 
 # The loops are compiled once, before workers and services would each compile their own.
 test: $(VENV)/installed-dev ## everything that CI runs
