@@ -28,14 +28,11 @@ from ...languages.mtl.checked import (
     CheckedMonitor,
     Constant,
     ObjectConstant,
-    Previous,
-    Until,
-    Within,
 )
 from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..states.states import States, Term, Values
-from .formulas import looks_back, parts_of, reach_of, sorts_of
+from .formulas import earliest, looks_back, reach_of, sorts_of
 from .nodes import END, Pass, spread_node, terms_of
 from .robustness import Margins
 from .timelines import Timelines
@@ -446,7 +443,7 @@ class MonitorEvaluator:
         oldest = np.minimum.reduceat(row, timelines.first)
         keep = oldest
         if self._looks_back:
-            keep = earliest(self._monitor.formula, oldest, once)
+            keep = earliest(self._monitor.formula, oldest, once.back)
         if len(keep) == 1:
             return rows.take(slice(int(keep[0]), None)) if keep[0] else rows
         needed = np.arange(count) >= np.repeat(keep, np.diff(timelines.first, append=count))
@@ -463,22 +460,6 @@ class StateKeeper(MonitorEvaluator):
         if sum(each.values.size for each in kept.values()) > MOST_VALUES:
             raise TooManyStates("the states have too many values to keep all of them")
         return no_verdicts(len(self._axes))
-
-
-def earliest(formula: Any, rows: NDArray[np.int64], once: Pass) -> NDArray[np.int64]:
-    """Return the first row that the formula looks at from each of the ``rows`` or later ones."""
-    match formula:
-        case Previous():
-            rows = np.maximum(once.timelines.begin[rows], rows - 1)
-        case Within(operator, interval) if operator.is_past:
-            rows = np.minimum(rows, once.bounds(True, interval)[0][rows])
-        case Until(True, interval):
-            rows = np.minimum(rows, once.bounds(True, interval)[0][rows])
-        case _:
-            pass
-    for part in parts_of(formula):
-        rows = np.minimum(rows, earliest(part, rows, once))
-    return rows
 
 
 def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

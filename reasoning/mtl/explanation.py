@@ -14,8 +14,7 @@ from ...languages.mtl.ast import Monitor
 from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Reading
 from ...rdf.namespaces import shorten
 from ..states.states import States
-from .evaluator import earliest
-from .formulas import parts_of, reach_of, readings_of, sorts_of
+from .formulas import earliest, parts_of, reach_of, readings_of, sorts_of
 from .nodes import Axes, Pass
 from .timelines import Timelines
 from .windows import NEVER
@@ -79,7 +78,7 @@ def explain_verdict(
     if monitor.robustness:
         at = max(at, once.over(reach_of(monitor.formula))[row])
     last = len(states.valid) - 1 if at == NEVER else int(at)
-    first = int(earliest(monitor.formula, np.array([row]), once)[0])
+    first = int(earliest(monitor.formula, np.array([row]), once.back)[0])
     rows = slice(max(first, last + 1 - MOST_ROWS), last + 1)
     formulas = tuple(
         Shown(format_formula(part), depth, explained.values(checked, rows, last))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
+
+import numpy as np
 
 from ...languages.mtl.checked import (
     And,
     Atom,
     Calculation,
     CheckedMonitor,
+    Formula,
     Not,
     ObjectVariable,
     Or,
@@ -68,15 +72,32 @@ def is_of_one_object(monitor: CheckedMonitor) -> bool:
     return all(reading.arguments == own for reading in readings_of(monitor.formula))
 
 
+def is_of_past(formula: Formula) -> bool:
+    """Whether the formula's own operator is one of the past."""
+    match formula:
+        case Previous():
+            return True
+        case Until(is_past):
+            return is_past
+        case Within(operator):
+            return operator.is_past
+        case _:
+            return False
+
+
 def looks_back(formula: Any) -> bool:
     """Whether the formula has an operator of the past."""
-    match formula:
-        case Previous() | Until(True):
-            return True
-        case Within(operator) if operator.is_past:
-            return True
-        case _:
-            return any(map(looks_back, parts_of(formula)))
+    return is_of_past(formula) or any(map(looks_back, parts_of(formula)))
+
+
+def earliest(formula: Any, rows: Any, back: Callable[[Formula, Any], Any]) -> Any:
+    """Return the first row that the formula looks at from each of the ``rows`` or later ones.
+    ``back``: the first one that an operator of the past looks at from each."""
+    if is_of_past(formula):
+        rows = back(formula, rows)
+    for part in parts_of(formula):
+        rows = np.minimum(rows, earliest(part, rows, back))
+    return rows
 
 
 def reach_of(formula: Any) -> int | None:

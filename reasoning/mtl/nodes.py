@@ -197,6 +197,14 @@ class Pass:
             return first, rows.end
         return first, rows.places(valid, later(valid, interval.end), after=True)
 
+    def back(self, formula: Formula, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The first row that an operator of the past looks at from each of these rows."""
+        match formula:
+            case Within(_, interval) | Until(_, interval):
+                return np.minimum(rows, self.bounds(True, interval)[0][rows])
+            case _:
+                return np.maximum(self.timelines.begin[rows], rows - 1)
+
     def over(self, reach: int | None) -> Moments:
         """From which state on no later state is valid up to ``reach`` (ns) after each state; None:
         no later state comes at all."""

@@ -25,7 +25,6 @@ from ...languages.mtl.checked import (
     Constant,
     Formula,
     Kind,
-    Previous,
     Reading,
     Until,
     Within,
@@ -36,9 +35,9 @@ from ...streams.time import TIME_MIN
 from ..states.states import States, Term
 from . import sliced_program, sliced_tables, sliced_verdicts
 from .evaluator import TooManyStates, Verdicts, concatenated, no_verdicts
-from .formulas import looks_back, parts_of, sorts_of
+from .formulas import earliest, looks_back, sorts_of
 from .nodes import END, OPERATORS, Pass, term_of, terms_of
-from .sliced_program import Compiler
+from .sliced_program import Compiler, Program
 from .sliced_tables import CONTROLS
 from .timelines import Timelines
 
@@ -119,7 +118,7 @@ class SlicedEvaluator:
         self._control[sliced_tables.ROOT_DOMAIN] = self._compiler.root_domain
         self._out = np.empty((256, 5), np.int64)
         self._none = no_verdicts(len(monitor.parameters))
-        self._program = self._compiler.program(has_two_readings=False)
+        self._programs = [self._compiler.program(has_two_readings=each) for each in (False, True)]
         self._has_two_readings = False
         self._make_tables(ROWS, np.ones(len(self._objects), np.int64))
 
@@ -365,10 +364,14 @@ class SlicedEvaluator:
         """Those with an entry a state: their second axis is that of states, or their only one."""
         return self._tables, self._full, self._stamp, self._valid, self._horizon, self._left
 
+    @property
+    def _program(self) -> Program:
+        """That of the reading, or of both."""
+        return self._programs[self._has_two_readings]
+
     def _read(self, *, two_readings: bool) -> None:
         """Evaluate unknown atoms in two readings, or all are known."""
         self._has_two_readings = two_readings
-        self._program = self._compiler.program(has_two_readings=two_readings)
         self._again(self._words)
 
     def _again(self, words: NDArray[np.int64]) -> None:
@@ -396,25 +399,13 @@ class SlicedEvaluator:
             return 0
         # The last one stays: `advance` raises its horizon, and past operators look back from it.
         row = min(int(self._control[sliced_tables.OPEN]), self._count - 1)
-        return self._earliest(self._monitor.formula, row) if self._looks_back else row
+        return int(earliest(self._monitor.formula, row, self._back)) if self._looks_back else row
 
-    def _earliest(self, formula: Formula, row: int) -> int:
-        """The first row that the formula looks at from a row or later ones."""
-        match formula:
-            case Previous():
-                row = max(row - 1, 0)
-            case Within(operator, interval) if operator.is_past:
-                row = self._before(row, interval.end)
-            case Until(True, interval):
-                row = self._before(row, interval.end)
-            case Atom():
-                return row
-            case _:
-                pass
-        return min((self._earliest(part, row) for part in parts_of(formula)), default=row)
-
-    def _before(self, row: int, end: int | None) -> int:
-        """The first row that is valid at most ``end`` before a row."""
+    def _back(self, formula: Formula, row: int) -> int:
+        """The first row that an operator of the past looks at from a row."""
+        if not isinstance(formula, Within | Until):
+            return max(row - 1, 0)
+        end = formula.interval.end
         assert end is not None, "a past interval has an end"
         limit = max(int(self._valid[row]) - end, TIME_MIN)
         return int(self._valid[: row + 1].searchsorted(limit))

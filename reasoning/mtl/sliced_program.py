@@ -31,7 +31,15 @@ from ...languages.mtl.checked import (
     Within,
 )
 from ...streams.time import TIME_MAX
-from .formulas import compares_objects, looks_back, parts_of, readings_of, sorts_of
+from .formulas import (
+    bound_sorts,
+    compares_objects,
+    is_of_past,
+    looks_back,
+    parts_of,
+    readings_of,
+    sorts_of,
+)
 
 TRUE, FALSE, NEW, BY_LEFT = range(4)
 """The tables of a node, in order."""
@@ -227,15 +235,10 @@ def is_sliced(monitor: CheckedMonitor) -> bool:
     )
 
 
-def looks_ahead(formula: Formula) -> bool:
+def _looks_ahead(formula: Formula) -> bool:
     """Whether the formula has an operator of the future."""
-    match formula:
-        case Until(False):
-            return True
-        case Within(operator) if not operator.is_past:
-            return True
-        case _:
-            return any(map(looks_ahead, _subformulas(formula)))
+    own = isinstance(formula, Within | Until) and not is_of_past(formula)
+    return own or any(map(_looks_ahead, _subformulas(formula)))
 
 
 def _subformulas(formula: Formula) -> tuple[Formula, ...]:
@@ -266,13 +269,9 @@ def _has_narrow_parts(formula: Formula) -> bool:
 
 
 def _has_bounded_past(formula: Formula) -> bool:
-    match formula:
-        case Within(operator, interval) if operator.is_past and interval.end is None:
-            return False
-        case Until(True, interval) if interval.end is None:
-            return False
-        case _:
-            return all(map(_has_bounded_past, _subformulas(formula)))
+    if isinstance(formula, Within | Until) and is_of_past(formula) and formula.interval.end is None:
+        return False
+    return all(map(_has_bounded_past, _subformulas(formula)))
 
 
 def _is_witnessed_by_bits(formula: Formula, *, in_quantifier: bool) -> bool:
@@ -283,14 +282,10 @@ def _is_witnessed_by_bits(formula: Formula, *, in_quantifier: bool) -> bool:
             parts = _subformulas(formula)
             return all(_is_witnessed_by_bits(each, in_quantifier=in_quantifier) for each in parts)
         case Previous(operand):
-            return not looks_back(operand) and not looks_ahead(operand) and not _quantifies(operand)
+            return not (looks_back(operand) or _looks_ahead(operand) or bound_sorts(operand))
         case Until(True):
             return False
         case Quantified(operand=operand):
             return not in_quantifier and _is_witnessed_by_bits(operand, in_quantifier=True)
         case _:
             return True
-
-
-def _quantifies(formula: Formula) -> bool:
-    return isinstance(formula, Quantified) or any(map(_quantifies, _subformulas(formula)))

@@ -46,7 +46,7 @@ MUTANTS = (
     # Unknown needs both readings.
     ("mtl/evaluator.py", "np.maximum(lower.false, upper.true)", "np.minimum(lower.false, upper.true)", PROGRESSION),
     # States that a later verdict needs are kept.
-    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, once)", "pass", PROGRESSION),
+    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, once.back)", "pass", PROGRESSION),
     # Parts of a batch are taken in turn.
     ("mtl/evaluator.py", "range(0, count, most)", "range(0, count - most, most)", PROGRESSION),
     # The state of a witness.
@@ -64,7 +64,7 @@ MUTANTS = (
     ("mtl/sliced_verdicts.py", "if row < control[OPEN] or (side and stamp[lower, row] == control[STEP]):", "if side:", SLICED),
     ("mtl/sliced_evaluator.py", "rows] = self._used[domain]", "rows] = ~np.uint64(0)", SLICED),
     ("mtl/sliced_evaluator.py", "self._has_two_readings and self._last_unknown < self._oldest()", "self._has_two_readings", SLICED),
-    ("mtl/sliced_evaluator.py", "self._earliest(self._monitor.formula, row) if self._looks_back else row", "row", SLICED),
+    ("mtl/sliced_evaluator.py", "int(earliest(self._monitor.formula, row, self._back)) if self._looks_back else row", "row", SLICED),
     # A state leaves with the samples of its instant.
     ("states/kept_samples.py", 'left.searchsorted(rows.available, "left")', 'left.searchsorted(rows.available, "right")', STATES),
     ("states/kept_samples.py", "np.argsort(rows.valid, kind=\"stable\")", "np.argsort(-rows.valid, kind=\"stable\")", STATES),
