@@ -32,7 +32,7 @@ SWEPT := $(addprefix tests/laws/,$(addprefix continuous/test_,continuous.py alge
 ROUNDS ?= 3
 SECONDS ?= 600
 soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, 200,000 random windows, ROUNDS of all laws, 230,000 random patterns
-	$(BIN)/python bench/soak.py $(SECONDS)
+	$(BIN)/python bench/service/soak.py $(SECONDS)
 	$(BIN)/python tests/laws/reasoning/mutants.py
 	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/durability/test_kill.py
 	DYKNOW_QUERY_WINDOWS=200000 DYKNOW_QUERY_SEED=$$(date +%s) $(PYTEST) tests/laws/continuous/test_differential.py

@@ -20,7 +20,7 @@ from PIL import Image
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-sys.path.insert(0, str(ROOT / "tests" / "support"))
+sys.path[:0] = [str(ROOT / "tests" / name) for name in ("support", "support/services")]
 
 from chromium import Browser, Page  # noqa: E402
 from serving import COMMAND, Serving  # noqa: E402

@@ -87,7 +87,7 @@ def test_every_definition_is_listed_with_the_laws_that_use_it():
     assert sorted(name for name, _ in rows) == sorted(path.stem for path in folder.glob("*.py"))
     imports = {
         path.stem: set(re.findall(r"^(?:from|import) (\w+)", path.read_text(), re.M))
-        for path in [*folder.glob("*.py"), *(tests / "support").glob("*.py")]
+        for path in [*folder.glob("*.py"), *(tests / "support").rglob("*.py")]
     }
     for name, laws in rows:
         for law in re.findall(r"`([^`]+)`", laws):

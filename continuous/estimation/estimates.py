@@ -104,8 +104,9 @@ COST: Mapping[str, tuple[float, float]] = {
     "FOLDED": (60_000, 20),
     "COMPILED": (50_000, 31),
 }
-"""By operator or way: ns a call, and ns a row that goes in or out. ``python bench/estimates.py``
-measured them once, with 100 and 30,000 rows; they are rough and depend on the machine."""
+"""By operator or way: ns a call, and ns a row that goes in or out.
+``python bench/queries/estimates.py`` measured them once, with 100 and 30,000 rows; they are rough
+and depend on the machine."""
 FOREIGN = 15_000.0
 """ns to have Oxigraph compute a function for one distinct combination of arguments."""
 

@@ -34,7 +34,7 @@ PASS: Final = 4_500
 WINDOW: Final = 650
 ROW: Final = 0.7
 """What a pass costs, without its cells, and what a lone window and each of its rows cost, in cells
-of a table (`python bench/windows.py bulk`; a cell costs some 100 ns)."""
+of a table (`python bench/queries/windows.py bulk`; a cell costs some 100 ns)."""
 
 
 def fitting(

@@ -45,8 +45,9 @@ from .instance_results import InstanceResults
 from .shared_windows import SharedWindows, own_solutions, own_windows
 
 READ_COST = 200_000, 300
-"""The cost of a single query to read its streams: ns per step, ns per sample (`bench/requests.py`:
-0.6 ms for 1,000 samples). Estimates of plans only include the triples that patterns select."""
+"""The cost of a single query to read its streams: ns per step, ns per sample
+(`bench/queries/requests.py`: 0.6 ms for 1,000 samples). Estimates of plans only include the triples
+that patterns select."""
 MOST_QUERIES = 1_000_000_000
 """The greatest number of queries to return: estimates have no such bound."""
 _MOST_CONSTANTS = 128

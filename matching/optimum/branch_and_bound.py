@@ -4,7 +4,8 @@ The search splits the part of the plans with the least bound first, at a goal th
 use: those with one producer of it, and those without. When the effort is spent, the least bound of
 the parts that are left holds for all plans.
 
-Each of these buys something in `bench/optimum.py` or `bench/matching.py` (20 libraries a row):
+Each of these buys something in `bench/matching/optimum.py` or `bench/matching/matching.py` (20
+libraries a row):
 
 | without | what is lost |
 |---|---|

@@ -8,9 +8,9 @@ collection examines all objects, after 1,000 times its own duration, at least 30
 doubles while it finds little. A small service has quick collections, and only the objects of
 the start are excluded (warm_up).
 
-bench/collector.py measures an engine in use with 2,000 streams and 1,100 requests, 560,000 objects.
-A full collection takes up to 44 ms of processor time with the schedule, 257 ms without it; all
-full collections of 1,000 rounds take 0.2 s and 1.3 s. Called by `Service.tick`.
+bench/queries/collector.py measures an engine in use with 2,000 streams and 1,100 requests, 560,000
+objects. A full collection takes up to 44 ms of processor time with the schedule, 257 ms without it;
+all full collections of 1,000 rounds take 0.2 s and 1.3 s. Called by `Service.tick`.
 """
 
 from __future__ import annotations

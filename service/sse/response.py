@@ -2,8 +2,8 @@
 
 The library's response runs a task group of four tasks for each client and a timer for each send,
 and logs a traceback for each client that is cut off. With thousands of clients that is most of the
-work (bench/sse.py). Here one task sends, one waits for a disconnect, and all clients share the
-timer of `EventClients`. Headers and status are the library's.
+work (bench/service/sse.py). Here one task sends, one waits for a disconnect, and all clients share
+the timer of `EventClients`. Headers and status are the library's.
 """
 
 from __future__ import annotations

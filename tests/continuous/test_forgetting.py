@@ -1,6 +1,6 @@
 """What an hour of new terms leaves behind, and who has to hold what.
 
-Sizes are counted in terms, not bytes: bench/terms.py measures those.
+Sizes are counted in terms, not bytes: bench/queries/terms.py measures those.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Directories that a program before the rules of instants wrote give what they gave (P9).
 
 tests/fixtures/before_instants.tar.xz holds them, with what the engine of then told of them
-(tests/support/directory_of_before.py); it is never made anew.
+(tests/support/engines/directory_of_before.py); it is never made anew.
 """
 
 import json

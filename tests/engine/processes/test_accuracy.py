@@ -6,7 +6,7 @@ from places import ROOT
 
 from dyknow.engine.processes.geodesy import SpeedFromCoordinates
 
-BENCH = ROOT / "bench" / "accuracy.py"
+BENCH = ROOT / "bench" / "streams" / "accuracy.py"
 
 
 def test_median_difference_over_the_slice_is_within_ten_knots():

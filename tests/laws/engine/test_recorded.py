@@ -18,7 +18,7 @@ from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 from dyknow.journal.durability import Durability
 
-SUPPORT = TESTS / "support"
+SUPPORT = TESTS / "support" / "engines"
 
 
 def do(doer, command):

@@ -29,7 +29,7 @@ from dyknow.engine.durability.commands import (
 )
 from dyknow.engine.engine import Engine
 
-HERE = TESTS / "support"
+HERE = TESTS / "support" / "services"
 ROUNDS = int(os.environ.get("DYKNOW_KILLS", "25"))
 STREAM = {
     "fields": {"id": "string", "v": "float"},
