@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, TypeAlias, assert_never
+from typing import Any, TypeAlias, TypeVar, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from .string_pool import OVERHEAD, StringPool
 Times: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
 Value: TypeAlias = float | int | bool | str | None
+Key = TypeVar("Key")
 
 TIME_FIELDS = ("available", "valid")
 """The names of a sample's times: no field is called so."""
@@ -338,6 +339,20 @@ def column_from_values(
             return Column(field.type, np.array(plain, field.type.dtype), null)
         case _:
             assert_never(field.type)
+
+
+def column_of_texts(
+    values: Sequence[Key], text: Callable[[Key], Value], pool: StringPool | None = None
+) -> Column:
+    """A column of what ``text`` writes (None = no_value), called once for each distinct value."""
+    pool = StringPool() if pool is None else pool
+    codes = {}
+    for value in dict.fromkeys(values):
+        written = text(value)
+        codes[value] = -1 if written is None else pool.code(str(written))
+    coded = np.array([codes[value] for value in values], np.int32)
+    null = coded < 0 if -1 in codes.values() else None
+    return Column(FieldType.STRING, coded if null is None else np.maximum(coded, 0), null, pool)
 
 
 def concatenate(batches: Sequence[SampleBatch]) -> SampleBatch:

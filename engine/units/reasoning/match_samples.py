@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,14 @@ from ....reasoning.patterns.plans.plan import NO_VALUE
 from ....reasoning.patterns.plans.query import END, START, Keys, PatternQuery, integers_of, lists_of
 from ....reasoning.patterns.recognition.explanation import Told
 from ....reasoning.patterns.recognition.recognition import Recognized
-from ....streams.sample import Column, Field, FieldType, Schema, column_from_values
+from ....streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    Schema,
+    column_from_values,
+    column_of_texts,
+)
 from ....streams.string_pool import StringPool
 from ....streams.time import format_time
 
@@ -85,20 +93,14 @@ class MatchWriter:
         return self.value(result.kind, value)
 
     def _column(self, field: Field, values: Any, pool: StringPool | None) -> Column:
-        convert: Callable[[Any], Told]
         if field.name in (START, END):
-            convert = format_time
-        elif field.type is FieldType.INTEGER:
+            return column_of_texts(values.tolist(), format_time, pool)
+        if field.type is FieldType.INTEGER:
             return Column(field.type, values, values == NO_VALUE)
-        elif field.type is FieldType.FLOAT:
+        if field.type is FieldType.FLOAT:
             is_missing = np.isnan(values) if values.dtype == np.float64 else values == NO_VALUE
             return Column(field.type, values.astype(np.float64), is_missing)
-        elif field.name in self._lists:
-            lists = [self._told(field.name, each) for each in values]
-            return column_from_values(field, lists, pool)
-        else:
-            name = field.name
-            convert = lambda value: self._told(name, value)  # noqa: E731
-        listed = values.tolist()
-        known = {value: convert(value) for value in set(listed)}
-        return column_from_values(field, [known[value] for value in listed], pool)
+        told = partial(self._told, field.name)
+        if field.type is FieldType.BOOLEAN or field.name in self._lists:
+            return column_from_values(field, [told(each) for each in values], pool)
+        return column_of_texts(values.tolist(), told, pool)

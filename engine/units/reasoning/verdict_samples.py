@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import isfinite
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ....converters.objects import object_name
@@ -21,7 +21,7 @@ from ....reasoning.mtl.monitoring import (
     WORDS,
     Reported,
 )
-from ....streams.sample import Column, Field, FieldType, Schema, column_from_values
+from ....streams.sample import Column, Field, FieldType, Schema, column_of_texts
 from ....streams.string_pool import StringPool
 from ....streams.time import TIME_MIN, format_time
 
@@ -50,21 +50,35 @@ class VerdictWriter:
     ) -> dict[str, Column]:
         """Return the columns of a batch of verdicts. ``objects``: the IRIs of each parameter's
         objects, shape ``(parameters, n)``."""
-        columns: dict[str, list[Any]] = {}
-        for name, iris in zip(self._parameters, objects, strict=True):
-            names = {iri: object_name(iri, DYKNOW) for iri in set(iris)}
-            columns[name] = [names[iri] for iri in iris]
-        columns[VERDICT] = [WORDS[value] for value in found.value.tolist()]
-        columns[DECIDED] = list(map(format_time, found.decided.tolist()))
-        columns[WITNESS] = [
-            None if time == TIME_MIN else format_time(time) for time in found.witness.tolist()
-        ]
-        columns[LAST] = list(map(format_time, found.last.tolist()))
-        if found.robustness is not None:
-            # An infinite margin is one that no number changes.
-            margins = found.robustness.tolist()
-            columns[ROBUSTNESS] = [each if isfinite(each) else None for each in margins]
-        return {
-            field.name: column_from_values(field, columns[field.name], pools.get(field.name))
-            for field in self._fields
+        texts: dict[str, tuple[NDArray[Any], Callable[[Any], str | None]]] = {
+            VERDICT: (found.value, WORDS.__getitem__),
+            DECIDED: (found.decided, format_time),
+            WITNESS: (found.witness, _witness_text),
+            LAST: (found.last, format_time),
         }
+        for name, iris in zip(self._parameters, objects, strict=True):
+            texts[name] = iris, _name
+        columns = {}
+        for field in self._fields:
+            if field.type is FieldType.FLOAT:
+                columns[field.name] = _margins(found)
+            else:
+                values, text = texts[field.name]
+                columns[field.name] = column_of_texts(values.tolist(), text, pools.get(field.name))
+        return columns
+
+
+def _name(iri: str) -> str:
+    return object_name(iri, DYKNOW)
+
+
+def _witness_text(time: int) -> str | None:
+    return None if time == TIME_MIN else format_time(time)
+
+
+def _margins(found: Reported) -> Column:
+    assert found.robustness is not None
+    # An infinite margin is one that no number changes.
+    known = np.isfinite(found.robustness)
+    null = None if known.all() else ~known
+    return Column(FieldType.FLOAT, np.where(known, found.robustness, 0.0), null)
