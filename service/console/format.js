@@ -17,7 +17,12 @@ export function ago(seconds) {
   return seconds < 0 ? `in ${duration(-seconds)}` : `${duration(seconds)} ago`;
 }
 
-export const count = (value) => (value == null ? "–" : Math.round(value).toLocaleString("en-US"));
+// Made once: a formatter costs more than what it formats.
+const numbers = [0, 1, 3].map((digits) => new Intl.NumberFormat("en-US", { maximumFractionDigits: digits }));
+const times = new Intl.DateTimeFormat("en-GB", { timeStyle: "medium" });
+const days = new Intl.DateTimeFormat("en-CA");
+
+export const count = (value) => (value == null ? "–" : numbers[0].format(Math.round(value)));
 
 export function rate(value) {
   if (value == null) return "–";
@@ -31,10 +36,13 @@ export function bytes(value) {
   return value >= 2 ** 20 ? `${Math.round(value / 2 ** 20)} MiB` : `${Math.round(value / 1024)} KiB`;
 }
 
-export const clock = (time) => new Date(time).toLocaleTimeString("en-GB", { hour12: false });
+const formatted = (format, time) => (Number.isNaN(+new Date(time)) ? "–" : format.format(new Date(time)));
+
+/** The time of day of a number of ms, or of a text in ISO-8601. */
+export const clock = (time) => formatted(times, time);
 
 /** The day, as 2026-05-04. */
-export const day = (time) => new Date(time).toLocaleDateString("en-CA");
+export const day = (time) => formatted(days, time);
 
 /** The time of day, with its milliseconds if it has some, after the date where that is not the day of
     `near`. */
@@ -51,8 +59,7 @@ export const plural = (number, noun) => `${count(number)} ${noun}${number === 1 
 export function value(of) {
   if (of == null) return "–";
   if (typeof of !== "number") return String(of);
-  const digits = Number.isInteger(of) ? 0 : Math.abs(of) < 10 ? 3 : 1;
-  return of.toLocaleString("en-US", { maximumFractionDigits: digits });
+  return numbers[Number.isInteger(of) ? 0 : Math.abs(of) < 10 ? 2 : 1].format(of);
 }
 
 /** The last part of an IRI or prefixed name: dyknow:speed → speed. */

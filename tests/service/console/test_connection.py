@@ -327,7 +327,7 @@ def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> No
         page.wait(starts)
 
 
-@pytest.mark.parametrize("rate", [5_000])
+@pytest.mark.parametrize("rate", [10_000])
 def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) -> None:
     with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
         declare(http)
@@ -350,10 +350,9 @@ def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) 
                 else done(frames / 4); };
               requestAnimationFrame(step); })"""
         )
-        shown = page.run("document.querySelectorAll('.line').length")
-        total = page.run("import('/console/feed.js').then((m) => m.arrivals.value.total)")
+        page.wait(f"import('/console/feed.js').then((m) => m.arrivals.value.total > {rate})")
+        page.wait("document.querySelectorAll('.line').length > 10")
+        assert page.run("document.querySelectorAll('.line').length") <= 60
         stopped.set()
         sender.join()
-        assert total > rate  # they have arrived
-        assert 10 < shown <= 60
         assert frames > 1  # 60 on an idle machine; beside others it is as slow as they make it
