@@ -7,6 +7,9 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 PORT ?= 8000
 
+# Modules are compiled once, not by each process that a test starts, whatever the environment says.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo serve test soak soak-patterns image-check lint kernels bench lock format clean
 
 demo: $(VENV)/installed ## replay five minutes of recorded flights and find events in them

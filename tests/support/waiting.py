@@ -17,8 +17,10 @@ HANGS = 600.0
 
 def until(found: Callable[[], T], seconds: float = PATIENCE, said: object = "") -> T:
     """What ``found()`` gives as soon as that is true; ``said`` helps to see why it never was."""
-    end = time.monotonic() + seconds
+    end, pause = time.monotonic() + seconds, 0.01
     while not (given := found()):
         assert time.monotonic() < end, (given, said)
-        time.sleep(0.01)
+        time.sleep(pause)
+        # Who is asked often has less time to do what is waited for.
+        pause = min(1.3 * pause, 0.25)
     return given

@@ -12,7 +12,7 @@ from ....languages.mtl.ast import Number, Symbol, Text, TimePoint, Truth, Variab
 from ....languages.mtl.checked import Kind
 from ....languages.sase import ast
 from ....languages.sase.checked import TIME
-from ....ontology.units import Unit, UnitError, conversion, dimension, format_unit, parse_unit
+from ....ontology.units import Unit, UnitError, UnitPower, conversion, dimension, format_unit
 from ....rdf.namespaces import DYKNOW
 from ..plans.plan import (
     OWN,
@@ -31,7 +31,7 @@ from ..plans.plan import (
 from ..plans.query import object_key, text_key
 from .sase_sources import Attributes
 
-NS: Final = parse_unit("ns")
+NS: Final[Unit] = (UnitPower("ns"),)
 """The unit of differences of times."""
 _POSITIONS: Final = {
     ast.Index.FIRST: Position.FIRST,
