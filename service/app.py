@@ -191,14 +191,11 @@ def create_app(
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
-        strict_content_type=False,
-        # All errors are problem documents, so the schema omits FastAPI's default 422.
-        responses=problems.responses(400, 401, 403, 421, 429, 503),
     )
     app.state.service = service
     problems.install(app)
     for resource in RESOURCES:
-        app.include_router(resource.router)
+        app.router.routes.extend(resource.router.routes)
     app.add_middleware(ResponseLimit, long=answers, key=lambda request: service.client_key(request))
     app.add_middleware(Compression)
     app.add_middleware(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, TypeAlias
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
@@ -22,12 +22,13 @@ from ..config.text_bounds import MOST_CONTENTS, MOST_DECLARATIONS
 from ..http.encodings.json_lists import listed
 from ..http.negotiation import accepted, content_type, json_value, utf8
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..http.text_limits import check_length, check_number, read_ssl, too_long
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..runtime.context import Context, Service
 from ..workers.route_calls import while_connected
 
-router = APIRouter(tags=["annotations"])
+router = resource_router("annotations")
 
 EXAMPLE = "stream s1 contains altitude(Aircraft) = alt [ft] for every Aircraft = icao24"
 LISTING = """@prefix : <http://www.dyknow.eu/ontology#> .

@@ -5,15 +5,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 
 from ..config.media_types import HTML, JSON
 from ..config.version import __version__
 from ..http.negotiation import accepted
 from ..http.page_files import PageFiles
+from ..http.routers import resource_router
 
-router = APIRouter(include_in_schema=False)
+router = resource_router(include_in_schema=False)
 
 _SERVICE = Path(__file__).resolve().parent.parent
 STATIC = PageFiles(_SERVICE / "static")

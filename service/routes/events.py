@@ -5,7 +5,7 @@ from __future__ import annotations
 from codecs import BOM_UTF8
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 
 from ...engine.durability.accepted_commands import REQUEST
 from ...engine.durability.commands import CancelEvent, RequestEvent
@@ -13,6 +13,7 @@ from ..config.media_types import JSON, TEXT
 from ..http.encodings.json_lists import listed
 from ..http.negotiation import content_type, json_value, utf8
 from ..http.problems import responses
+from ..http.routers import resource_router
 from ..models import (
     BEGINNING,
     EventIn,
@@ -28,7 +29,7 @@ from ..models import (
 from ..runtime.context import Context
 from .reasoning import TABLE, Limit, Objects, ObjectsOfMatch, Start, partial_answer, why_answer
 
-router = APIRouter(tags=["events"])
+router = resource_router("events")
 
 EXAMPLE = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
 BODY: dict[str, Any] = {

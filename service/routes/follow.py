@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import Depends, Query, Request, Response
 
 from ...engine.requests.adaptive_subscription import Rematch
 from ...streams.time import HOUR, MILLISECOND
 from ..config.media_types import EVENT_STREAM
 from ..http.field_lists import chosen_fields
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..http.time_parameters import duration_of
 from ..runtime.context import Context, Service
 from ..sse.delivery import Delivery, Projection
@@ -85,7 +86,7 @@ async def _follow_directly(request: Request) -> Response | None:
     return await follow(request.app.state.service, request, name, delivery)
 
 
-router = APIRouter(tags=["streams"], route_class=direct(_follow_directly))
+router = resource_router("streams", route_class=direct(_follow_directly))
 
 
 @router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 410, 429, 503)})

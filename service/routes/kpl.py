@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import PlainTextResponse, Response
 
 from ...engine.durability.commands import AddKpl, RemoveKpl
@@ -12,6 +12,7 @@ from ..config.media_types import JSON, TEXT
 from ..http.encodings.json_lists import listed
 from ..http.negotiation import accepted, text_body
 from ..http.problems import responses
+from ..http.routers import resource_router
 from ..http.text_limits import check_length, read_kpl
 from ..models import (
     DeclarationModel,
@@ -21,7 +22,7 @@ from ..models import (
 )
 from ..runtime.context import Context
 
-router = APIRouter(tags=["kpl"])
+router = resource_router("kpl")
 
 EXAMPLE = """source float pos_car1
 strmgen pos[car1] = pos_car1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import Header, Request, Response
 from starlette.requests import ClientDisconnect
 
 from ...converters.errors import AheadOfClock
@@ -12,12 +12,13 @@ from ..config.logs import log
 from ..config.media_types import ARROW, NDJSON
 from ..http.negotiation import content_type
 from ..http.problems import Problem, problem_of, responses
+from ..http.routers import resource_router
 from ..models import AcceptedModel
 from ..runtime.context import Context, Service
 from ..runtime.live_ingest import LiveLines, LiveSamples, LiveTables
 from .publish import SAMPLES_BODY
 
-router = APIRouter(tags=["samples"])
+router = resource_router("samples")
 
 
 @router.post(

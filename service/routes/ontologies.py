@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import anyio
 import anyio.to_thread
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from pyoxigraph import Literal, NamedNode, Store
 
@@ -24,6 +24,7 @@ from ...rdf.namespaces import OWL, PREFIXES, RDF_TYPE, RDFS, shorten
 from ..config.media_types import TURTLE
 from ..http.negotiation import ONTOLOGY_FORMATS, accepted, content_type, utf8
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..models import (
     FeatureModel,
     OntologyModel,
@@ -36,7 +37,7 @@ from ..models import (
 from ..runtime.context import Context
 from ..workers.route_calls import while_connected
 
-router = APIRouter(tags=["ontologies"])
+router = resource_router("ontologies")
 
 EXAMPLE = """@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
 @prefix owl: <http://www.w3.org/2002/07/owl#> .

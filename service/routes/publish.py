@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import Header, Query, Request, Response
 from msgspec.structs import replace
 
 from ...converters.errors import AheadOfClock
@@ -13,6 +13,7 @@ from ..admission.gate import client_key
 from ..config.media_types import ARROW, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG, TURTLE
 from ..http.negotiation import content_type
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..models import AcceptedModel, StreamIn
 from ..runtime.context import Context, Service
 from ..workers.route_calls import while_connected
@@ -63,7 +64,7 @@ async def _publish_directly(request: Request) -> Response | None:
     return Response(b'{"accepted":%d}' % accepted.accepted, 202, media_type=JSON)
 
 
-router = APIRouter(tags=["samples"], route_class=direct(_publish_directly))
+router = resource_router("samples", route_class=direct(_publish_directly))
 
 
 @router.post(

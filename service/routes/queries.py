@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import anyio.to_thread
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from ...continuous.algebra.options import Bounds, Report, Semantics
@@ -21,6 +21,7 @@ from ..http.encodings.json_lists import listed
 from ..http.encodings.sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..http.negotiation import accepted, text_body
 from ..http.problems import responses
+from ..http.routers import resource_router
 from ..http.text_limits import parse_aside, parse_continuous
 from ..http.time_parameters import Time, time_of
 from ..models import (
@@ -38,7 +39,7 @@ from ..sse.window_results import result_stream
 from .follow import EVENTS, SINCE
 from .reasoning import TABLE, Limit, Objects, ObjectsOfMatch, Start, partial_answer, why_answer
 
-router = APIRouter(tags=["queries"])
+router = resource_router("queries")
 
 TEXTS = (TEXT, SPARQL_QUERY)
 EXAMPLE = """REGISTER STREAM fast COMPUTE EVERY 1s AS

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import Depends, Query, Request, Response
 
 from ...converters.objects import object_iri
 from ...engine.model.errors import UnknownStream
@@ -24,10 +24,11 @@ from ..http.encodings.history_encoding import RdfWriter, history_answer
 from ..http.field_lists import chosen_fields
 from ..http.negotiation import accepted
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..http.time_parameters import Time, duration_of, time_of
 from ..runtime.context import Context, Service
 
-router = APIRouter(tags=["samples"])
+router = resource_router("samples")
 
 TABLES = (NDJSON, JSON, CSV, ARROW)
 FORMATS = (*TABLES, NTRIPLES, NQUADS, TRIG, JSON_LD)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import Depends, Request, Response
 
 from ..admission.sessions import set_cookie
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..models import SessionIn, SessionModel
 from ..runtime.context import Context
 from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["session"], route_class=JsonRoute)
+router = resource_router("session", route_class=JsonRoute)
 
 
 @router.get("/session")

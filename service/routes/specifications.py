@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 
 from ...engine.durability.commands import ApplySpecification
 from ..config.media_types import TEXT_XML, XML
 from ..http.negotiation import content_type
 from ..http.problems import responses
+from ..http.routers import resource_router
 from ..http.text_limits import check_length
 from ..models import InsertionModel, SpecificationModel, text_schema
 from ..runtime.context import Context
 from ..workers.route_calls import while_connected
 
-router = APIRouter(tags=["specifications"])
+router = resource_router("specifications")
 
 EXAMPLE = """<?xml version="1.0" encoding="UTF-8"?>
 <spec:specification xmlns:spec="http://www.dyknow.eu/ontology#Specification">

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import Depends, Path, Query, Request, Response
 
 from ...engine.durability.commands import (
     DeclareStream,
@@ -20,11 +20,12 @@ from ..http.encodings.json_lists import listed
 from ..http.field_lists import chosen_fields
 from ..http.negotiation import content_type
 from ..http.problems import responses
+from ..http.routers import resource_router
 from ..models import EvaluationModel, QualityIn, StreamIn, StreamModel
 from ..runtime.context import Context, Service
 from .json_body import JsonRoute
 
-router = APIRouter(tags=["streams"], route_class=JsonRoute)
+router = resource_router("streams", route_class=JsonRoute)
 
 NewName = Annotated[
     str,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import Depends, Request, Response
 
 from ...engine.durability.accepted_commands import SUBSCRIPTION
 from ...engine.durability.commands import (
@@ -17,13 +17,14 @@ from ...engine.engine import Engine
 from ..config.media_types import EVENT_STREAM
 from ..http.encodings.json_lists import listed
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..runtime.context import Context
 from .follow import Parameters, follow
 from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["subscriptions"], route_class=JsonRoute)
+router = resource_router("subscriptions", route_class=JsonRoute)
 
 FORM = 'send "stream" with a policy, or "feature" with "sort" or "objects"'
 OF_A_FEATURE = {"sort", "objects", "strategy", "staleness", "min_quality", "hold_off"}

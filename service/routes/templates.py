@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 from urllib.parse import quote
 
-from fastapi import APIRouter, Header, Path, Request, Response
+from fastapi import Header, Path, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from ...engine.durability.commands import RegisterTemplate, RemoveTemplate
@@ -17,11 +17,12 @@ from ..config.media_types import JSON, SPARQL_QUERY, TEXT
 from ..http.entity_tags import names
 from ..http.negotiation import accepted, text_body
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..http.text_limits import parse_aside, parse_registration
 from ..models import TemplateModel, text_schema
 from ..runtime.context import Context, Service
 
-router = APIRouter(tags=["templates"])
+router = resource_router("templates")
 
 TEXTS = (TEXT, SPARQL_QUERY)
 EXAMPLE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import Depends, Path, Request, Response
 
 from ...engine.catalog.iri_annotations import DescribedTransformation
 from ...engine.catalog.transformation_turtle import read_transformations
@@ -21,6 +21,7 @@ from ..config.media_types import JSON, TURTLE
 from ..http.encodings.json_lists import listed
 from ..http.negotiation import content_type, json_value, utf8
 from ..http.problems import Problem, responses
+from ..http.routers import resource_router
 from ..http.text_limits import check_number, read_ssl
 from ..models import (
     TransformationIn,
@@ -34,7 +35,7 @@ from ..workers.route_calls import while_connected
 from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["transformations"], route_class=JsonRoute)
+router = resource_router("transformations", route_class=JsonRoute)
 
 EXAMPLE = {
     "annotation": "compunit coordinatesToSpeed10s transforms latitude:latitude [deg], "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import Depends, Query, Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field, model_validator
 
@@ -14,6 +14,7 @@ from ....engine.planning.stream_binding import REMEDY
 from ...config.media_types import JSON, TEXT
 from ...http.negotiation import accepted
 from ...http.problems import Problem, responses
+from ...http.routers import resource_router
 from ...http.text_limits import parse_aside, parse_continuous
 from ...models import ExplainModel, StageModel, StepModel, Strategy
 from ...models.parts import Body
@@ -21,7 +22,7 @@ from ...runtime.context import Context, Service
 from ..json_body import JsonRoute
 from ..streams import json_only
 
-router = APIRouter(tags=["explain"], route_class=JsonRoute)
+router = resource_router("explain", route_class=JsonRoute)
 
 LIMIT = 8192
 LONGEST = 1 << 18

@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import Annotated
 
 import anyio.to_thread
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import Header, Query, Response
 
 from ....engine.model.graph import Graph
 from ...config.media_types import JSON
 from ...http.entity_tags import entity_tag, names
 from ...http.problems import Problem, responses
+from ...http.routers import resource_router
 from ...models import GraphModel
 from ...runtime.context import Context
 
-router = APIRouter(tags=["graph"])
+router = resource_router("graph")
 
 
 @router.get("/graph", response_model=GraphModel, responses=responses(404, 422))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+from fastapi import Response
 
+from ...http.routers import resource_router
 from ...models import HealthModel
 from ...runtime.context import Context
 from ...runtime.metrics import CONTENT_TYPE
 
-router = APIRouter(tags=["health"])
+router = resource_router("health")
 
 
 @router.get("/healthz")

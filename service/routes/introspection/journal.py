@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
-
 from ....streams.time import SECOND, format_time
 from ...durability.command_queue import CHECKPOINT, JOURNAL
 from ...http.problems import Problem, responses
+from ...http.routers import resource_router
 from ...models import CheckpointModel, JournalModel, LogModel
 from ...runtime.context import Context
 
-router = APIRouter(tags=["status"])
+router = resource_router("status")
 
 
 @router.get("/journal", responses=responses(503))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends
+from fastapi import Depends
 
 from ...http.problems import responses
+from ...http.routers import resource_router
 from ...models import MatchIn, MatchModel
 from ...runtime.context import Context
 from ..json_body import JsonRoute
 from ..streams import json_only
 
-router = APIRouter(tags=["matching"], route_class=JsonRoute)
+router = resource_router("matching", route_class=JsonRoute)
 
 
 @router.post("/match", dependencies=[Depends(json_only)], responses=responses(404, 413, 415, 422))

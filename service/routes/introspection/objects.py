@@ -6,16 +6,17 @@ import asyncio
 from heapq import nsmallest
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import Path, Query
 
 from ....engine.catalog.known_objects import KnownValue, Sorts
 from ....engine.catalog.name_resolution import checked_sort
 from ....engine.model.errors import UnknownObject
 from ...http.problems import responses
+from ...http.routers import resource_router
 from ...models import ListedObjectsModel, ObjectModel
 from ...runtime.context import Context, Service
 
-router = APIRouter(tags=["objects"])
+router = resource_router("objects")
 
 STREAMS = 10
 """Streams that are searched for an object before other requests have their turn."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 
 from ...config.logs import mask
 from ...config.recent_requests import KEPT
+from ...http.routers import resource_router
 from ...models import HttpRequestModel
 from ...runtime.context import Context
 
-router = APIRouter(tags=["status"])
+router = resource_router("status")
 
 
 @router.get("/requests")

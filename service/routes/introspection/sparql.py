@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Final
 from urllib.parse import parse_qsl
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from pyoxigraph import NamedNode
 
 from ....ontology.errors import QueryRefused
@@ -30,11 +30,12 @@ from ...http.encodings.sparql_results import (
 )
 from ...http.negotiation import accepted, content_type, utf8
 from ...http.problems import Problem, responses
+from ...http.routers import resource_router
 from ...runtime.context import Context, Service
 from ...workers.messages import Failed, GraphNames, Refused, TooMuch, Truth, Written
 from ...workers.route_calls import while_connected
 
-router = APIRouter(tags=["sparql"])
+router = resource_router("sparql")
 
 EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""

@@ -6,7 +6,7 @@ import logging
 import time
 from typing import Literal
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 
 from ....engine.durability.accepted_commands import QUERY, REQUEST, SUBSCRIPTION
 from ....streams.time import format_time
@@ -14,6 +14,7 @@ from ...admission.memory_limit import CAN, resident
 from ...config.recent_log import KEPT
 from ...config.version import __version__
 from ...http.problems import responses
+from ...http.routers import resource_router
 from ...models import (
     FindingModel,
     LoadModel,
@@ -26,7 +27,7 @@ from ...runtime.context import Context, Service
 from ...runtime.findings import findings
 from ..follow import EVENTS, Parameters, follow
 
-router = APIRouter(tags=["status"])
+router = resource_router("status")
 
 LISTED = (REQUEST, SUBSCRIPTION, QUERY)
 """The kinds of deferred commands that other routes list with the running ones."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+from fastapi import Response
 
 from ...http.encodings.json_lists import listed
 from ...http.problems import Problem, responses
+from ...http.routers import resource_router
 from ...models import RunningUnitModel
 from ...runtime.context import Context
 
-router = APIRouter(tags=["units"])
+router = resource_router("units")
 
 
 @router.get("/units", response_model=list[RunningUnitModel])
