@@ -13,7 +13,7 @@ def resource_router(*tags: str, **options: Any) -> APIRouter:
     """Return a router with what all routes have in common; ``options``: those of `APIRouter`.
 
     An application takes its routes by `list.extend`. `FastAPI.include_router` would make each once
-    more for each application, at the first request: as long as half an import of the service.
+    more for each application, at the first request, which takes as long as hundreds of requests.
     """
     return APIRouter(
         tags=list(tags),
