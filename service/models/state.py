@@ -177,7 +177,8 @@ class VocabularyModel(BaseModel):
 
 
 class HealthModel(BaseModel):
-    """``ok``; ``degraded``: it works, but some units failed; ``failing``, with the reasons."""
+    """``ok``; ``degraded``: it works, but some units failed; ``starting`` and ``failing``, with the
+    reasons."""
 
     status: str
     reason: str | None = None

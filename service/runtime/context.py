@@ -91,22 +91,23 @@ class Service:
 
     def reasons(self) -> list[str]:
         """The reasons why the service is not ready; none if it is."""
+        return self.failing() + self.starting()
+
+    def failing(self) -> list[str]:
+        """The reasons that do not pass with the start."""
         # A copy: other threads add and remove some.
         found = [f"{who}: {what}" for who, what in tuple(self.troubles.items())]
         found += self.memory.reasons()
         found += self.isolation.reasons()
         if self.warming is not None:
-            found += self.warming.reasons()
-        if self.ticked is None:
-            found.append(NO_TICK)
-        else:
-            late = time.monotonic() - self.ticked
-            if late > max(LATE, 10 * self.settings.tick):
-                found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
+            found += self.warming.failed()
+        late = 0.0 if self.ticked is None else time.monotonic() - self.ticked
+        if late > max(LATE, 10 * self.settings.tick):
+            found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
         return found
 
     def starting(self) -> list[str]:
-        """Those of the reasons that the start brings, and its end takes away."""
+        """The reasons that the start brings, and its end takes away."""
         unfinished = [] if self.warming is None else self.warming.unfinished()
         return unfinished + ([NO_TICK] if self.ticked is None else [])
 

@@ -41,10 +41,7 @@ def findings(service: Service) -> list[FindingModel]:
 
 
 def _service(service: Service) -> Iterator[FindingModel]:
-    starting = service.starting()
-    for reason in service.reasons():
-        if reason in starting:
-            continue  # no problem: /status says it
+    for reason in service.failing():  # a start is no problem: /status says it
         yield _of_service("bad", "The service is not ready", reason, "See its log.")
     memory = service.memory
     if memory.limit and MEMORY * memory.limit < memory.used < memory.limit:

@@ -40,12 +40,15 @@ class WarmUp:
 
     def reasons(self) -> list[str]:
         """The tasks that are unfinished or have failed."""
-        failed = [f"{name}: failed: {error}" for name, error in tuple(self._failed.items())]
-        return self.unfinished() + failed
+        return self.unfinished() + self.failed()
 
     def unfinished(self) -> list[str]:
         """The tasks that are under way."""
         return [f"{name}: {doing}" for name, doing in tuple(self._doing.items())]
+
+    def failed(self) -> list[str]:
+        """The tasks that have failed."""
+        return [f"{name}: failed: {error}" for name, error in tuple(self._failed.items())]
 
     def begin(self, name: str, doing: str, work: Callable[[], None]) -> threading.Thread:
         """Start ``work`` in a thread."""

@@ -22,19 +22,21 @@ async def healthz() -> HealthModel:
 async def readyz(service: Context, response: Response) -> HealthModel:
     """Return 200 while the service takes requests, and 503 with reasons while it does not.
 
-    Reasons: it starts or stops, the engine's tick fails or is late, the data directory, the
-    workers or the memory limit prevent its work. 200 with `degraded`: some units failed, and show
-    `failed` in `/events`, `/queries` and `/subscriptions`; all else works. A restart would not
-    help.
+    503 with `starting`: that passes by itself. 503 with `failing`: it stops, the engine's tick
+    fails or is late, the data directory, the workers or the memory limit prevent its work. 200 with
+    `degraded`: some units failed, and show `failed` in `/events`, `/queries` and `/subscriptions`;
+    all else works. A restart would not help.
     """
-    reasons = service.reasons()
+    failing, starting = service.failing(), service.starting()
+    reasons = failing + starting
     if not reasons:
         failed = service.failed()
         if not failed:
             return HealthModel(status="ok")
         return HealthModel(status="degraded", reason="; ".join(failed), reasons=failed)
     response.status_code = 503
-    return HealthModel(status="failing", reason="; ".join(reasons), reasons=reasons)
+    status = "failing" if failing else "starting"
+    return HealthModel(status=status, reason="; ".join(reasons), reasons=reasons)
 
 
 @router.get(
