@@ -91,7 +91,8 @@ class Service:
 
     def reasons(self) -> list[str]:
         """The reasons why the service is not ready; none if it is."""
-        return self.failing() + self.starting()
+        # The start first: a task that fails is listed as failed before it leaves the start's tasks.
+        return self.starting() + self.failing()
 
     def failing(self) -> list[str]:
         """The reasons that do not pass with the start."""

@@ -30,17 +30,16 @@ class _Over(Exception):
 
 
 class WarmUp:
-    """Tasks in threads, each with a name for /readyz. Any thread may call `reasons`."""
+    """Tasks in threads, each with a name for /readyz.
+
+    Any thread may call `unfinished`, then `failed`: in this order they miss no task.
+    """
 
     def __init__(self) -> None:
         self._doing: dict[str, str] = {}
         self._failed: dict[str, str] = {}
         self._threads: list[threading.Thread] = []
         self._is_over = False
-
-    def reasons(self) -> list[str]:
-        """The tasks that are unfinished or have failed."""
-        return self.unfinished() + self.failed()
 
     def unfinished(self) -> list[str]:
         """The tasks that are under way."""

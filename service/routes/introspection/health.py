@@ -27,8 +27,9 @@ async def readyz(service: Context, response: Response) -> HealthModel:
     `degraded`: some units failed, and show `failed` in `/events`, `/queries` and `/subscriptions`;
     all else works. A restart would not help.
     """
-    failing, starting = service.failing(), service.starting()
-    reasons = failing + starting
+    # In the order of `Service.reasons`, which misses no task.
+    starting, failing = service.starting(), service.failing()
+    reasons = starting + failing
     if not reasons:
         failed = service.failed()
         if not failed:

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import httpx
@@ -30,6 +31,11 @@ def gate() -> Iterator[threading.Event]:
     found = threading.Event()
     yield found
     found.set()
+
+
+def reasons(warming: WarmUp) -> list[str]:
+    """All that /readyz tells of a warm-up."""
+    return warming.unfinished() + warming.failed()
 
 
 def test_what_goes_on_is_a_reason_until_it_is_over(
@@ -62,9 +68,9 @@ def test_the_loops_tell_how_far_they_are(
     monkeypatch.setattr("dyknow.service.runtime.warm_up.compile_all", compile_all)
     warming = WarmUp()
     warming.loops()
-    until(lambda: warming.reasons() == ["loops: being compiled, 1 of 3 are done"])
+    until(lambda: reasons(warming) == ["loops: being compiled, 1 of 3 are done"])
     gate.set()
-    until(lambda: warming.reasons() == [])
+    until(lambda: reasons(warming) == [])
 
 
 def test_who_stops_waits_for_the_loop_at_hand_and_no_further_one(
@@ -97,7 +103,33 @@ def test_a_warm_up_that_fails_stays_a_reason() -> None:
 
     warming = WarmUp()
     warming.begin("loops", "being compiled", fail).join()
-    assert warming.reasons() == ["loops: failed: no compiler"]
+    assert reasons(warming) == ["loops: failed: no compiler"]
+
+
+def test_a_task_that_fails_while_the_reasons_are_read_is_one_of_them(
+    engine: Engine,
+    settings: Settings,
+    clock: Clock,
+    gate: threading.Event,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail() -> None:
+        gate.wait(30)
+        raise RuntimeError("no compiler")
+
+    service: Service = create_app(engine, settings, clock).state.service
+    service.ticked = time.monotonic()
+    service.warming = warming = WarmUp()
+    thread, failed = warming.begin("loops", "being compiled", fail), warming.failed
+
+    def failed_before() -> list[str]:
+        found = failed()
+        gate.set()
+        thread.join()
+        return found
+
+    monkeypatch.setattr(warming, "failed", failed_before)
+    assert service.reasons() == ["loops: being compiled"]
 
 
 def test_what_is_there_at_the_start_is_not_collected_again(
@@ -113,7 +145,7 @@ def test_what_is_there_at_the_start_is_not_collected_again(
         # Not before all is done: what comes later would be looked at each time.
         assert gc.get_freeze_count() <= before
         gate.set()
-        until(lambda: not warming.reasons())
+        until(lambda: not reasons(warming))
         assert gc.get_freeze_count() > before
     finally:
         gc.unfreeze()
@@ -134,7 +166,7 @@ def test_workers_that_cannot_be_started_are_tried_again(
             broken.setattr(sys, "executable", "/nowhere/python")
             service.warming.workers("sparql", service.isolation.pools["sparql"])
             until(lambda: http.get("/readyz").status_code == 503)
-            until(lambda: service.warming is not None and not service.warming.reasons())
+            until(lambda: service.warming is not None and not reasons(service.warming))
             (reason,) = http.get("/readyz").json()["reasons"]
             assert re.match("workers: none for sparql: a worker does not start", reason)
             answer = http.get("/sparql", params={"query": "ASK {}"})
