@@ -36,7 +36,10 @@ export function bytes(value) {
   return value >= 2 ** 20 ? `${Math.round(value / 2 ** 20)} MiB` : `${Math.round(value / 1024)} KiB`;
 }
 
-const formatted = (format, time) => (Number.isNaN(+new Date(time)) ? "–" : format.format(new Date(time)));
+const formatted = (format, time) => {
+  const date = new Date(time);
+  return Number.isNaN(+date) ? "–" : format.format(date);
+};
 
 /** The time of day of a number of ms, or of a text in ISO-8601. */
 export const clock = (time) => formatted(times, time);
@@ -54,6 +57,9 @@ export function stamp(time, near = Date.now()) {
 
 /** 1 unit, 2 units. */
 export const plural = (number, noun) => `${count(number)} ${noun}${number === 1 ? "" : "s"}`;
+
+/** A number with up to three digits after the point. */
+export const decimal = (number) => numbers[2].format(number);
 
 /** A value of a sample: numbers with few digits, nothing as a dash. */
 export function value(of) {

@@ -1,7 +1,7 @@
 // Small parts that all pages use.
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "./vendor/preact.js";
 import uPlot from "./vendor/uplot.js";
-import { clock, day, stamp, value } from "./format.js";
+import { clock, day, decimal, stamp, value } from "./format.js";
 
 const dark = matchMedia("(prefers-color-scheme: dark)").matches;
 export const theme = signal(localStorage.theme ?? (dark ? "dark" : "light"));
@@ -151,7 +151,7 @@ function options(number, focus, zero) {
     scales: { x: { time: true }, ...(zero ? { y: fromZero } : {}) },
     axes: [
       { ...axis, size: 28, space: 70, values: timeLabels },
-      { ...axis, size: 52, values: (_, ticks) => ticks.map((v) => v.toLocaleString("en-US")) },
+      { ...axis, size: 52, values: (_, ticks) => ticks.map(decimal) },
     ],
     series: [{}, ...Array.from({ length: number - 1 }, (_, i) => line(i + 1))],
   };
