@@ -11,14 +11,11 @@ from starlette.routing import Match
 
 from dyknow.engine.engine import Engine
 from dyknow.service.admission.scopes import NEEDED, UNKNOWN, Rules
-from dyknow.service.app import RESOURCES, create_app
+from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 
 APP = create_app(Engine(epoch="e1"), Settings(), lambda: 0)
-ROUTES = [
-    *(route for route in APP.routes if getattr(route, "path", None) is not None),
-    *(route for resource in RESOURCES for route in resource.router.routes),
-]
+ROUTES = APP.routes
 RULES = Rules()
 
 words = sorted({word for route in NEEDED for word in route.partition(" ")[2].split("/") if word})

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from dyknow.engine.engine import Engine
 from dyknow.service.admission.scopes import NEEDED, OPEN
 from dyknow.service.admission.tokens import Scope
-from dyknow.service.app import RESOURCES, create_app
+from dyknow.service.app import create_app
 from dyknow.service.cli import app as commands
 from dyknow.service.cli.main import COMMANDS, command
 from dyknow.service.client.client import Client, ServiceError
@@ -84,10 +84,8 @@ def status_of(answer: bytes) -> int:
 
 def served(app: FastAPI) -> set[str]:
     """Every route of the application, as METHOD /path."""
-    routes = [route for resource in RESOURCES for route in resource.router.routes]
-    routes += [route for route in app.routes if hasattr(route, "path") and route.path is not None]
     found = set()
-    for route in routes:
+    for route in app.routes:
         assert isinstance(route, APIRoute) or route.path == "/openapi.json", route
         found |= {f"{method} {route.path}" for method in (route.methods or ()) if method != "HEAD"}
     return found
