@@ -4,7 +4,7 @@ Run by ``make bench`` (``python bench/queries/terms.py``; ``--quick``: six minut
 process, one core. A second brings 20 observations, each an IRI of its own with a value (a double
 and an integer in turn), a text of its own and the observation before it: 144,000 new terms an hour
 before anything is computed. MB are what Python holds (tracemalloc), *terms* how many the dictionary
-has in the end, *all* how many it would have had nobody forgotten any.
+has in the end, *all* how many it would have without forgetting.
 """
 
 from __future__ import annotations

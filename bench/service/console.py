@@ -2,10 +2,10 @@
 
     python bench/service/console.py [EVENTS_A_SECOND]
 
-A service, a headless Chromium and who publishes are processes of their own, on one machine. 1,000
-objects have a sample each many times a second, and a request answers each with an event. Printed
-are, of some seconds: the events that the page has taken, frames a second and the longest, rows in
-the document, the page's memory, and the parts of a core that the page's main thread and the service
+The service, a headless Chromium and this program, which publishes, share one machine. 1,000 objects
+have a sample each many times a second, and a request answers each with an event. Printed are, of
+some seconds: the events that the page has taken, frames a second and the longest, rows in the
+document, the page's memory, and the parts of a core that the page's main thread and the service
 need. Chromium draws without a graphics card, at most 60 frames a second.
 """
 
@@ -15,18 +15,19 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / name) for name in ("support", "support/services")]
 
 import httpx  # noqa: E402
-import psutil  # noqa: E402
 from chromium import Browser, Page  # noqa: E402
+from latency import cpu_seconds  # noqa: E402
 from serving import Serving  # noqa: E402
 
 OBJECTS, WARM, SECONDS = 1_000, 6, 10
-SECOND = 1_000_000_000
 SSL = "stream cars contains speed(Car) = v [km.h-1] for every Car = id"
 TEMPLATE = """REGISTER TEMPLATE dyknow:Moves(?o) COMPUTE EVERY {step}ms AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
@@ -52,19 +53,15 @@ def main() -> None:
     service = Serving(None)
     with tempfile.TemporaryDirectory() as folder:
         browser = Browser(Path(folder))
-        stopped = threading.Event()
-        publisher = threading.Thread(target=publish, args=(service.url, rate, stopped))
         try:
             declare(service.http, OBJECTS * 1_000 // rate)
-            publisher.start()
-            page = browser.page()
-            page.open(f"{service.url}/#live")
-            page.wait("document.querySelectorAll('.line').length > 8")
-            time.sleep(WARM)
-            measure(page, service)
+            with publishing(service.url, rate):
+                page = browser.page()
+                page.open(f"{service.url}/#live")
+                page.wait(f"{ROWS} > 8")
+                time.sleep(WARM)
+                measure(page, service)
         finally:
-            stopped.set()
-            publisher.join()
             browser.close()
             service.stop()
 
@@ -79,6 +76,19 @@ def declare(http: httpx.Client, step: int) -> None:
         ("events", "dyknow:Moves(?o)"),
     ):
         http.post(f"/{path}", content=content, headers=text).raise_for_status()
+
+
+@contextmanager
+def publishing(url: str, rate: int) -> Iterator[None]:
+    """Publish in a thread."""
+    stopped = threading.Event()
+    publisher = threading.Thread(target=publish, args=(url, rate, stopped))
+    publisher.start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        publisher.join()
 
 
 def publish(url: str, rate: int, stopped: threading.Event) -> None:
@@ -103,15 +113,15 @@ def publish(url: str, rate: int, stopped: threading.Event) -> None:
 
 def measure(page: Page, service: Serving) -> None:
     """Print what `SECONDS` of the page have."""
-    process = psutil.Process(service.process.pid)
+    process = service.process.pid
     page.call("Performance.enable")
     page.run(COUNT_FRAMES)
-    events, busy, used = page.run(TAKEN), main_thread(page), sum(process.cpu_times()[:2])
+    events, busy, used = page.run(TAKEN), main_thread(page), cpu_seconds(process)
     begun = time.monotonic()
     time.sleep(SECONDS)
     count, longest, _ = page.run(FRAMES)
     taken, passed = page.run(TAKEN) - events, time.monotonic() - begun
-    busy, used = main_thread(page) - busy, sum(process.cpu_times()[:2]) - used
+    busy, used = main_thread(page) - busy, cpu_seconds(process) - used
     print(f"{taken / passed:8,.0f} events a second that the page has taken")
     print(f"{count / passed:8.1f} frames a second; the longest took {longest:.0f} ms")
     print(f"{page.run(ROWS):8,} rows in the document")

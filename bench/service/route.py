@@ -1,8 +1,9 @@
 """The way of one sample: each file and function of the house that it passes, from its request to an
 SSE message.
 
-    python bench/service/route.py             # in memory; --data: with a data directory; --list:
-    each call
+    python bench/service/route.py [--data] [--list]
+
+In memory, or with a data directory; ``--list`` prints each call.
 
 A high-speed event is requested for all aircraft of a stream of positions, so the sample passes a
 unit that computes speeds, a window that its time closes, a filter, and the output stream.

@@ -21,6 +21,6 @@ def until(found: Callable[[], T], seconds: float = PATIENCE, said: object = "") 
     while not (given := found()):
         assert time.monotonic() < end, (given, said)
         time.sleep(pause)
-        # Who is asked often has less time to do what is waited for.
+        # A service that answers many questions makes less progress.
         pause = min(1.3 * pause, 0.25)
     return given
