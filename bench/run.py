@@ -29,6 +29,7 @@ TABLES = (
     "service/turns.py",
     "service/batches.py",
     "service/bombs.py",
+    "service/workers.py",
     "service/journal.py",
     "service/ingest.py",
     "service/rdf.py",

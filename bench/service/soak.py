@@ -128,14 +128,13 @@ class Soaked:
         """Resident memory of the service and of its workers (MiB), descriptors, threads,
         streams."""
         pid = self._process.pid
-        threads = Path(f"/proc/{pid}/task").glob("*/children")
-        children = [child for each in threads for child in _read(each).decode().split()]
         # A copy of the service that writes a checkpoint is no worker, and may be gone by now.
-        workers = [
-            status(int(child))
-            for child in children
+        servers = [
+            child
+            for child in children(pid)
             if b"workers.worker_main" in _read(Path(f"/proc/{child}/cmdline"))
         ]
+        workers = [status(worker) for server in servers for worker in children(server)]
         own = status(pid)
         streams = len(self._http.get("/streams").json())
         files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
@@ -153,6 +152,12 @@ class Soaked:
         assert self._process.stderr is not None
         self._process.stderr.close()
         return self._process.wait()
+
+
+def children(pid: int) -> list[int]:
+    """The processes whose parent it is."""
+    threads = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for each in threads for child in _read(each).split()]
 
 
 def _read(path: Path) -> bytes:

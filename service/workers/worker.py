@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import select
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from enum import StrEnum
 from typing import Final
 
+from .fork_server import FORK_SERVER, START_DEADLINE, ForkedProcess
 from .messages import (
     PREFIX,
     Answer,
@@ -22,8 +21,6 @@ from .messages import (
     tag_of,
 )
 
-START_DEADLINE: Final = 60.0
-"""Seconds for the start of a worker: it only imports, but the machine may be busy."""
 _CHUNK: Final = 1 << 20
 _MEMORY_SIGNALS: Final = (signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS)
 
@@ -82,7 +79,7 @@ class Worker:
     `oxigraph_client`). `call` blocks its thread; any thread may call `kill`.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], observe: JobObserver = _ignore) -> None:
+    def __init__(self, process: ForkedProcess, observe: JobObserver = _ignore) -> None:
         self.position: int | None = None
         self.kept: dict[str, int] = {}
         self.jobs = 0
@@ -90,28 +87,17 @@ class Worker:
         """Why it ended during a job; None while it has not."""
         self._observe = observe
         self._process = process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        self._in, self._out = process.stdin.fileno(), process.stdout.fileno()
-        os.set_blocking(self._in, False)
-        os.set_blocking(self._out, False)
+        self._in, self._out = process.jobs, process.answers
 
     @classmethod
     def start(cls, memory: int, observe: JobObserver = _ignore) -> Worker:
         """Start a process with ``memory`` bytes for its jobs, and return it when it is ready.
 
-        It is no fork, since this process has threads. Of the environment it gets the module path
-        only: no secrets. Raises `NoWorker` if it does not start.
+        Raises `NoWorker` if it does not start.
         """
-        environment = {
-            "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
-            "PYTHONHASHSEED": "0",
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "LC_ALL": "C.UTF-8",
-        }
         try:
-            process = cls._start_process(memory, environment)
-        except OSError as error:  # no memory, or too many processes
+            process = FORK_SERVER.fork(memory)
+        except OSError as error:
             raise NoWorker(f"a worker does not start: {error}") from error
         worker = cls(process, observe)
         ready = worker._kill_on_error(
@@ -121,19 +107,6 @@ class Worker:
             worker.kill()
             raise NoWorker("a worker does not start")
         return worker
-
-    @staticmethod
-    def _start_process(memory: int, environment: dict[str, str]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-m", f"{__package__}.worker_main", str(memory)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            close_fds=True,
-            # Ctrl-C in the terminal must reach the service only, which ends its workers.
-            start_new_session=True,
-        )
 
     @property
     def pid(self) -> int:
@@ -186,9 +159,7 @@ class Worker:
     def close(self) -> None:
         """Kill the process and close its pipes. Contract: no call is under way."""
         self.kill()
-        for pipe in (self._process.stdin, self._process.stdout):
-            assert pipe is not None
-            pipe.close()
+        self._process.close()
 
     def _kill_on_error(self, work: Callable[[], bytes]) -> bytes:
         try:

@@ -23,6 +23,7 @@ from dyknow.service.runtime.context import Service
 from dyknow.service.runtime.warm_up import WarmUp
 from dyknow.service.server import running
 from dyknow.service.workers import services
+from dyknow.service.workers.fork_server import FORK_SERVER
 from dyknow.streams.time import Clock
 
 
@@ -164,6 +165,7 @@ def test_workers_that_cannot_be_started_are_tried_again(
     ):
         with monkeypatch.context() as broken:
             broken.setattr(sys, "executable", "/nowhere/python")
+            FORK_SERVER.stop()
             service.warming.workers("sparql", service.isolation.pools["sparql"])
             until(lambda: http.get("/readyz").status_code == 503)
             until(lambda: service.warming is not None and not reasons(service.warming))

@@ -85,7 +85,13 @@ def test_what_a_worker_may_not(worker: Worker) -> None:
     assert int(soft) < 1 << 30
     environment = Path(f"/proc/{worker.pid}/environ").read_bytes().split(b"\0")
     names = {entry.partition(b"=")[0].decode() for entry in environment if entry}
-    assert names <= {"PYTHONPATH", "PYTHONHASHSEED", "PYTHONDONTWRITEBYTECODE", "LC_ALL"}
+    assert names <= {
+        "PYTHONPATH",
+        "PYTHONHASHSEED",
+        "PYTHONDONTWRITEBYTECODE",
+        "LC_ALL",
+        "OPENBLAS_NUM_THREADS",
+    }
     # Without memory the kernel ends a worker, and not the service.
     assert Path(f"/proc/{worker.pid}/oom_score_adj").read_text() == "1000\n"
     assert worker.call(job("ASK {}"), 1000)
