@@ -1,7 +1,7 @@
 // A question of your own: SPARQL over the system and the ontologies, or a continuous query. The
 // address holds the text, so that a question can be linked.
-import { html, useEffect, useMemo, useState } from "../vendor/preact.js";
-import { PATTERN, asked, byName, may, refresh, requests, vocabulary } from "../state.js";
+import { computed, html, useEffect, useMemo, useState } from "../vendor/preact.js";
+import { PATTERN, asked, byName, makers, may, refresh, requests, units, vocabulary } from "../state.js";
 import { address, ask, explain } from "../http.js";
 import { clock, duration, plural, shorten } from "../format.js";
 import { Editor } from "../editor.js";
@@ -19,6 +19,29 @@ export const CONTINUOUS = [
   ["Above 3,000 ft within 20 s, as a formula", "monitor brief(?x in Aircraft) =\n  altitude(?x) < 3000 [ft] -> eventually [0s, 20s] altitude(?x) >= 3000 [ft]"],
 ];
 const FIRST = QUESTIONS[0][1];
+
+/** Streams of this system for those of the questions' example: `out` is made of `gps` and others,
+    `both` of two. */
+const example = computed(() => {
+  const read = new Set(units.value.flatMap((unit) => unit.inputs));
+  const out = units.value.findLast((unit) => !read.has(unit.output))?.output;
+  let gps = out;
+  while (makers.value.has(gps)) [gps] = makers.value.get(gps).inputs;
+  return { gps, out, both: units.value.find((unit) => unit.inputs.length > 1)?.output ?? out };
+});
+
+/** A name that SPARQL takes behind a colon as it is. */
+const SIMPLE = /^[A-Za-z]\w*$/;
+
+/** The questions about this system; those about streams that it has not are left out. */
+const questions = computed(() => QUESTIONS.flatMap(([title, code]) => {
+  const own = (name) => example.value[name];
+  const inCode = /(?<=:)(gps|out|both)\b/g, names = code.match(inCode);
+  if (!names) return [[title, code]];
+  return names.every((each) => SIMPLE.test(own(each)))
+    ? [[title.replace(/\b(gps|out|both)\b/g, own), code.replace(inCode, own)]] : [];
+}));
+
 /** An IRI in short; names of the stream space as the questions write them, `:hasName`. */
 function short(iri) {
   const { "dyknow-o": space, ...others } = vocabulary.value.prefixes;
@@ -108,7 +131,7 @@ function Result({ result, view }) {
 function Questions({ isContinuous, text, pick, watched, watch }) {
   const [find, setFind] = useState("");
   const running = requests.value.filter((each) => each.kind === "query");
-  const list = isContinuous ? CONTINUOUS : QUESTIONS.filter(([title]) => title.toLowerCase().includes(find.toLowerCase()));
+  const list = isContinuous ? CONTINUOUS : questions.value.filter(([title]) => title.toLowerCase().includes(find.toLowerCase()));
   const go = (where) => () => { location.hash = where; };
   return html`<section class="panel list" aria-label="questions"><header><h2 class="hidden">Questions</h2><div class="tabs" role="group" aria-label="kind">
       <button aria-pressed=${!isContinuous} onClick=${go("query")}>Once</button>

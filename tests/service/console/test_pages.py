@@ -246,6 +246,17 @@ def test_a_verdict_is_explained(flying: str, open_page: OPEN) -> None:
     assert httpx.delete(f"{flying}/queries/high", timeout=60).status_code == 204
 
 
+def test_questions_name_streams_of_this_system(flying: str, open_page: OPEN) -> None:
+    page = open_page(f"{flying}/#query")
+    made = httpx.get(f"{flying}/events", timeout=60).json()[0]["stream"]
+    page.wait_text("What breaks if adsb stops?")
+    page.wait_text(f"What are the first origins of {made}?")
+    assert not page.run("/\\b(gps|both)\\b/.test(document.querySelector('.list').innerText)")
+    page.click(".item", "What breaks if adsb stops?")
+    page.click("button.main", "Run")
+    page.wait(f"document.querySelector('.result tbody')?.innerText.includes('{made}')")
+
+
 def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#query")
     page.wait_text("Which streams are there")
