@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 from urllib.parse import quote
 
@@ -81,6 +82,12 @@ WHERES: Final = {
 }
 
 
+@cache
+def members(count: int) -> str:
+    """A JSON object with so many members."""
+    return "{" + ",".join(f'"{number:x}":0' for number in range(count)) + "}"
+
+
 def texts() -> Iterator[Bomb]:
     """What is refused by a look at it: nested, long, or made of a thousand pieces."""
     for name, where in WHERES.items():
@@ -118,9 +125,8 @@ def texts() -> Iterator[Bomb]:
             body = f'{{"{key}": {value}}}'
             yield Bomb(f"JSON {name}: {path}", method, path, JSON, body, (400, 422))
         for count, status in ((9_000, 422), (DEEP, 413), (700_000, 413)):
-            members = ",".join(f'"{number:x}":0' for number in range(count))
             name = f"JSON with {count:,} members: {path}"
-            yield Bomb(name, method, path, JSON, f"{{{members}}}", (status,))
+            yield Bomb(name, method, path, JSON, members(count), (status,))
     for name, value in {"a sign": "%25", "no sign": "%zz", "a letter": "%41"}.items():
         body = "query=" + value * 2_600_000
         yield Bomb(f"form: {name}", "POST", "/sparql", FORM, body, (413,))
