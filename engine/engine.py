@@ -22,8 +22,8 @@ from ..languages.specification import Specification, parse_specification
 from ..languages.ssl.annotation import CheckedAnnotation
 from ..matching.gc_pause import gc_paused
 from ..ontology.ontology import Ontology, PreparedOntology
-from ..ontology.reading import TextFormat
 from ..ontology.shipped_files import is_shipped
+from ..ontology.texts.reading import TextFormat
 from ..rdf.namespaces import DYKNOW
 from ..reasoning.mtl.explanation import Explanation as VerdictExplanation
 from ..reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches

@@ -25,7 +25,7 @@ from ..languages.mtl.checked import Kind
 from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import StreamAnnotation
 from ..ontology.errors import OntologyError
-from ..ontology.formats import FORMATS
+from ..ontology.texts.formats import FORMATS
 from ..rdf.namespaces import DYKNOW
 from ..reasoning.mtl.monitoring import DECIDED, LAST, WITNESS
 from ..reasoning.patterns.plans.query import END, START

@@ -31,9 +31,9 @@ from pyoxigraph import (
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import OWL, PREFIXES
 from . import graphs
-from .closure import cached_closure, closure_key
-from .closure_queries import QueryResults, answer
-from .entailment import Change, Entailments, Rules
+from .entailment.closure import cached_closure, closure_key
+from .entailment.closure_queries import QueryResults, answer
+from .entailment.rules import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused
 from .quad_store import (
     QuadStore,
@@ -45,12 +45,12 @@ from .quad_store import (
     subject_of,
     text_of,
 )
-from .reading import TextFormat
 from .reasoning import DIRECT, Reasoning
 from .registrations import Registrations
 from .shipped_files import shipped_ontologies, text_hash
 from .static_side import StaticSide
 from .successor import CONCEPTS, Successor, build_successor
+from .texts.reading import TextFormat
 from .units import UnitError
 from .validation import ShaclReport, validate
 from .vocabulary import Vocabulary
@@ -392,7 +392,7 @@ class Ontology:
     # -- the live stream space ---------------------------------------------------------------
 
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
-        """Change the live stream space; `entailment` maintains its entailments.
+        """Change the live stream space; `entailment.rules` maintain its entailments.
 
         A triple in both arguments stays. `store` and every query include the change. It is written
         at the next read or by `apply_pending_piece`: a triple that comes and goes in between is

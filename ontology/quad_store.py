@@ -25,7 +25,7 @@ from pyoxigraph import (
 
 from . import graphs
 from .churn import Churn
-from .entailment import Change
+from .entailment.rules import Change
 from .errors import OntologyError
 from .replicas import ChangeLog, as_nquads
 

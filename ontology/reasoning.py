@@ -10,8 +10,8 @@ from typing import Final, Protocol
 
 from pyoxigraph import NamedNode, Triple
 
-from .closure import cached_closure
-from .reading import TextFormat, read_triples
+from .entailment.closure import cached_closure
+from .texts.reading import TextFormat, read_triples
 
 
 class Reasoning(Protocol):

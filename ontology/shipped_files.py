@@ -9,7 +9,7 @@ from pathlib import Path
 from pyoxigraph import NamedNode, Triple
 
 from . import graphs
-from .reading import read_triples
+from .texts.reading import read_triples
 
 _HERE = Path(__file__).parent
 

@@ -9,7 +9,7 @@ from pyoxigraph import DefaultGraph, Quad, Store, Triple
 
 from . import graphs
 from .churn import Churn
-from .entailment import Change
+from .entailment.rules import Change
 from .quad_store import QuadStore
 
 _NOT_STATIC: Final = (

@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 from pyoxigraph import DefaultGraph, NamedNode, Quad, Store, Triple
 
 from . import graphs
-from .entailment import Change, Entailments, Rules
+from .entailment.rules import Change, Entailments, Rules
 from .vocabulary import Vocabulary
 
 T = TypeVar("T")

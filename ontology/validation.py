@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import rdflib
 from pyoxigraph import Triple
 
-from .closure import to_rdflib
+from .entailment.closure import to_rdflib
 from .shipped_files import shapes_text
 
 _SH = rdflib.Namespace("http://www.w3.org/ns/shacl#")

@@ -18,8 +18,8 @@ from typing import TypeAlias
 from pyoxigraph import Literal, NamedNode, Triple
 
 from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD, local_name
+from .entailment.hierarchy import Hierarchy
 from .errors import OntologyError
-from .hierarchy import Hierarchy
 from .units import Unit, UnitError, parse_unit
 
 NameKind: TypeAlias = OneOf["sort", "feature", "event", "any"]

@@ -1,7 +1,8 @@
 """SPARQL 1.1 query texts: one tokenizer, one parser, the tree, its scopes, its printer.
 
-`languages.csparql` extends the parser by the clauses of continuous queries; `ontology.query_guard`
-checks users' queries with it. The main process has no other parser for query texts.
+`languages.csparql` extends the parser by the clauses of continuous queries; `query_guard` of
+`ontology.texts` checks users' queries with it. The main process has no other parser for query
+texts.
 """
 
 from .errors import LanguageError, Span

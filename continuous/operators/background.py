@@ -8,8 +8,8 @@ from typing import Final
 
 from pyoxigraph import BlankNode, NamedNode, Quad, Store, Triple
 
-from ...ontology.deep_hierarchies import MARKERS, missing_pairs
-from ...ontology.entailment import SCHEMA, SYMMETRIC, Rules
+from ...ontology.entailment.deep_hierarchies import MARKERS, missing_pairs
+from ...ontology.entailment.rules import SCHEMA, SYMMETRIC, Rules
 from ...ontology.units import Conversion
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import RDF_TYPE, shorten

@@ -1,9 +1,9 @@
 """The triples that the ontology's schema entails from stream triples (SPEC §4, "What is entailed in
 windows").
 
-The rules are those on single triples (`ontology.entailment`): sub-properties, inverse and symmetric
-properties, equivalences, domains and ranges, sub-classes. Transitivity, property chains and
-owl:sameAs hold in the static side only. `window_schedule` adds the entailed rows to the pushed
+The rules are those on single triples (`ontology.entailment.rules`): sub-properties, inverse and
+symmetric properties, equivalences, domains and ranges, sub-classes. Transitivity, property chains
+and owl:sameAs hold in the static side only. `window_schedule` adds the entailed rows to the pushed
 ones, so every way to evaluate a query reads them; docs/explanation/semantics.md has the table.
 """
 
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ...ontology.entailment import Consequences, Rules
-from ...ontology.hierarchy import Node
+from ...ontology.entailment.hierarchy import Node
+from ...ontology.entailment.rules import Consequences, Rules
 from ...ontology.units import Conversion
 from ...rdf.dictionary import HeldTerms, TermTable
 from ...rdf.namespaces import RDF_TYPE, XSD, shorten

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse
 
-from ...ontology.document_guard import check_document
 from ...ontology.errors import OntologyError
+from ...ontology.texts.document_guard import check_document
 from ...rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
 from ...rdf.namespaces import XSD
 from ...rdf.timed import (

@@ -32,7 +32,7 @@ from ...languages.specification import Specification
 from ...languages.ssl.annotation import CheckedAnnotation
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.ontology import PreparedOntology
-from ...ontology.reading import TextFormat
+from ...ontology.texts.reading import TextFormat
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
 from ...streams.sample import Schema

@@ -30,7 +30,7 @@ from ...matching.plan import (
     below_of,
     nodes_of_supply,
 )
-from ...ontology.entailment import Rules
+from ...ontology.entailment.rules import Rules
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import Term
 from ...templates.instantiate import ArgumentError, instantiate

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...ontology.formats import FORMATS
+from ...ontology.texts.formats import FORMATS
 from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
 from .ontology_terms import add_feature, add_sort
 from .output import (

@@ -8,7 +8,7 @@ from typing import Final
 
 from pyoxigraph import NamedNode
 
-from ...ontology.turtle import ALL_PREFIXES
+from ...ontology.texts.turtle import ALL_PREFIXES
 from ...rdf.namespaces import DYKNOW, STREAM_SPACE, shorten
 from ...sparql.ast import walk
 from ...sparql.parser import parse_sparql

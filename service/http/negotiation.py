@@ -16,7 +16,7 @@ from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import TypeAdapter, ValidationError
 
-from ...ontology.reading import TextFormat
+from ...ontology.texts.reading import TextFormat
 from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
 from .problems import Problem
 

@@ -16,8 +16,8 @@ from ...engine.model.errors import UnknownOntology
 from ...ontology.errors import OntologyError
 from ...ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ...ontology.ontology import PreparedOntology
-from ...ontology.reading import TextFormat
 from ...ontology.reasoning import Reasoning
+from ...ontology.texts.reading import TextFormat
 from ...ontology.units import format_unit
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import OWL, PREFIXES, RDF_TYPE, RDFS, shorten

@@ -30,12 +30,12 @@ from ...languages.errors import LanguageError
 from ...languages.specification import parse_specification
 from ...languages.specification.markup import NAMESPACE
 from ...ontology.churn import Churn
-from ...ontology.closure import closure_of
-from ...ontology.closure_queries import answer
-from ...ontology.deep_hierarchies import MARKERS
+from ...ontology.entailment.closure import closure_of
+from ...ontology.entailment.closure_queries import answer
+from ...ontology.entailment.deep_hierarchies import MARKERS
 from ...ontology.errors import OntologyError, QueryRefused
-from ...ontology.query_guard import Dataset, check_user_query
-from ...ontology.reading import TextFormat, nquads_of_json_ld, read_triples
+from ...ontology.texts.query_guard import Dataset, check_user_query
+from ...ontology.texts.reading import TextFormat, nquads_of_json_ld, read_triples
 from ..http.encodings.sparql_formats import TABLES, write_graph
 from .messages import (
     Answer,

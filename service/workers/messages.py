@@ -69,7 +69,7 @@ class Ask(msgspec.Struct, tag="ask", frozen=True):
 
 
 class Read(msgspec.Struct, tag="read", frozen=True):
-    """An ontology text for `ontology.reading.read_triples`."""
+    """An ontology text for `ontology.texts.reading.read_triples`."""
 
     text: str
     format: str

@@ -10,7 +10,7 @@ import anyio.to_thread
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from ...ontology.errors import OntologyError
-from ...ontology.reading import TextFormat
+from ...ontology.texts.reading import TextFormat
 from .messages import (
     Answer,
     BadAnswer,

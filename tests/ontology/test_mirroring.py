@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Triple
 
 from dyknow.ontology import ontology as module
-from dyknow.ontology.entailment import Entailments
+from dyknow.ontology.entailment.rules import Entailments
 from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.quad_store import Changes, QuadStore
 from dyknow.rdf.namespaces import RDF_TYPE, STREAM_SPACE

@@ -4,7 +4,7 @@ import pytest
 from pyoxigraph import NamedNode
 
 from dyknow.ontology.errors import QueryRefused
-from dyknow.ontology.query_guard import check_user_query, query_form, read_query
+from dyknow.ontology.texts.query_guard import check_user_query, query_form, read_query
 
 
 @pytest.mark.parametrize(

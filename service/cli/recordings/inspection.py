@@ -16,8 +16,8 @@ from ....converters.recordings.many_streams import (
 )
 from ....converters.recordings.overview import Overview, overview
 from ....converters.recordings.table_options import TableOptions
-from ....ontology.formats import FORMATS
 from ....ontology.ontology import Ontology
+from ....ontology.texts.formats import FORMATS
 from ....ontology.vocabulary import Vocabulary
 from ....rdf.namespaces import shorten
 from ....streams.time import format_duration, format_time

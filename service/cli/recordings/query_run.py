@@ -19,8 +19,8 @@ from ....languages.errors import LanguageError
 from ....languages.ssl import check_ssl, parse_ssl
 from ....languages.ssl.annotation import StreamAnnotation
 from ....ontology.errors import OntologyError
-from ....ontology.formats import FORMATS
 from ....ontology.ontology import Ontology
+from ....ontology.texts.formats import FORMATS
 from ....ontology.units import Unit
 from ....ontology.vocabulary import Vocabulary
 from ....rdf.dictionary import TermDictionary

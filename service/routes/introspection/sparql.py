@@ -16,7 +16,7 @@ from fastapi import Query, Request, Response
 from pyoxigraph import NamedNode
 
 from ....ontology.errors import QueryRefused
-from ....ontology.query_guard import LONGEST_TEXT, query_form
+from ....ontology.texts.query_guard import LONGEST_TEXT, query_form
 from ...admission.gate import client_key
 from ...config.media_types import FORM, SPARQL_QUERY
 from ...http.encodings.service_description import KINDS, PREFIXES, describe

@@ -5,7 +5,7 @@ import pytest
 from feeding import feed, samples
 
 from dyknow.continuous.operators import background
-from dyknow.ontology import deep_hierarchies
+from dyknow.ontology.entailment import deep_hierarchies
 
 DYKNOW = "http://www.ida.liu.se/dyknow/"
 SCHEMA = """

@@ -19,8 +19,8 @@ from dyknow.continuous.algebra.options import Options, Semantics
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
-from dyknow.ontology.closure import closure_of, owlrl_closure
-from dyknow.ontology.entailment import Rules
+from dyknow.ontology.entailment.closure import closure_of, owlrl_closure
+from dyknow.ontology.entailment.rules import Rules
 from dyknow.rdf.dictionary import NO_TERM, Term, TermDictionary
 from dyknow.rdf.namespaces import OWL, RDF_TYPE, RDFS
 from dyknow.rdf.terms_to_columns import from_terms

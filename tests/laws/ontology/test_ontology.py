@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from dyknow.ontology.closure import cached_closure, closure_of, owlrl_closure
-from dyknow.ontology.entailment import Entailments, Rules
+from dyknow.ontology.entailment.closure import cached_closure, closure_of, owlrl_closure
+from dyknow.ontology.entailment.hierarchy import Hierarchy
+from dyknow.ontology.entailment.rules import Entailments, Rules
+from dyknow.ontology.entailment.separation import Separation
 from dyknow.ontology.errors import OntologyError
-from dyknow.ontology.hierarchy import Hierarchy
-from dyknow.ontology.separation import Separation
 from dyknow.rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS, STREAM_SPACE
 
 SCHEMA = [

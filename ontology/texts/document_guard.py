@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from typing import Final
 
-from .errors import OntologyError
+from ..errors import OntologyError
 from .turtle import OPAQUE
 
 DEEPEST: Final = 100

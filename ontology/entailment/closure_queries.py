@@ -32,12 +32,12 @@ from pyoxigraph import (
     Variable,
 )
 
-from ..sparql import ast
-from ..sparql.printer import print_query
-from ..sparql.scope import projected_variables, visible_variables
+from ...sparql import ast
+from ...sparql.printer import print_query
+from ...sparql.scope import projected_variables, visible_variables
+from ..texts.query_guard import Dataset, read_query
+from ..texts.turtle import ALL_PREFIXES
 from .deep_hierarchies import MARKERS, Marks, deep_kinds, missing_pairs
-from .query_guard import Dataset, read_query
-from .turtle import ALL_PREFIXES
 
 QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 

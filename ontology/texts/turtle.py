@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from ..rdf.namespaces import PREFIXES, STREAM_SPACE, XSD
+from ...rdf.namespaces import PREFIXES, STREAM_SPACE, XSD
 
 ALL_PREFIXES: Final[dict[str, str]] = {**PREFIXES, "": STREAM_SPACE}
 """Prefixes that need no declaration: the shared ones, and ``:`` for the stream space."""

@@ -1,8 +1,8 @@
 """The OWL 2 RL closure of the loaded ontologies, by owlrl (SPEC §2).
 
 It is computed when an ontology changes, never for an event. It takes 0.4 s for the shipped
-ontologies (`python -m dyknow.ontology.closure` prints size and time) and seconds for thousands of
-triples. `entailment` maintains the closure of the live stream space instead.
+ontologies (`python -m dyknow.ontology.entailment.closure` prints size and time) and seconds for
+thousands of triples. `rules` maintain the closure of the live stream space instead.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import owlrl
 import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ..rdf.namespaces import OWL, RDFS, XSD
+from ...rdf.namespaces import OWL, RDFS, XSD
+from ..errors import OntologyError
 from .deep_hierarchies import MARKERS, is_standard
-from .errors import OntologyError
 from .separation import Separation
 
 _FORM = "3"
@@ -153,7 +153,7 @@ def _is_noise(triple: Triple) -> bool:
 
 def main() -> None:
     """Print the size and time of the closure of the shipped ontologies."""
-    from .shipped_files import shipped_ontologies  # reads files: only this command needs it
+    from ..shipped_files import shipped_ontologies  # reads files: only this command needs it
 
     asserted = [triple for ontology in shipped_ontologies() for triple in ontology.triples()]
     start = time.perf_counter()

@@ -1,6 +1,6 @@
 """The transitive closure of a hierarchy of classes or properties, as a bit set for each node.
 
-`separation` closes the hierarchies of an ontology with it; `vocabulary` and `entailment` read it.
+`separation` closes the hierarchies of an ontology with it; `vocabulary` and `rules` read it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeAlias, TypeVar
 import numpy as np
 from pyoxigraph import BlankNode, NamedNode, Triple
 
-from ..rdf.namespaces import OWL, RDFS
+from ...rdf.namespaces import OWL, RDFS
 
 T = TypeVar("T", bound=Hashable)
 Node: TypeAlias = NamedNode | BlankNode

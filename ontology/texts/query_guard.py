@@ -12,11 +12,11 @@ from typing import Literal as OneOf
 
 from pyoxigraph import NamedNode
 
-from ..sparql.ast import Query
-from ..sparql.errors import LanguageError
-from ..sparql.parser import FORMS, QueryReader
-from ..sparql.tokens import Limits
-from .errors import QueryRefused
+from ...sparql.ast import Query
+from ...sparql.errors import LanguageError
+from ...sparql.parser import FORMS, QueryReader
+from ...sparql.tokens import Limits
+from ..errors import QueryRefused
 from .turtle import ALL_PREFIXES
 
 LONGEST_TEXT: Final = 8 * 1024

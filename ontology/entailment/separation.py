@@ -25,10 +25,9 @@ from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ..rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS
+from ...rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS
 from . import deep_hierarchies
 from .deep_hierarchies import is_standard, marks_of
-from .entailment import DOMAIN, RANGE, Rules
 from .hierarchy import (
     OF_CLASSES,
     OF_PROPERTIES,
@@ -37,6 +36,7 @@ from .hierarchy import (
     Node,
     edges,
 )
+from .rules import DOMAIN, RANGE, Rules
 
 PredicateObject: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 """A predicate and an object."""

@@ -9,8 +9,8 @@ from typing import Literal as OneOf
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, RdfFormat, Triple, parse
 
+from ..errors import OntologyError
 from .document_guard import check_document
-from .errors import OntologyError
 from .turtle import HEADER_LINES, to_standard_turtle
 
 T = TypeVar("T")

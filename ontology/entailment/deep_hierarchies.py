@@ -15,8 +15,8 @@ from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, Store, Triple
 
-from ..rdf.namespaces import OWL, RDF, RDFS, XSD
-from .graphs import ENTAILMENTS
+from ...rdf.namespaces import OWL, RDF, RDFS, XSD
+from ..graphs import ENTAILMENTS
 from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Inclusion, Node
 
 GraphName: TypeAlias = NamedNode | BlankNode | DefaultGraph | None

@@ -18,7 +18,7 @@ from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ..rdf.namespaces import OWL, RDF_TYPE, RDFS
+from ...rdf.namespaces import OWL, RDF_TYPE, RDFS
 from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Node, edges
 
 DOMAIN: Final = NamedNode(RDFS + "domain")
