@@ -84,10 +84,10 @@ def test_every_definition_is_listed_with_the_laws_that_use_it():
     tests = ROOT / "tests"
     folder = tests / "definitions"
     rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \|$", (folder / "README.md").read_text(), re.M)
-    assert sorted(name for name, _ in rows) == sorted(path.stem for path in folder.glob("*.py"))
+    assert sorted(name for name, _ in rows) == sorted(path.stem for path in folder.rglob("*.py"))
     imports = {
         path.stem: set(re.findall(r"^(?:from|import) (\w+)", path.read_text(), re.M))
-        for path in [*folder.glob("*.py"), *(tests / "support").rglob("*.py")]
+        for path in [*folder.rglob("*.py"), *(tests / "support").rglob("*.py")]
     }
     for name, laws in rows:
         for law in re.findall(r"`([^`]+)`", laws):

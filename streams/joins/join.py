@@ -2,7 +2,7 @@
 
 join(f1 … fn) = {⟨t, t, [s1 … sn]⟩ | t ∈ availtimes({f1 … fn}), s_i = last_avail(f_i, t)}: one tuple
 an instant, with the last sample of each input. It feeds computational units (Def. 5.34).
-tests/definitions/joint_definition.py is its slow twin.
+tests/definitions/streams/joint_definition.py is its slow twin.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 [DyKnow10 Def. 5.11] for the samples of each object by themselves. engine/units/synchronization.py
 feeds with it a transformation whose inputs stand in several streams ([Introspection15 §4.3]).
-tests/definitions/keyed_join_definition.py is its slow twin.
+tests/definitions/streams/keyed_join_definition.py is its slow twin.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Laws of all of SPARQL on windows of all kinds: the product = the definition = Oxigraph.
 
-The definition is `tests/definitions/query_definition.py` and its neighbours, written from
+The definition is `tests/definitions/queries/query_definition.py` and its neighbours, written from
 SPARQL 1.1 §18; one law an area, so that a failure says where to look.
 """
 

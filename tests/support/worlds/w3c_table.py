@@ -1,5 +1,5 @@
 """The table of docs/reference/sparql-conformance.md, measured by
-`PYTHONPATH=tests/definitions:tests/support python tests/support/worlds/w3c_table.py`."""
+`PYTHONPATH=tests/definitions/queries:tests/support python tests/support/worlds/w3c_table.py`."""
 
 from __future__ import annotations
 
