@@ -12,7 +12,7 @@ OPEN = Callable[..., Page]
 STEADY = """REGISTER TEMPLATE dyknow:Steady(?x in Car = ?x, ?limit = 120.5) AS
 speed(?x) < ?limit [km.h-1] with report violations"""
 TWICE = """REGISTER TEMPLATE dyknow:Twice(?limit = 90, ?time = "5s") AS
-PATTERN SEQ(speed a, speed b) WHERE [id] AND b.v > ?limit WITHIN ?time RETURN a.id AS id"""
+PATTERN SEQ(speed a, speed b) WHERE [id] AND b.value > ?limit WITHIN ?time RETURN a.id AS id"""
 
 
 def test_the_form_has_the_defaults_and_starts_with_them(
