@@ -13,10 +13,10 @@ from ...converters.errors import WireError
 from ...converters.wire import BatchLimits
 from .messages import Failed, Job, ReadJsonLd, Refused, TooMuch, Written
 from .pool import Busy, Pool
-from .worker import NoWorker, TookTooLong, WorkerError
+from .worker import PATIENCE, End, NoWorker, WorkerError
 
 SECONDS: Final = 10.0
-"""Twice what a million statements of the usual form take."""
+"""Of processor time: twice what a million statements of the usual form take."""
 _OVERHEAD: Final = 1 << 16
 
 
@@ -37,12 +37,14 @@ class IsolatedJsonLd:
         work = Job(ReadJsonLd(text, most, size), SECONDS)
         try:
             answer = await self._pool.run(
-                lambda worker: worker.call(work, size + _OVERHEAD), 2 * SECONDS, sender
+                lambda worker: worker.call(work, size + _OVERHEAD, patience=PATIENCE),
+                PATIENCE * SECONDS,
+                sender,
             )
         except NoWorker as error:
             raise Busy from error
         except WorkerError as error:
-            hint = "give the document one context" if isinstance(error, TookTooLong) else ""
+            hint = "give the document one context" if error.end is End.DEADLINE else ""
             raise WireError(
                 None,
                 f"reading the text was stopped: {error}",

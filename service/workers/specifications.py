@@ -25,11 +25,11 @@ from .messages import (
     TooMuch,
 )
 from .pool import Busy, Pool
-from .worker import NoWorker, TookTooLong, WorkerError
+from .worker import PATIENCE, End, NoWorker, WorkerError
 from .xml_elements import specification_of
 
 SECONDS: Final = 5.0
-"""Ten times the duration for the longest text."""
+"""Of processor time: ten times what the longest text takes."""
 _BYTES: Final = 4 << 20
 
 
@@ -45,12 +45,15 @@ class IsolatedSpecifications:
         source = decode(text)
         work = Job(ReadSpecification(source, MOST_PARTS, MOST_ELEMENTS), SECONDS)
         try:
-            answer = await self._pool.run(lambda worker: worker.call(work, _BYTES), 2 * SECONDS)
+            answer = await self._pool.run(
+                lambda worker: worker.call(work, _BYTES, patience=PATIENCE), PATIENCE * SECONDS
+            )
             return await anyio.to_thread.run_sync(_read, answer, source)
         except NoWorker as error:
             raise Busy from error
         except (WorkerError, BadAnswer) as error:
-            hint = "" if isinstance(error, TookTooLong) else "send it in several parts"
+            is_slow = isinstance(error, WorkerError) and error.end is End.DEADLINE
+            hint = "" if is_slow else "send it in several parts"
             raise LanguageError(
                 f"reading the text was stopped: {error}", source, Span(0, 0), hint
             ) from error

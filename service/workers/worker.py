@@ -21,6 +21,9 @@ from .messages import (
     tag_of,
 )
 
+PATIENCE: Final = 12.0
+"""How many times its processor time a text may take by the clock: a busy machine is not its
+fault."""
 _CHUNK: Final = 1 << 20
 _MEMORY_SIGNALS: Final = (signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS)
 
@@ -116,16 +119,17 @@ class Worker:
     def is_alive(self) -> bool:
         return self._process.poll() is None
 
-    def call(self, job: Job, most: int) -> Answer:
+    def call(self, job: Job, most: int, *, patience: float = 1) -> Answer:
         """Send ``job``, and return its answer of at most ``most`` bytes.
 
-        Raises `WorkerError`; then the process is dead.
+        It may take its processor time, and by the clock ``patience`` times as long: on a busy
+        machine it gets a part of a processor only. Raises `WorkerError`; then the process is dead.
         """
         self.jobs += 1
         begun = time.monotonic()
         outcome: str = End.CRASH
         try:
-            answer = self._answer(job, begun + job.seconds, most)
+            answer = self._answer(job, begun + patience * job.seconds, most)
             outcome = tag_of(answer)
         except WorkerError as error:
             # The reason that `kill` got goes before the one that is guessed from the exit.
