@@ -57,13 +57,7 @@ def partial(
 ) -> PartialMatches:
     """Return the partial matches of a pattern that have all these ``objects``, at most ``limit``.
     Raises `BadArguments`."""
-    if isinstance(unit, PatternInstance):
-        raise BadArguments(
-            f"{name!r} shares its evaluation with other requests, and only of a pattern that has "
-            "one of its own the partial matches are known",
-            "register the pattern as a query (POST /queries)",
-        )
-    if not isinstance(unit, PatternUnit):
+    if not isinstance(unit, PatternUnit | PatternInstance):
         raise BadArguments(
             f"{name!r} is no pattern, and only patterns have partial matches",
             f"GET /explain?id={name} shows what it is",

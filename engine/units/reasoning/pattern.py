@@ -7,19 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from ....continuous.operators.background import Background
-from ....converters.objects import object_iri
 from ....languages.mtl.checked import Kind
 from ....rdf.dictionary import TermDictionary
-from ....rdf.namespaces import DYKNOW
-from ....reasoning.patterns.plans.query import END, START, Keys, Part, PatternQuery, object_key
+from ....reasoning.patterns.plans.query import END, START, Keys, PatternQuery
 from ....reasoning.patterns.recognition.explanation import (
     ExplainedMatch,
     MatchedEvent,
-    PartialMatch,
     PartialMatches,
-    PendingEvent,
 )
-from ....reasoning.patterns.recognition.partial import Partial
 from ....reasoning.patterns.recognition.recognition import SAMPLE, STREAM, Recognition, Recognized
 from ....reasoning.patterns.recognition.static_tables import StaticTables
 from ....streams.generator import StreamGenerator
@@ -27,6 +22,7 @@ from ....streams.history import FluentStream
 from ....streams.past_queries import Forgotten
 from ....streams.sample import SampleBatch
 from .match_samples import MatchWriter
+from .partial_answers import object_iri_of, partial_answers
 from .row_readers import SourceInput, row_readers
 from .sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
 
@@ -99,15 +95,9 @@ class PatternUnit(SampleReasoner):
     def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
         """Return the partial matches of all these objects (as the matches name them, or IRIs).
         Raises `PlanError` for a pattern whose partial matches are not known."""
-        now = self.recognition.evaluator.watermark
-        wanted = [self._keys.find(object_key(_iri(each))) for each in objects]
-        found, more = self.recognition.partials(limit, wanted)
-        if None in wanted:
-            return PartialMatches(now, (), more=False)
-        told = tuple(
-            self._partial(each, [element.name for element in plan.elements]) for plan, each in found
+        return partial_answers(
+            self.query, self.recognition, self._keys, self._writer, objects, limit
         )
-        return PartialMatches(now, told, more)
 
     def recall(self) -> RecalledEvents:
         """Return the retained samples that it has read, for explanations."""
@@ -134,35 +124,6 @@ class PatternUnit(SampleReasoner):
         self.matches += len(found)
         columns = self._writer.columns(found, self.output.stream.pools)
         self.output.emit(SampleBatch(self.output.stamps_at(found.available), found.valid, columns))
-
-    def _partial(self, partial: Partial, names: Sequence[str]) -> PartialMatch:
-        kinds = self._kinds()
-        events = tuple(
-            (
-                names[element],
-                row.end,
-                {
-                    column: self._writer.value(kinds[column], value)
-                    for column, value in row.values.items()
-                    if value is not None and column in kinds
-                },
-            )
-            for element, row in partial.rows
-        )
-        pending = tuple(
-            PendingEvent(names[each.element], each.earliest, each.latest)
-            for each in partial.pending
-        )
-        return PartialMatch(events, pending)
-
-    def _kinds(self) -> dict[str, Kind]:
-        """The kind of each column of the plans that has values."""
-        sources = self.query.sources
-        columns = [c for source in sources for c in source.columns if not c.as_key]
-        found = {
-            each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
-        }
-        return {column: kind or Kind.NUMBER for column, kind in found.items()}
 
 
 def explain_matches(run: Recognition, matches: int) -> Iterator[str]:
@@ -220,12 +181,12 @@ class RecalledEvents:
         if self.end is not None:
             found.append(run.finish(self.end))
         names = [each.name for each in self.query.results if each.kind is Kind.OBJECT]
-        wanted = dict(zip(names, map(_iri, objects), strict=False))
+        wanted = dict(zip(names, map(object_iri_of, objects), strict=False))
         explained = []
         for part in found:
             for match in range(len(part)):
                 values = writer.values(part, match)
-                of_objects = {name: _iri(str(values[name])) for name in wanted}
+                of_objects = {name: object_iri_of(str(values[name])) for name in wanted}
                 times = int(part.outputs[START][match]), int(part.valid[match])
                 if start in times and of_objects == wanted:
                     explained.append(self._explained(run, part, match, values))
@@ -259,7 +220,3 @@ class RecalledEvents:
             values,
             tuple(events),
         )
-
-
-def _iri(name: str) -> str:
-    return object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW)

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from ....reasoning.patterns.plans.by_object import PART, PatternByObject
 from ....reasoning.patterns.plans.query import Keys, PatternQuery, object_key
+from ....reasoning.patterns.recognition.explanation import PartialMatches
 from ....reasoning.patterns.recognition.part_recognition import PartRecognition
 from ....reasoning.patterns.recognition.recognition import Recognized
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch
 from ..reasoning.match_samples import MatchWriter
+from ..reasoning.partial_answers import partial_answers
 from ..reasoning.pattern import RecalledEvents, explain_matches
 from ..reasoning.row_readers import SourceInput, row_readers
 from ..reasoning.sample_reasoner import ReportedLosses, ReportLimit
@@ -123,6 +125,20 @@ class PatternInstance(ReasoningInstance):
         """Return the retained samples that it has read, for explanations."""
         assert self.number is not None
         return self.template.recall(self.number, self._since)
+
+    def partial(self, objects: Sequence[str], limit: int) -> PartialMatches:
+        """Return the partial matches of all these objects; see `partial_answers`."""
+        assert self.number is not None
+        template = self.template
+        return partial_answers(
+            self.query,
+            template.recognition,
+            template.keys,
+            self._writer,
+            objects,
+            limit,
+            self.number,
+        )
 
     @property
     def rows_of(self) -> Mapping[str, int]:

@@ -68,12 +68,14 @@ class AllRows(Evaluator):
         order = "" if self._is_ordered else ", in any order of arrival"
         return "evaluated by a join from the last row" + order
 
-    def rows(self) -> list[list[Row]]:
+    def rows(self, part: int = 0) -> list[list[Row]]:
         """The rows in memory that suit each element, then each probe; of the element that always
-        comes last there are none."""
+        comes last there are none. With parts, those of ``part``."""
         buffers = self._packed.buffers[:, OF].tolist()
         count = len(self.plan.elements) + len(self.plan.probes)
-        return [self._rows_in(buffers.index(of)) if of in buffers else [] for of in range(count)]
+        return [
+            self._rows_in(buffers.index(of), part) if of in buffers else [] for of in range(count)
+        ]
 
     def _take(self, batch: Integers, kind: Integers, begin: int) -> int:
         packed, store = self._packed, self._store

@@ -178,9 +178,9 @@ class Evaluator(ABC):
             )
         return "\n".join(lines)
 
-    def _rows_in(self, buffer: int) -> list[Row]:
-        """The rows in a buffer that may still be joined."""
-        return [self._row(place) for place in self._store.places(buffer)]
+    def _rows_in(self, buffer: int, part: int) -> list[Row]:
+        """The rows in a buffer that may still be joined; with parts, those of ``part``."""
+        return [self._row(place) for place in self._store.places(buffer, part)]
 
     def _row(self, place: int) -> Row:
         record = self._store.table[place]

@@ -57,6 +57,10 @@ class InParts(Evaluator):
         store.times[WATERMARKS, part] = TIME_MAX
         waiting.take_where(store.table[waiting.rows[:, 0], store.part_word] == part)
 
+    def watermark_of(self, part: int) -> int:
+        """The time (ns) before which no row of a part comes any more."""
+        return int(self._store.times[WATERMARKS, part])
+
     def pending_of(self, part: int) -> int:
         """The number of matches of a part that wait."""
         parts = self._store.table[self._waiting.rows[:, 0], self._store.part_word]

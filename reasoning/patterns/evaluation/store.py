@@ -114,15 +114,22 @@ class Store:
             dead[:, buffer] = earlier(decided, each)
         return dead
 
-    def places(self, buffer: int) -> list[int]:
-        """The places in the table of the rows in a buffer that may still be joined. Contract: there
-        are no parts."""
-        dead, found = int(self.dead()[0, buffer]), []
+    def places(self, buffer: int, part: int = 0) -> list[int]:
+        """The places in the table of the rows in a buffer that may still be joined; with parts,
+        those of ``part``."""
+        dead, found = int(self.dead()[part, buffer]), []
         for vector in self.vectors[: int(self.marks[VECTORS])]:
             if vector[BUFFER] == buffer:
                 own = slice(vector[BASE] + vector[FIRST], vector[BASE] + vector[STOP])
-                found += self.rows[own][self.ends[own] >= dead].tolist()
+                found += self.of_part(self.rows[own][self.ends[own] >= dead], part).tolist()
         return found
+
+    def of_part(self, places: Integers, part: int) -> Integers:
+        """The places in the table with rows of ``part``; all of them without parts."""
+        if not self.part_word:
+            return places
+        own: Integers = places[self.table[places, self.part_word] == part]
+        return own
 
     def compact(self, *roots: Integers) -> None:
         """Keep only what is live: rows in a buffer that may still be joined, and those at the

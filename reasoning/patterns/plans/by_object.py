@@ -84,6 +84,15 @@ def pattern_by_object(free: PatternQuery, own: PatternQuery, object: str) -> Pat
     return PatternByObject(replace(free, plans=(parted,)), column, objects)
 
 
+def within_part(plan: PatternPlan, column: str) -> PatternPlan:
+    """Return the plan for rows that have this column equal: without what compares it."""
+    return replace(
+        plan,
+        same=_same_without(plan.same, column),
+        probes=tuple(replace(each, same=_same_without(each.same, column)) for each in plan.probes),
+    )
+
+
 def _column_of(free: PatternQuery, own: PatternQuery, object: str) -> str | None:
     """The column that has the object in each source; None if there is none."""
     if len(free.sources) != len(own.sources):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from ....streams.sample import Times
 from ...states.part_departures import PartDepartures, PartSteps
 from ..evaluation.part_rows import InParts
-from ..plans.by_object import PART, PatternByObject
+from ..plans.by_object import PART, PatternByObject, within_part
 from ..plans.limits import DEFAULT_LIMITS, Limits
+from ..plans.plan import PatternPlan
 from ..plans.query import Keys
 from ..plans.rows import Values, concatenated
 from .choice import evaluator_of
@@ -73,6 +74,9 @@ class PartRecognition(Recognition):
     def explain(self) -> str:
         return f"{super().explain()}, for each object at its own time"
 
+    def watermark_of(self, part: int = 0) -> int:
+        return self.evaluator.watermark_of(part)
+
     def rows_of_part(self, part: int) -> dict[str, int]:
         """Return the rows of each kind that came of a part."""
         return dict(zip(self._kinds, self._rows_of_parts[:, part].tolist(), strict=True))
@@ -124,6 +128,13 @@ class PartRecognition(Recognition):
         found = concatenated([self._pushed(rows), self.evaluator.advance_parts(steps.latest)])
         reached = steps.reaching(found.outputs[PART], found.decided)
         return self._decided(found, reached, rows, first)
+
+    def _within_part(self, number: int) -> PatternPlan:
+        return within_part(self.plans[number], self._column)
+
+    def _named_columns(self) -> tuple[str, ...]:
+        # The column of the part has its number.
+        return tuple(name for name in super()._named_columns() if name != self._column)
 
     def _evaluator(self, limits: Limits, static: StaticSolutions | None) -> InParts:
         (plan,) = self.plans

@@ -125,25 +125,31 @@ class Recognition:
         queued = sum(map(len, (self._waiting, *self._parts)))
         return queued + self.evaluator.kept + self.evaluator.pending
 
+    def watermark_of(self, part: int = 0) -> int:
+        """Return the time (ns) before which no row comes any more; with parts, none of ``part``."""
+        return self.evaluator.watermark
+
     def partials(
-        self, limit: int, keys: Collection[int | None] = ()
+        self, limit: int, keys: Collection[int | None] = (), part: int = 0
     ) -> tuple[list[tuple[PatternPlan, Partial]], bool]:
         """Return the partial matches with all these ``keys`` of objects and texts, at most
-        ``limit``, the newest first, each with its plan; and whether there may be more. Raises
-        `PlanError` for a pattern that keeps neither rows to join nor runs."""
+        ``limit``, the newest first, each with its plan; and whether there may be more. With parts,
+        those of ``part``. Raises `PlanError` for a pattern that keeps neither rows to join nor
+        runs."""
         wanted = Wanted(frozenset(keys), self._named_columns())
         evaluator = self.evaluator
-        now = evaluator.watermark
+        now = self.watermark_of(part)
         match evaluator:
             case NextRows():
                 (plan,) = self.plans
-                runs = evaluator.begun()
+                runs = evaluator.begun(part)
                 parts = [(plan, partial_runs(sequence_network(plan), runs, now, limit, wanted))]
             case AllRows() | CombinedRows():
                 joins = [(0, evaluator)] if isinstance(evaluator, AllRows) else evaluator.given()
+                given = [(self._within_part(number), rows.rows(part)) for number, rows in joins]
                 parts = [
-                    (plan, partial_matches(minimal_network(plan), rows.rows(), now, limit, wanted))
-                    for plan, rows in ((self.plans[number], rows) for number, rows in joins)
+                    (plan, partial_matches(minimal_network(plan), rows, now, limit, wanted))
+                    for plan, rows in given
                 ]
             case _:
                 raise PlanError(
@@ -155,6 +161,10 @@ class Recognition:
         found.sort(key=lambda each: (-each[1].last, -len(each[1].rows)))
         has_more = len(found) > limit or any(partials.has_more for _, partials in parts)
         return found[:limit], has_more
+
+    def _within_part(self, number: int) -> PatternPlan:
+        """A plan for the rows of a part."""
+        return self.plans[number]
 
     def _named_columns(self) -> tuple[str, ...]:
         """The columns whose keys are those of objects and texts."""

@@ -63,17 +63,19 @@ class Sequences(Evaluator):
         """The number of runs, of which some may have ended for want of rows."""
         return int(self._runs.counts[LIVE])
 
-    def begun(self) -> list[list[tuple[Row, Row]]]:
+    def begun(self, part: int = 0) -> list[list[tuple[Row, Row]]]:
         """The runs that lack an element: the first and the last row of each element that they have
-        bound. Some may have lasted too long. Cost: Python operations for each."""
+        bound. Some may have lasted too long. With parts, those of ``part``. Cost: Python operations
+        for each run."""
         runs, count = self._runs, len(self.plan.elements)
         found = []
         for each in runs.lists[: int(runs.counts[LISTS])]:
             state, run = int(each[BUFFER]), int(each[HEAD])
             while run >= 0 and state < count - 1:
                 record = runs.runs[run]
-                places = [(int(record[e]), int(record[count + e])) for e in range(state + 1)]
-                found.append([(self._row(first), self._row(last)) for first, last in places])
+                if len(self._store.of_part(record[:1], part)):
+                    places = [(int(record[e]), int(record[count + e])) for e in range(state + 1)]
+                    found.append([(self._row(first), self._row(last)) for first, last in places])
                 run = int(record[NEXT])
         return found
 

@@ -8,7 +8,7 @@ from feeding import Reader, feed, samples
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.durable_engine import RecordedEngine
-from dyknow.engine.model.errors import BadArguments, NoResult
+from dyknow.engine.model.errors import NoResult
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.journal.durability import Durability
 from dyknow.streams.sample import Field, FieldType
@@ -98,8 +98,34 @@ def test_a_match_is_explained_as_one_of_a_request_by_itself(flying):
     assert match.values["x"] == "uav2"
     with pytest.raises(NoResult):
         flying.event_why(later.id, (), 32 * SECOND // 10)()
-    with pytest.raises(BadArguments, match="shares its evaluation"):
-        flying.event_partial(later.id, (), 10)
+
+
+def test_partial_matches_are_those_of_a_request_by_itself(flying):
+    alone, shared = (ask(flying, f"dyknow:uav{i}", "30") for i in (1, 2))
+    names = ("uav1", "uav2", "uav3")
+
+    def partials(view, *objects):
+        found = flying.event_partial(view.id, objects, 10)
+        assert not found.more
+        return found.watermark, [(each.events, each.pending) for each in found.partial]
+
+    assert partials(shared)[1] == []
+    fly(flying, *((1, name, 50.0, 0.0) for name in names))
+    fly(flying, *((2, name, 60.0, 0.0) for name in names))
+    fly(flying, (9, "uav3", 60.0, 0.0))
+    _, found = partials(shared)
+    assert [[(event, time // SECOND) for event, time, _ in events] for events, _ in found] == [
+        [("t1", 2)],
+        [("t1", 1)],
+    ]
+    assert partials(shared) == partials(alone)
+    # A match is about the object of its request, whether an event names it or not.
+    assert partials(shared, "uav2") == partials(shared)
+    assert partials(alone, "uav1") == partials(alone)
+    assert partials(shared, "uav1")[1] == partials(alone, "uav2")[1] == []
+    for second in (10, 11):
+        fly(flying, *((second, name, 20.0, 0.0) for name in names))
+    assert partials(shared) == partials(alone) == (10 * SECOND, [])
 
 
 def test_why_there_is_no_match_is_said_of_the_own_object(flying):

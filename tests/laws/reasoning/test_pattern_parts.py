@@ -1,5 +1,5 @@
 """Rows that fall into parts, each with its own time: the matches of a part are those of an
-evaluation of its own, in the same order."""
+evaluation of its own, in the same order, and so are its partial matches."""
 
 from __future__ import annotations
 
@@ -18,10 +18,18 @@ from pattern_run_drawing import RunDrawing, TrendDrawing
 from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
 from dyknow.reasoning.patterns.evaluation.evaluator import Evaluator
 from dyknow.reasoning.patterns.evaluation.part_rows import InParts, PartRows
-from dyknow.reasoning.patterns.plans.network import ContradictoryTimes, UnboundedRetention
+from dyknow.reasoning.patterns.plans.by_object import within_part
+from dyknow.reasoning.patterns.plans.network import (
+    ContradictoryTimes,
+    UnboundedRetention,
+    minimal_network,
+)
 from dyknow.reasoning.patterns.plans.plan import Selection
 from dyknow.reasoning.patterns.plans.rows import Matches, Rows
 from dyknow.reasoning.patterns.recognition.choice import evaluator_of
+from dyknow.reasoning.patterns.recognition.partial import partial_matches, partial_runs
+from dyknow.reasoning.patterns.sequences.next_rows import NextRows
+from dyknow.reasoning.patterns.sequences.run_packing import sequence_network
 
 PARTS = 3
 PART = "part"
@@ -80,6 +88,30 @@ def compare_sequences(case: PatternDrawing, draw: Random, most: int = 20) -> Non
     )
 
 
+def partials_of(evaluator: Evaluator, part: int) -> list:
+    """The partial matches of a part in some order: their rows without numbers, and the windows."""
+    in_parts = isinstance(evaluator, InParts)
+    now = evaluator.watermark_of(part) if in_parts else evaluator.watermark
+    match evaluator:
+        case NextRows():
+            network = sequence_network(evaluator.plan)
+            found = partial_runs(network, evaluator.begun(part), now, 10**6)
+        case AllRows():
+            plan = within_part(evaluator.plan, PART) if in_parts else evaluator.plan
+            network = minimal_network(plan)
+            found = partial_matches(network, evaluator.rows(part), now, 10**6)
+        case _:
+            return []
+
+    def told(row) -> tuple:
+        values = {name: value for name, value in row.values.items() if name != PART}
+        return row.start, row.end, sorted(values.items())
+
+    return sorted(
+        ([(element, told(row)) for element, row in each.rows] for each in found.found), key=str
+    ) + sorted(map(str, (each.pending for each in found.found)))
+
+
 def compare(
     case: PatternDrawing,
     draw: Random,
@@ -127,6 +159,9 @@ def compare(
             if draw.random() < 0.3:
                 take(running.push(rows_with_parts(batch)))
                 batch = []
+        if not batch and draw.random() < 0.3:
+            for part in range(known):
+                assert partials_of(running, part) == partials_of(alone[part], 0)
         if draw.random() < 0.1:
             state = running.state()
             running = shared()
