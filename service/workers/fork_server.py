@@ -65,9 +65,12 @@ class ForkedProcess:
         with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGKILL)
 
-    def _exit_code_within(self, timeout: float | None) -> int | None:
+    def _exit_code_within(self, milliseconds: int | None) -> int | None:
+        # `select.select` takes no descriptor above 1,023, and a service has one for each client.
+        status = select.poll()
+        status.register(self._status, select.POLLIN)
         with self._lock:
-            if self._exit_code is None and select.select([self._status], [], [], timeout)[0]:
+            if self._exit_code is None and status.poll(milliseconds):
                 data = os.read(self._status, STATUS_BYTES)
                 if not data:  # The server died, so nobody tells how this process ends.
                     self._kill()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -76,6 +77,21 @@ def test_how_a_worker_ended(server: ForkServer) -> None:
         os.dup2(nothing.fileno(), worker.jobs)  # the end of its input
     assert worker.wait() == 0
     worker.close()
+
+
+def test_a_service_may_have_thousands_of_descriptors(server: ForkServer) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 4096), hard))
+    here = [os.open("/dev/null", os.O_RDONLY) for _ in range(1100)]
+    try:
+        worker = server.fork(MEMORY)
+        assert min(worker.jobs, worker.answers) > 1023
+        assert worker.poll() is None
+        end(worker)
+    finally:
+        for each in here:
+            os.close(each)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_when_the_server_dies_its_workers_are_dead_and_another_comes(server: ForkServer) -> None:
