@@ -19,6 +19,7 @@ import select
 import signal
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import NoReturn
 
 from ..config.oom_priority import be_dispensable
@@ -30,7 +31,10 @@ from .messages import PREFIX, decode_job, encode
 def main() -> None:
     """Fork workers until the service closes its end of the socket."""
     worker = Worker()
-    worker.warm()
+    # Each thread of Oxigraph has its own random numbers. Those of the main thread must not have
+    # begun: all workers would go on with the same, and make the same UUIDs and blank nodes.
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(worker.warm).result()
     gc.freeze()  # What all workers share is not written to by the collector.
     with socket.socket(fileno=0) as service:
         _ForkLoop(service, worker).run()

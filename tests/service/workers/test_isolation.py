@@ -117,6 +117,23 @@ def test_a_worker_that_is_ended_from_outside(worker: Worker) -> None:
         worker.call(job("ASK {}"), 1000)
 
 
+def test_random_numbers_of_workers_differ() -> None:
+    workers = [Worker.start(MEMORY) for _ in range(3)]
+    try:
+        for text in (
+            "SELECT (RAND() AS ?x) {}",
+            "SELECT (STRUUID() AS ?x) {}",
+            "SELECT (BNODE() AS ?x) {}",
+        ):
+            query = Job(Query(text, "text/csv", 10, 1 << 20), 20)
+            found = [worker.call(query, 1 << 20) for worker in workers for _ in range(2)]
+            assert all(isinstance(each, Written) for each in found)
+            assert len(set(map(str, found))) == len(found)
+    finally:
+        for worker in workers:
+            worker.close()
+
+
 def test_an_answer_that_is_larger_than_it_may_be(worker: Worker) -> None:
     with pytest.raises(Died, match="its answer has"):
         worker.call(job("SELECT ?x { VALUES ?x { 'aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa' } }"), 20)
