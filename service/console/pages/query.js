@@ -38,7 +38,7 @@ const questions = computed(() => QUESTIONS.flatMap(([title, code]) => {
   const own = (name) => example.value[name];
   const inCode = /(?<=:)(gps|out|both)\b/g, names = code.match(inCode);
   if (!names) return [[title, code]];
-  return names.every((each) => SIMPLE.test(own(each)))
+  return names.every((each) => SIMPLE.test(own(each) ?? ""))
     ? [[title.replace(/\b(gps|out|both)\b/g, own), code.replace(inCode, own)]] : [];
 }));
 

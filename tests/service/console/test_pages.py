@@ -257,6 +257,16 @@ def test_questions_name_streams_of_this_system(flying: str, open_page: OPEN) -> 
     page.wait(f"document.querySelector('.result tbody')?.innerText.includes('{made}')")
 
 
+def test_questions_about_streams_that_are_not_there_are_left_out(
+    service: httpx.Client, open_page: OPEN
+) -> None:
+    page = open_page(f"{service.base_url}/#query")
+    page.wait_text("Which streams are there")
+    listed = page.run("document.querySelector('.list').innerText")
+    assert "What breaks if" not in listed
+    assert "undefined" not in listed
+
+
 def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#query")
     page.wait_text("Which streams are there")
