@@ -17,6 +17,7 @@ from ..units.reasoning.monitor import MonitorUnit, RecalledSamples
 from ..units.reasoning.pattern import PatternUnit, RecalledEvents
 from ..units.sharing.shared_monitor import MonitorInstance
 from ..units.sharing.shared_pattern import PatternInstance
+from ..units.sharing.shared_reasoner import ReasoningInstance
 
 
 def why(
@@ -26,6 +27,7 @@ def why(
     another thread: see `RecalledSamples.explain`, `RecalledEvents.explain`. ``name`` is that of the
     query, or the id of the request. Raises `BadArguments`; the work raises `NoResult`, `Refused`
     and `Forgotten`."""
+    _check_is_evaluated(name, unit)
     stream = unit.output.name
     if isinstance(unit, PatternUnit | PatternInstance):
         names = [each.name for each in unit.query.results if each.kind is Kind.OBJECT]
@@ -62,10 +64,19 @@ def partial(
             f"{name!r} is no pattern, and only patterns have partial matches",
             f"GET /explain?id={name} shows what it is",
         )
+    _check_is_evaluated(name, unit)
     try:
         return unit.partial(objects, limit)
     except PlanError as error:
         raise BadArguments(error.message, error.hint) from error
+
+
+def _check_is_evaluated(name: str, unit: ComputationalUnit) -> None:
+    """Raise `BadArguments` for a request that shared an evaluation, and failed."""
+    if isinstance(unit, ReasoningInstance) and unit.number is None:
+        raise BadArguments(
+            f"{name!r} is evaluated no more: {unit.failure}", "remove it, and request it again"
+        )
 
 
 def _matches(

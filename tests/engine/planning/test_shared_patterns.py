@@ -8,7 +8,7 @@ from feeding import Reader, feed, samples
 
 from dyknow.engine.durability import commands as c
 from dyknow.engine.durability.durable_engine import RecordedEngine
-from dyknow.engine.model.errors import NoResult
+from dyknow.engine.model.errors import BadArguments, NoResult
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.journal.durability import Durability
 from dyknow.streams.sample import Field, FieldType
@@ -234,6 +234,10 @@ def test_what_fails_in_one_fails_in_no_other(flying):
     unit._writer.columns = fail
     climb(flying)
     assert unit.failure == "RuntimeError: no more"
+    with pytest.raises(BadArguments, match="is evaluated no more: RuntimeError: no more"):
+        flying.event_partial(second.id, (), 10)
+    with pytest.raises(BadArguments, match="is evaluated no more"):
+        flying.event_why(second.id, (), SECOND)
     assert objects(flying, third) == ["uav3"]
     again = ask(flying, "dyknow:uav2", "30")
     assert again.stream != second.stream
