@@ -92,11 +92,16 @@ class ForkServer:
 
         Starts the server if there is none or it died. Raises OSError.
         """
+        request = memory.to_bytes(8, "big")
         with self._lock:
-            if self._process is None or self._process.poll() is not None:
-                self._restart()
             try:
-                reply, descriptors = self._exchange(memory.to_bytes(8, "big"))
+                if self._process is None or self._process.poll() is not None:
+                    self._restart()
+                try:
+                    reply, descriptors = self._exchange(request)
+                except ConnectionError:  # It has just died.
+                    self._restart()
+                    reply, descriptors = self._exchange(request)
             except OSError:
                 self._stop()
                 raise
@@ -122,7 +127,7 @@ class ForkServer:
         self._socket.sendall(request)
         reply, descriptors, _, _ = socket.recv_fds(self._socket, _MOST_REPLY, 3)
         if not reply:
-            raise OSError("the fork server ended")
+            raise ConnectionResetError("the fork server ended")
         return reply, descriptors
 
     def _restart(self) -> None:

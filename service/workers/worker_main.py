@@ -35,6 +35,8 @@ def main() -> None:
     # begun: all workers would go on with the same, and make the same UUIDs and blank nodes.
     with ThreadPoolExecutor(1) as thread:
         thread.submit(worker.warm).result()
+    while len(os.listdir("/proc/self/task")) > 1:
+        time.sleep(0.001)  # Python joins a thread before the system has ended it.
     gc.freeze()  # What all workers share is not written to by the collector.
     with socket.socket(fileno=0) as service:
         _ForkLoop(service, worker).run()
