@@ -57,7 +57,7 @@ class ForkedProcess:
             self._kill()
 
     def close(self) -> None:
-        """Close the pipes. Contract: the process has ended, and nobody calls another method."""
+        """Close the pipes. Contract: the process has ended; no other method follows."""
         for descriptor in (self.jobs, self.answers, self._status):
             os.close(descriptor)
 
@@ -72,7 +72,7 @@ class ForkedProcess:
         with self._lock:
             if self._exit_code is None and status.poll(milliseconds):
                 data = os.read(self._status, STATUS_BYTES)
-                if not data:  # The server died, so nobody tells how this process ends.
+                if not data:  # The server died, and with it the exit code.
                     self._kill()
                 code = int.from_bytes(data, "big", signed=True)
                 self._exit_code = code if data else -signal.SIGKILL
@@ -95,11 +95,11 @@ class ForkServer:
         request = memory.to_bytes(8, "big")
         with self._lock:
             try:
-                if self._process is None or self._process.poll() is not None:
+                if self._process is None:
                     self._restart()
                 try:
                     reply, descriptors = self._exchange(request)
-                except ConnectionError:  # It has just died.
+                except ConnectionError:  # It has died.
                     self._restart()
                     reply, descriptors = self._exchange(request)
             except OSError:

@@ -1,4 +1,4 @@
-"""The fork server: who dies with whom, and what is left."""
+"""The fork server: which processes end with which, and what is left."""
 
 from __future__ import annotations
 
