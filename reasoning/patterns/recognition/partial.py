@@ -153,15 +153,18 @@ class _Search:
     def __init__(self, network: Network, rows: Sequence[Sequence[Row]], now: int) -> None:
         self._network = network
         self._plan: PatternPlan = network.plan
-        sides = [(e.first, e.first_column) for e in self._plan.same]
-        sides += [(e.second, e.second_column) for e in self._plan.same]
-        compared = [{c for of, c in sides if of == element} for element in range(len(rows))]
-        # A missing key equals none: such a row is of no match.
-        able = [
-            [row for row in each if all(row.values[column] is not None for column in columns)]
-            for each, columns in zip(rows, compared, strict=True)
+        compared: list[set[str]] = [set() for _ in rows]
+        for same in self._plan.same:
+            compared[same.first].add(same.first_column)
+            compared[same.second].add(same.second_column)
+        self._rows = [
+            sorted(
+                # A missing key equals none: such a row is of no match.
+                (row for row in each if all(row.values[key] is not None for key in keys)),
+                key=lambda row: (-row.end, -row.number),
+            )
+            for each, keys in zip(rows, compared, strict=True)
         ]
-        self._rows = [sorted(each, key=lambda row: (-row.end, -row.number)) for each in able]
         self._now = now
         self._steps = 0
 
