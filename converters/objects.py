@@ -44,6 +44,11 @@ def object_iri(name: str, namespace: str) -> str:
     return namespace + "".join(c if _may_stand(c) else _encoded(c) for c in name)
 
 
+def object_in_text(text: str, namespace: str) -> str:
+    """The IRI of the object that a text names as `object_iri` does, or by its IRI in brackets."""
+    return object_iri(text.removeprefix("<").removesuffix(">"), namespace)
+
+
 def object_name(iri: str, namespace: str) -> str:
     """The shortest name that `object_iri` takes to ``iri``: local in ``namespace``, else full."""
     # Thousands of long names would take gigabytes.

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..continuous.columns.budget import UNLIMITED, Budget
-from ..converters.objects import object_iri
+from ..converters.objects import object_in_text
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_event_request, request_of
 from ..languages.csparql.ast import EventRequest
@@ -776,7 +776,7 @@ class Engine:
         streams = [each.stream for each in self._parts.declared.annotations()]
         namespaces = {self._parts.configuration.namespaces[name] for name in streams}
         namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
-        return object_iri(text.removeprefix("<").removesuffix(">"), namespace)
+        return object_in_text(text, namespace)
 
     # -- internals ---------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ....converters.objects import object_iri
+from ....converters.objects import object_in_text
 from ....languages.mtl.ast import Monitor
 from ....languages.mtl.checked import CheckedMonitor
 from ....rdf.dictionary import TermDictionary
@@ -143,7 +143,7 @@ class RecalledSamples:
         for a quantifier. Cost: the evaluation of all states of these samples; those of the object
         where each has its own.
         """
-        iris = [object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW) for name in objects]
+        iris = [object_in_text(name, DYKNOW) for name in objects]
         states = self._run(iris).states_of(iris)
         if states is None:
             raise NoStart("there is no state yet")

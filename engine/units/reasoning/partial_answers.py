@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ....converters.objects import object_iri
+from ....converters.objects import object_in_text
 from ....languages.mtl.checked import Kind
 from ....rdf.namespaces import DYKNOW
 from ....reasoning.patterns.plans.plan import PatternPlan
@@ -35,7 +35,7 @@ def partial_answers(
     whose partial matches are not known.
     """
     own = {argument.object for source in query.sources for argument in source.arguments}
-    iris = [object_iri_of(each) for each in objects]
+    iris = [object_in_text(each, DYKNOW) for each in objects]
     wanted = [keys.find(object_key(iri)) for iri in iris if iri not in own]
     now = recognition.watermark_of(part)
     found, more = recognition.partials(limit, wanted, part)
@@ -44,11 +44,6 @@ def partial_answers(
     kinds = _kinds(query)
     told = tuple(_told(partial, plan, kinds, writer) for plan, partial in found)
     return PartialMatches(now, told, more)
-
-
-def object_iri_of(name: str) -> str:
-    """Return the IRI of an object that is named as matches do, or by its IRI."""
-    return object_iri(name.removeprefix("<").removesuffix(">"), DYKNOW)
 
 
 def _told(

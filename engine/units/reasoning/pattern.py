@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ....continuous.operators.background import Background
+from ....converters.objects import object_in_text
 from ....languages.mtl.checked import Kind
 from ....rdf.dictionary import TermDictionary
+from ....rdf.namespaces import DYKNOW
 from ....reasoning.patterns.plans.query import END, START, Keys, PatternQuery
 from ....reasoning.patterns.recognition.explanation import (
     ExplainedMatch,
@@ -22,7 +24,7 @@ from ....streams.history import FluentStream
 from ....streams.past_queries import Forgotten
 from ....streams.sample import SampleBatch
 from .match_samples import MatchWriter
-from .partial_answers import object_iri_of, partial_answers
+from .partial_answers import partial_answers
 from .row_readers import SourceInput, row_readers
 from .sample_reasoner import ReportedLosses, ReportLimit, SampleReasoner
 
@@ -181,12 +183,12 @@ class RecalledEvents:
         if self.end is not None:
             found.append(run.finish(self.end))
         names = [each.name for each in self.query.results if each.kind is Kind.OBJECT]
-        wanted = dict(zip(names, map(object_iri_of, objects), strict=False))
+        wanted = dict(zip(names, (object_in_text(each, DYKNOW) for each in objects), strict=False))
         explained = []
         for part in found:
             for match in range(len(part)):
                 values = writer.values(part, match)
-                of_objects = {name: object_iri_of(str(values[name])) for name in wanted}
+                of_objects = {name: object_in_text(str(values[name]), DYKNOW) for name in wanted}
                 times = int(part.outputs[START][match]), int(part.valid[match])
                 if start in times and of_objects == wanted:
                     explained.append(self._explained(run, part, match, values))
