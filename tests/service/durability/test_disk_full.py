@@ -171,8 +171,9 @@ def test_reading_goes_on_and_all_goes_on_when_there_is_room(http, disk, fill):
         fill()
         assert post(http, 2, "two").status_code == 507
         assert http.get("/healthz").status_code == 200
-        until(lambda: http.get("/readyz").status_code == 503)
-        assert "no room" in http.get("/readyz").json()["reason"]
+        # On a busy machine it may be not ready for another reason before.
+        until(lambda: "no room" in (http.get("/readyz").json()["reason"] or ""))
+        assert http.get("/readyz").status_code == 503
         assert kept(http) == [1]
         assert (
             http.post(
