@@ -29,6 +29,8 @@ FIRST = {
 }""",
 }
 """Questions that the page has not: it shows them first."""
+EXAMPLE = "gps|out|both"
+"""The streams of the page's example."""
 
 
 def questions() -> dict[str, str]:
@@ -40,10 +42,14 @@ def questions() -> dict[str, str]:
 
 
 def render() -> str:
-    """The module, as the page of this checkout has it."""
-    listed = json.dumps(list(questions().items()), indent=2, ensure_ascii=False)
+    """The module, as the page of this checkout has it: of each question the title and the SPARQL,
+    as parts of which every second one is a name of the page's example."""
+    parts = [
+        (re.split(rf"\b({EXAMPLE})\b", title), re.split(rf"(?<=:)({EXAMPLE})\b", query))
+        for title, query in questions().items()
+    ]
     head = "// Written by docs/console_questions.py from docs/how-to/ask-the-system.md."
-    return f"{head}\nexport const QUESTIONS = {listed};\n"
+    return f"{head}\nexport const QUESTIONS = {json.dumps(parts, indent=2, ensure_ascii=False)};\n"
 
 
 if __name__ == "__main__":

@@ -330,11 +330,16 @@ class SubscriptionView:
 class AdaptiveView:
     """The want of an adaptive subscription, and its state.
 
+    The want as a text and in parts: the ``feature`` of every object of a ``sort``, or of
+    ``objects``; names in short.
     ``state`` is the text of a `State`. ``reads`` are the streams and sources that it reads at
     present, ``missing`` the missing features while it waits for a plan. Times in ns.
     """
 
     want: str
+    feature: str
+    sort: str | None
+    objects: tuple[str, ...]
     strategy: str
     state: str
     failure: str | None

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 from ...languages.kpl import format_policy, parse_policy
+from ...rdf.namespaces import shorten
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Policy
 from ...streams.sample import Schema
@@ -243,6 +244,8 @@ def _streams_of(subscription: _Subscription | AdaptiveSubscription) -> tuple[str
 def _adaptive_view(subscription: AdaptiveSubscription) -> SubscriptionView:
     wish, adapted = subscription.wish, subscription.adaptation
     violations = None if adapted is None or adapted.violations is None else adapted.violations.name
+    want = wish.want
+    objects = (want.object, *(each.object for each in want.others))
     return SubscriptionView(
         id=subscription.id,
         source=subscription.unit.output.name,
@@ -252,7 +255,10 @@ def _adaptive_view(subscription: AdaptiveSubscription) -> SubscriptionView:
         counters={} if adapted is None else counts_of(adapted),
         violations=violations,
         adaptive=AdaptiveView(
-            want=str(wish.want),
+            want=str(want),
+            feature=shorten(want.feature),
+            sort=None if want.sort is None else shorten(want.sort),
+            objects=tuple(shorten(each) for each in objects if each is not None),
             strategy=wish.strategy,
             state=str(subscription.state),
             failure=subscription.unit.failure,

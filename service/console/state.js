@@ -1,7 +1,7 @@
 // What the page knows of the service, as signals. It polls the small answers, and asks for the
 // structure again when /status/events reports a change.
 import { batch, computed, signal } from "./vendor/preact.js";
-import { ask, follow } from "./http.js";
+import { address, ask, follow } from "./http.js";
 import { local, unit, words } from "./format.js";
 
 export const status = signal(null), streams = signal([]), units = signal([]), problems = signal([]);
@@ -114,6 +114,7 @@ async function look() {
   }
 }
 
+/** `again(since)`: the route, type and body that ask for the same once more, from then on. */
 const request = (kind, name, more) => ({ kind, name, chips: [], problem: null, ...more });
 
 function eventRequest(one) {
@@ -121,7 +122,8 @@ function eventRequest(one) {
   return request("event", words(one.event), {
     id: one.id, stream: one.stream, state: one.state, problem: one.failure, chips: terms,
     empty: one.empty, event: one.event, gives: one.kind, plan: one.plan, address: `/events/${one.id}`,
-    again: { event: one.event, arguments: one.arguments, strategy: one.strategy },
+    again: (since = one.since) =>
+      ({ path: "/events", body: { event: one.event, arguments: one.arguments, strategy: one.strategy, since } }),
   });
 }
 
@@ -130,15 +132,26 @@ function queryRequest(one) {
     id: one.name, stream: one.stream, state: one.state, problem: one.failure, empty: one.empty,
     chips: [one.form || one.dialect], source: one.source, plan: one.plan, dialect: one.dialect,
     form: one.form, gives: one.kind, address: `/queries/${encodeURIComponent(one.name)}`,
+    again: (since = one.options.since) =>
+      ({ path: address("/queries", { ...one.options, since }), type: "text/plain", body: one.source }),
   });
 }
 
+/** The body of a subscription like this one. */
+function subscriptionBody({ source, policy, adaptive }, since) {
+  if (!adaptive) return { stream: source, policy, since };
+  const { feature, sort, objects, strategy, staleness, min_quality, hold_off } = adaptive;
+  return { feature, objects, strategy, policy, since, min_quality, hold_off, ...(sort && { sort }), ...(staleness && { staleness }) };
+}
+
 function subscriptionRequest(one) {
-  const want = one.adaptive?.want.replaceAll("dyknow:", "");
+  const want = one.adaptive && `${local(one.adaptive.feature)} of ${one.adaptive.objects.length
+    ? one.adaptive.objects.map(local).join(" and ") : `every ${local(one.adaptive.sort ?? "Thing")}`}`;
   return request("subscription", want ?? one.source, {
     id: one.id, stream: one.stream, state: one.state === "running" ? one.adaptive?.state ?? one.state : one.state,
     problem: one.failure ?? one.adaptive?.missing.join("; ") ?? null, adaptive: one.adaptive,
     chips: one.policy ? [one.policy] : [], address: `/subscriptions/${one.id}`,
+    again: (since = one.since) => ({ path: "/subscriptions", body: subscriptionBody(one, since) }),
   });
 }
 

@@ -48,6 +48,9 @@ class AdaptiveModel(BaseModel):
     """The want and the state of a subscription to a feature."""
 
     want: str
+    feature: str
+    sort: str | None
+    objects: list[str] = Field(description="its objects in order; empty: every object of the sort")
     strategy: str
     state: str = Field(
         description="running; stale: its source is silent, and there is no other; waiting: no "
@@ -65,6 +68,9 @@ class AdaptiveModel(BaseModel):
     def of(cls, view: views.AdaptiveView) -> AdaptiveModel:
         return cls(
             want=view.want,
+            feature=view.feature,
+            sort=view.sort,
+            objects=list(view.objects),
             strategy=view.strategy,
             state=view.state,
             failure=view.failure,

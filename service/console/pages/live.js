@@ -1,16 +1,17 @@
 // What runs, what it reports, and where. A chosen request filters the list, the map and the plot; a
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
-import { byName, held, isKnown, may, moment, numbers, place, requests, refresh, status, streams, templates, unitOf } from "../state.js";
+import { byName, held, isKnown, may, moment, numbers, place, requests, status, streams, templates, unitOf } from "../state.js";
 import { arrivals, feedState, newest, oldest, past, play, shown, tick } from "../feed.js";
 import { ago, clock, count, rate, stamp, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
 import { eventText } from "../terms.js";
 import { Values } from "../results.js";
+import { end } from "../ending.js";
 import { Partial } from "../partial.js";
 import { Why, question } from "../why.js";
-import { Chips, Empty, Plot, Rows, Trouble, aligned, say, theme } from "../widgets.js";
+import { Chips, Empty, Plot, Rows, Trouble, aligned, theme } from "../widgets.js";
 
 const STATES = ["failed", "running", "ended"];
 const LINES = 24, PLOTTED = 90, RECENT = 10;
@@ -31,20 +32,6 @@ function Request({ request, isChosen, choose }) {
       : event ? html`<span class="mono">${event.object}</span> <${Values} of=${event} />
         <span class="faint">· ${ago(age)}</span>`
       : html`<span class="faint" title=${request.empty}>${request.empty ?? "no event yet"}</span>`}</span></button>`;
-}
-
-/** End a request, with five seconds to take it back. */
-async function end(request) {
-  await ask(request.address, { method: "DELETE" });
-  location.hash = "live";
-  refresh();
-  say(`${request.name} has ended`, request.kind === "subscription" ? null : async () => {
-    const again = request.kind === "query"
-      ? { path: "/queries", type: "text/plain", body: request.source }
-      : { path: "/events", type: "application/json", body: request.again };
-    await ask(again.path, { method: "POST", type: again.type, body: again.body });
-    refresh();
-  });
 }
 
 /** The states that requests are listed by, each with those that have it. */
@@ -80,7 +67,7 @@ function Requests({ chosen, object }) {
     <${Trouble} of=${trouble} />
     ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>
       <${Partial} key=${chosen.id} request=${chosen} object=${object} />
-      ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).catch(setTrouble)}>End it</button>`}</footer>`}</section>`;
+      ${may("admin") && html`<button class="danger" onClick=${() => end(chosen).then(() => { location.hash = "live"; }, setTrouble)}>End it</button>`}</footer>`}</section>`;
 }
 
 /** A gap of the connection concerns all streams. */

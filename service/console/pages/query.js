@@ -2,7 +2,8 @@
 // address holds the text, so that a question can be linked.
 import { computed, html, useEffect, useMemo, useState } from "../vendor/preact.js";
 import { PATTERN, asked, byName, makers, may, refresh, requests, units, vocabulary } from "../state.js";
-import { address, ask, explain } from "../http.js";
+import { ask, explain } from "../http.js";
+import { end } from "../ending.js";
 import { clock, duration, plural, shorten } from "../format.js";
 import { Editor } from "../editor.js";
 import { curve, layout } from "../layout.js";
@@ -12,13 +13,15 @@ import { QUESTIONS } from "../questions.js";
 
 const ANSWERS = "application/sparql-results+json, application/ld+json;q=0.9";
 const SHOWN = 1_000, NET = 300, EVERY = 1_000;
+const resultsOf = (name) => `/queries/${encodeURIComponent(name)}/results`;
 export const CONTINUOUS = [
   ["The highest altitude of each aircraft", "REGISTER QUERY highest COMPUTE EVERY 1s AS\nSELECT ?o (MAX(?a) AS ?top)\nWHERE { ?o a dyknow:Aircraft ; dyknow:altitude ?a }\nGROUP BY ?o\nWINDOW [RANGE 10s STEP 1s]"],
   ["The mean speed, as a new stream", "REGISTER STREAM means COMPUTE EVERY 5s AS\nCONSTRUCT { ?o dyknow:speed ?mean }\nWHERE { ?o a dyknow:Aircraft ; dyknow:speed ?v }\nAGGREGATE {(?mean, AVG, {?v})}\nWINDOW [RANGE 10s STEP 5s]"],
   ["Is one low?", "REGISTER QUERY low COMPUTE EVERY 1s AS\nASK { ?o a dyknow:Aircraft ; dyknow:altitude ?a FILTER (?a < 2000) }\nWINDOW [RANGE 5s STEP 1s]"],
   ["Above 3,000 ft within 20 s, as a formula", "monitor brief(?x in Aircraft) =\n  altitude(?x) < 3000 [ft] -> eventually [0s, 20s] altitude(?x) >= 3000 [ft]"],
+  ["A climb of 1,000 ft within a minute, as a pattern", "REGISTER STREAM climb AS\nPATTERN SEQ(altitude a, altitude b)\nWHERE skip_till_next_match [id] AND b.value - a.value > 1000 [ft]\nWITHIN 1 minute\nRETURN a.id AS object, a.value AS low, b.value AS high"],
 ];
-const FIRST = QUESTIONS[0][1];
+const FIRST = QUESTIONS[0][1].join("");
 
 /** Streams of this system for those of the questions' example: `out` is made of `gps` and others,
     `both` of two. */
@@ -33,13 +36,12 @@ const example = computed(() => {
 /** A name that SPARQL takes behind a colon as it is. */
 const SIMPLE = /^[A-Za-z]\w*$/;
 
-/** The questions about this system; those about streams that it has not are left out. */
+/** The questions about this system; those about streams that it has not are left out. Every second
+    part of a text is a name of the questions' example. */
 const questions = computed(() => QUESTIONS.flatMap(([title, code]) => {
-  const own = (name) => example.value[name];
-  const inCode = /(?<=:)(gps|out|both)\b/g, names = code.match(inCode);
-  if (!names) return [[title, code]];
-  return names.every((each) => SIMPLE.test(own(each) ?? ""))
-    ? [[title.replace(/\b(gps|out|both)\b/g, own), code.replace(inCode, own)]] : [];
+  const own = (text) => text.map((part, i) => (i % 2 ? example.value[part] : part)).join("");
+  const names = code.filter((_, i) => i % 2).map((name) => example.value[name] ?? "");
+  return names.every((name) => SIMPLE.test(name)) ? [[own(title), own(code)]] : [];
 }));
 
 /** An IRI in short; names of the stream space as the questions write them, `:hasName`. */
@@ -144,7 +146,7 @@ function Questions({ isContinuous, text, pick, watched, watch }) {
         <h3 class="group">Examples</h3>`
       : html`<div class="body"><input type="search" placeholder="find a question" aria-label="find a question" value=${find} onInput=${(event) => setFind(event.target.value)} /></div>`}
       ${list.map(([title, code]) => html`<button class="item" key=${title} aria-pressed=${text === code} onClick=${() => pick(code)}>${title}</button>`)}
-      ${isContinuous && html`<div class="body small muted">Without FROM STREAM a query names features only, and streams are found or built for them. Formulas run here, too.</div>`}</div></section>`;
+      ${isContinuous && html`<div class="body small muted">Without FROM STREAM a query names features only, and streams are found or built for them. Formulas and patterns run here, too.</div>`}</div></section>`;
 }
 
 /** What completes in the editor: the names of the ontology. */
@@ -196,21 +198,22 @@ export default function Query({ rest }) {
     refresh();
   });
   const save = () => attempt(async () => {
-    const [type, name] = result.triples ? ["application/n-triples", "result.nt"] : ["text/csv", "result.csv"];
-    download(name, await ask("/sparql", { method: "POST", type: "application/sparql-query", body: text, accept: type }));
+    const [accept, ending] = result.triples ? ["application/n-triples", "nt"] : ["text/csv", "csv"];
+    const content = watched ? await ask(resultsOf(watched), { accept })
+      : await ask("/sparql", { method: "POST", type: "application/sparql-query", body: text, accept });
+    download(`${watched ?? "result"}.${ending}`, content);
   });
-  const end = () => attempt(async () => {
-    await ask(`/queries/${encodeURIComponent(watched)}`, { method: "DELETE" });
+  const stop = () => attempt(async () => {
+    await end(requests.value.find((each) => each.kind === "query" && each.id === watched));
     watch(null);
     show(null);
-    refresh();
   });
   useEffect(() => {
     if (!watched) return undefined;
     let due = 0, isOver = false;
     const next = async () => {
       try {
-        const found = await ask(address(`/queries/${encodeURIComponent(watched)}/results`), { accept: ANSWERS });
+        const found = await ask(resultsOf(watched), { accept: ANSWERS });
         if (!isOver) show(shaped(found));
       } catch (error) {
         if (isOver) return;
@@ -239,8 +242,8 @@ export default function Query({ rest }) {
       ${number != null && html`<span class="small faint num">${plural(number, result.triples ? "triple" : "row")}${result.took ? `, ${duration(result.took)}` : `, ${clock(Date.now())}`}</span>`}
       ${result?.triples && html`<div class="tabs" role="group" aria-label="view">${["graph", "triples"].map((each) =>
         html`<button aria-pressed=${view === each} onClick=${() => setView(each)}>${each}</button>`)}</div>`}
-      ${number > 0 && !watched && html`<button onClick=${save}>${result.triples ? "N-Triples" : "CSV"}</button>`}
-      ${watched && html`<a class="small" href=${`#live/${encodeURIComponent(watched)}`}>Follow</a>${may("admin") && html`<button class="danger" onClick=${end}>End it</button>`}`}</header>
+      ${number > 0 && html`<button onClick=${save}>${result.triples ? "N-Triples" : "CSV"}</button>`}
+      ${watched && html`<a class="small" href=${`#live/${encodeURIComponent(watched)}`}>Follow</a>${may("admin") && html`<button class="danger" onClick=${stop}>End it</button>`}`}</header>
       <div class="scroll" tabindex="0">${trouble ? html`<div class="body"><${Trouble} of=${trouble} /></div>`
         : result?.isLive ? html`<${Empty} title=${asked.value.get(watched)?.gives === PATTERN ? "It reports matches." : "It reports verdicts."}><a href=${`#live/${encodeURIComponent(watched)}`}>Follow them</a><//>`
         : result ? html`<${Result} result=${result} view=${view} />`

@@ -12,6 +12,7 @@ from urllib.parse import quote
 import httpx
 import pytest
 from chromium import Page
+from waiting import until
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.journal.durability import Durability
@@ -212,15 +213,82 @@ def test_a_continuous_query_is_explained_registered_read_and_ended(
     page.click("button.main", "Register")
     page.wait_text("Last window of highest")
     page.wait("document.querySelectorAll('.result tbody tr').length > 3")
+    page.run(SAVED)
+    page.click("section.result button", "CSV")
+    page.wait("window.saved.length === 1")
+    name, content = page.run("window.saved[0]")
+    assert name == "highest.csv"
+    assert content.splitlines()[0] == "o,top"
+    assert len(content.splitlines()) > 4
     page.click("button.danger", "End it")
     page.wait("!document.body.innerText.includes('Last window of')")
     assert httpx.get(f"{flying}/queries", timeout=60).json() == []
 
 
+SAVED = """window.saved = []; window.blob = null;
+const own = URL.createObjectURL;
+URL.createObjectURL = (blob) => { window.blob = blob; return own(blob); };
+HTMLAnchorElement.prototype.click = function () {
+  const name = this.download;
+  window.blob.text().then((text) => window.saved.push([name, text]));
+}; true"""
+"""The page's downloads, in place of a folder."""
+
+
+def test_what_was_ended_runs_again_as_it_was_asked_for(flying: str, open_page: OPEN) -> None:
+    with httpx.Client(base_url=flying, trust_env=False, timeout=60) as http:
+        text = (
+            "REGISTER QUERY tops COMPUTE EVERY 1s AS SELECT ?o (MAX(?a) AS ?top) "
+            "WHERE { ?o dyknow:altitude ?a } GROUP BY ?o WINDOW [RANGE 2s STEP 1s]"
+        )
+        asked = {"semantics": "set", "bounds": "[)", "report": "change", "since": "start"}
+        assert http.post("/queries", content=text, params=asked).status_code == 201
+        want = {
+            "feature": "dyknow:altitude",
+            "sort": "dyknow:Aircraft",
+            "policy": "sample every 2s",
+            "staleness": "1h",
+            "min_quality": 0.25,
+            "since": "start",
+        }
+        assert http.post("/subscriptions", json=want).status_code == 201
+        assert http.post("/subscriptions", json={"stream": "adsb"}).status_code == 201
+
+        def running() -> dict[str, list[Any]]:
+            queries = [(each["name"], each["options"]) for each in http.get("/queries").json()]
+            parts = "feature", "sort", "objects", "strategy", "staleness", "min_quality", "hold_off"
+            subscriptions = [
+                (
+                    each["policy"],
+                    each["since"],
+                    each["adaptive"] and [each["adaptive"][part] for part in parts],
+                    each["adaptive"] is None and each["source"],
+                )
+                for each in http.get("/subscriptions").json()
+            ]
+            return {"/queries": queries, "/subscriptions": sorted(subscriptions, key=str)}
+
+        before = running()
+        addresses = ["/queries/tops"]
+        addresses += [f"/subscriptions/{each['id']}" for each in http.get("/subscriptions").json()]
+        page = open_page(f"{flying}/#live")
+        for path in addresses:
+            stream = http.get(path).json()["stream"]
+            page.run(f"location.hash = 'live/{stream}'")
+            page.click("button.danger", "End it")
+            page.wait_text("has ended")
+            assert http.get(path).status_code == 404
+            page.click(".toast button", "Undo")
+            until(lambda: running() == before)
+        for kind, list_of in (("/queries", "name"), ("/subscriptions", "id")):
+            for each in http.get(kind).json():
+                assert http.delete(f"{kind}/{each[list_of]}").status_code == 204
+
+
 def test_every_continuous_example_has_a_plan(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#query")
     examples = page.run("import('/console/pages/query.js').then((page) => page.CONTINUOUS)")
-    assert len(examples) == 4
+    assert len(examples) == 5
     for title, text in examples:
         answer = httpx.post(
             f"{flying}/explain",
@@ -274,10 +342,10 @@ def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> No
         """import('/console/questions.js').then(async ({ QUESTIONS }) => {
           const found = {};
           for (const [title, query] of QUESTIONS) {
-            const answer = await fetch('/sparql', { method: 'POST', body: query,
+            const answer = await fetch('/sparql', { method: 'POST', body: query.join(''),
               headers: { 'Content-Type': 'application/sparql-query',
                 Accept: 'application/sparql-results+json, application/ld+json;q=0.9' } });
-            found[title] = answer.status;
+            found[title.join('')] = answer.status;
           }
           return found; })"""
     )

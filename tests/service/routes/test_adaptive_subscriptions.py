@@ -117,6 +117,9 @@ def test_a_feature_is_subscribed_to(http: httpx.Client) -> None:
     assert view["events"] == f"/subscriptions/{view['id']}/events"
     assert view["adaptive"] == {
         "want": "dyknow:speed of every dyknow:UAV",
+        "feature": "dyknow:speed",
+        "sort": "dyknow:UAV",
+        "objects": [],
         "strategy": "quality",
         "state": "running",
         "failure": None,
