@@ -17,7 +17,7 @@ from .errors import ServiceError
 from .event_streams import AsyncEvents, Event, Events
 from .routes import RoundedNumbers, Routes
 from .samples import BadTime
-from .tables import SparqlResult
+from .tables import History, SparqlResult
 
 __all__ = [
     "URL",
@@ -27,6 +27,7 @@ __all__ = [
     "Client",
     "Event",
     "Events",
+    "History",
     "RoundedNumbers",
     "ServiceError",
     "SparqlResult",

@@ -45,7 +45,7 @@ from .parts import (
     ssl_parts,
 )
 from .samples import ndjson
-from .tables import SparqlResult
+from .tables import History, SparqlResult
 
 if TYPE_CHECKING:
     from .samples import Samples
@@ -228,7 +228,7 @@ class Routes:
         end: str | int | None = None,
         limit: int | None = None,
         **query: str | int | Sequence[str] | None,
-    ) -> Flow[list[dict[str, Any]]]:
+    ) -> Flow[History]:
         """Return samples of the history by available time, with valid times from ``valid_from`` to
         ``valid_to``, and with only some ``fields``. With ``every`` (``"10s"``) return a row for
         each object and interval: the last sample, and minimum and maximum of each number. Or one of
@@ -238,8 +238,7 @@ class Routes:
         Raises `ServiceError` 410 if the result depends on evicted samples.
         """
         arguments = {"start": start, "end": end, "limit": limit, **query}
-        samples: list[dict[str, Any]] = (yield from _history(stream, JSON, arguments)).json()
-        return samples
+        return History((yield from _history(stream, JSON, arguments)).json())
 
     @verb
     def history_text(self, /, stream: str, media_type: str = CSV, **arguments: Any) -> Flow[str]:

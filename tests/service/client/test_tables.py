@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dyknow.service.client.client import Client, SparqlResult
+import pandas
+
+from dyknow.service.client.client import Client, History, SparqlResult
 from dyknow.service.client.tables import MOST_ROWS
 
 
@@ -41,6 +43,24 @@ def test_results_of_a_query_are_a_table(client: Client) -> None:
     found = client.query_results("fast", limit=2)
     assert isinstance(found, SparqlResult)
     assert found._repr_html_().count("<tr><td>") == 2
+
+
+def test_a_history_is_a_table_and_a_frame(client: Client) -> None:
+    client.put_stream("s", {"id": "string", "v": "float"})
+    client.publish("s", [{"valid": 10**9, "available": 2 * 10**9, "id": "<u>", "v": 2.5}])
+    client.publish("s", [{"valid": 3 * 10**9, "available": 3 * 10**9, "id": "w", "v": None}])
+    found = client.history("s")
+    assert isinstance(found, History)
+    assert found[0]["v"] == 2.5
+    assert found._repr_html_() == (
+        "<table><thead><tr><th>available</th><th>valid</th><th>id</th><th>v</th></tr></thead><tbody>"
+        "<tr><td>1970-01-01T00:00:02Z</td><td>1970-01-01T00:00:01Z</td><td>&lt;u&gt;</td>"
+        "<td>2.5</td></tr><tr><td>1970-01-01T00:00:03Z</td><td>1970-01-01T00:00:03Z</td><td>w</td>"
+        "<td></td></tr></tbody></table>"
+    )
+    frame = found.to_pandas()
+    assert frame["valid"][0] == pandas.Timestamp(1, unit="s", tz="UTC")
+    assert frame["id"].tolist() == ["<u>", "w"]
 
 
 def test_a_long_table_says_how_long_it_is() -> None:
