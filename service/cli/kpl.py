@@ -63,8 +63,13 @@ TimeUnit = Annotated[
         "ones have the unit of the text's integers."
     ),
 ]
-
-
+Sorted = Annotated[
+    bool,
+    typer.Option(
+        "--sort",
+        help="Sort tables by time. Default: in the order of their rows, which policies may check.",
+    ),
+]
 Ssl = Annotated[
     str | None,
     typer.Option(
@@ -85,6 +90,7 @@ def prove(
     time_unit: TimeUnit = None,
     time_format: TimeFormat = None,
     delimiter: Delimiter = None,
+    sort: Sorted = False,
     as_json: Json = False,
 ) -> None:
     """Replay a recording and prove each policy, join and sync against its definition.
@@ -95,7 +101,7 @@ def prove(
     from .recordings import rehearsal
 
     tables = table_options(time_column, time_unit, time_format, delimiter)
-    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, tables)
+    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, tables, sort)
     rehearsal.prove(recorded, as_json=as_json)
 
 
@@ -116,6 +122,7 @@ def run(
     time_unit: TimeUnit = None,
     time_format: TimeFormat = None,
     delimiter: Delimiter = None,
+    sort: Sorted = False,
     as_json: Json = False,
 ) -> None:
     """Replay a recording and print the samples of the declared streams, by available time.
@@ -125,7 +132,7 @@ def run(
     from .recordings import rehearsal
 
     tables = table_options(time_column, time_unit, time_format, delimiter)
-    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, tables)
+    recorded = rehearsal.Recorded(file, recording, ssl, processes, unit, tables, sort)
     rehearsal.run(recorded, stream, as_json=as_json)
 
 

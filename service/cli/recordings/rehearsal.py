@@ -13,6 +13,7 @@ import typer
 from ....converters.ndjson import sample_json
 from ....converters.recordings.many_streams import in_order, open_recordings
 from ....converters.recordings.table_options import TableOptions
+from ....converters.recordings.time_order import in_time_order
 from ....converters.wire import Incoming
 from ....engine.kpl.verification import Proof, prove_specification, rehearse
 from ....engine.processes.registry import PROCESSES
@@ -54,6 +55,7 @@ class Recorded:
     unit: str
     tables: TableOptions
     """The option ``abstract_unit`` is that of the declarations."""
+    is_sorted: bool = False
 
     def open(self) -> tuple[Signature, Iterator[tuple[str, Incoming]]]:
         """Read the declarations and the recordings of their sources."""
@@ -78,7 +80,10 @@ class Recorded:
             if len(missing) == len(sources):
                 raise fail(said, hint)
             err().print(f"{said}, so it is silent ({hint})", markup=False)
-        return signature, in_order({n: recordings[n] for n in sources if n in recordings})
+        read = {n: recordings[n] for n in sources if n in recordings}
+        if self.is_sorted:
+            read = {n: in_time_order(each, sort=True).recording for n, each in read.items()}
+        return signature, in_order(read)
 
 
 def prove(recorded: Recorded, *, as_json: bool) -> None:

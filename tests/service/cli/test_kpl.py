@@ -188,6 +188,24 @@ def test_inner_terms_joins_and_synchronizations_are_proved(tmp_path, monkeypatch
     )
 
 
+def test_rows_out_of_order_are_sorted_on_demand(tmp_path):
+    (tmp_path / "app.kpl").write_text(
+        "sort pos = float\nsource pos p\nstrmgen pos[car1] = p\nstream all = pos[car1]\n"
+    )
+    (tmp_path / "p.csv").write_text("valid,value\n300,3\n100,1\n200,2\n")
+    arguments = ["kpl", "run", str(tmp_path / "app.kpl"), str(tmp_path / "p.csv"), "--json"]
+
+    def times(*options):
+        said = CliRunner().invoke(app, [*arguments, *options])
+        assert said.exit_code == 0, said.output
+        made = [json.loads(line) for line in said.output.splitlines()]
+        return [(one["available"][-5:], one["value"]) for one in made]
+
+    # A row that steps back becomes available with the greatest time before it.
+    assert times() == [("00.3Z", 3.0), ("00.3Z", 1.0), ("00.3Z", 2.0)]
+    assert times("--sort") == [("00.1Z", 1.0), ("00.2Z", 2.0), ("00.3Z", 3.0)]
+
+
 OBJECTS = """sort fix = (id string, spd float)
 source fix radar
 strmgen f = radar
