@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...languages.mtl.ast import Report
 from ...languages.mtl.checked import CheckedMonitor, ObjectConstant
 from ...streams.sample import Times
+from ...streams.time import TIME_MIN
 from ..states.departures import Departures
 from ..states.kept_samples import Rows
 from ..states.part_states import CommonSteps, PartStates
@@ -99,6 +100,8 @@ class Monitoring:
         self._evaluator = self._made_evaluator(decides)
         self.terms: tuple[Term, ...] = tuple(sorted(self._evaluator.terms))
         self._departures = Departures(monitor.policy.max_delay, sources)
+        self._greatest = [TIME_MIN] * sources
+        """The greatest valid time of each stream's samples."""
         policy, present_for = monitor.policy, monitor.present_for
         # One of both has samples.
         self._own = PartStates(self.terms, policy, present_for=present_for)
@@ -192,10 +195,13 @@ class Monitoring:
     def came(self, source: int, available: Times, valid: Times) -> None:
         """Take the times of all samples of a stream, in order of available time."""
         self._departures.add(source, available, valid)
+        self._greatest[source] = int(valid.max(initial=self._greatest[source]))
 
     def ended(self, source: int, moment: int) -> None:
-        """Wait for a stream no longer after the available time ``moment``, when it ended."""
+        """Wait for a stream no longer after the available time ``moment``, when it ended; its
+        objects have gone then, and after its last sample."""
         self._departures.end(source, moment)
+        self._shared.ended(source, max(moment, self._greatest[source]))
 
     def set_idle(self, sources: Iterable[int]) -> None:
         """Wait for these streams no longer, until they have samples again."""

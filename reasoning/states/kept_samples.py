@@ -17,15 +17,20 @@ from .part_departures import search
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """Samples of a term, in order of available time: shape ``(n,)``; ``places`` has shape
-    ``(n, variables of the term)``: the places of their objects (`StateMaker.place`)."""
+    ``(n, variables of the term)``: the places of their objects (`StateMaker.place`). ``life``: the
+    number of the life of its stream that each is of; None: it does not matter."""
 
     available: Times
     valid: Times
     places: NDArray[np.int64]
     values: NDArray[Any]
+    life: NDArray[np.int64] | None = None
 
     def take(self, rows: Any) -> Rows:
-        return Rows(self.available[rows], self.valid[rows], self.places[rows], self.values[rows])
+        life = None if self.life is None else self.life[rows]
+        return Rows(
+            self.available[rows], self.valid[rows], self.places[rows], self.values[rows], life
+        )
 
 
 class KeptSamples:
@@ -63,10 +68,11 @@ class KeptSamples:
         return new
 
     def at(
-        self, due: Times, left: Times, shape: tuple[int, ...]
-    ) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        self, due: Times, left: Times, shape: tuple[int, ...], ends: Times | None = None
+    ) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64] | None]:
         """The value at each state, and its sample's valid time (`TIME_MIN`: none); shape
-        ``(n, *shape)``. Forgets the samples that no later state needs."""
+        ``(n, *shape)``. With the ``ends`` of lives also that of its sample's life (`TIME_MIN`:
+        none). Forgets the samples that no later state needs."""
         rows, count = self._rows, len(due)
         if bool((rows.valid[1:] < rows.valid[:-1]).any()):
             rows = rows.take(np.argsort(rows.valid, kind="stable"))
@@ -82,9 +88,12 @@ class KeptSamples:
         # Of several rows of one cell the last one stays.
         best[first[counts], cell[counts]] = counts
         np.maximum.accumulate(best, axis=0, out=best)
+        until = None
         if len(first):
             values = rows.values[best]
             valid = np.where(best < 0, TIME_MIN, rows.valid[best])
+            if ends is not None:
+                until = np.where(best < 0, TIME_MIN, ends[rows.life][best]).reshape(count, *shape)
         else:
             values = np.zeros(best.shape, rows.values.dtype)
             valid = np.full(best.shape, TIME_MIN, np.int64)
@@ -92,7 +101,7 @@ class KeptSamples:
         winners = best[-1]
         keep[winners[winners >= 0]] = True
         self._rows = rows.take(keep)
-        return values.reshape(count, *shape), valid.reshape(count, *shape)
+        return values.reshape(count, *shape), valid.reshape(count, *shape), until
 
     def at_parts(
         self, due: Times, left: Times, part: NDArray[np.int64], begin: NDArray[np.int64]
@@ -138,11 +147,13 @@ def _joined(parts: Sequence[Rows], variables: int) -> Rows:
     parts = [part for part in parts if len(part.valid)]
     if not parts:
         return _no_rows(variables)
+    lives = [part.life for part in parts if part.life is not None]
     return Rows(
         np.concatenate([part.available for part in parts]),
         np.concatenate([part.valid for part in parts]),
         np.concatenate([part.places for part in parts]),
         np.concatenate([part.values for part in parts]),
+        np.concatenate(lives) if lives else None,
     )
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
 
@@ -48,8 +48,9 @@ class StateMaker:
     valid time (then by available time) among those that came until the state left; without ``use
     most recent`` only if it is valid at the state's own time.
 
-    An object is present from its first sample on; under ``sample every`` while its last sample is
-    less than a period old. ``present_for``: while its last sample is at most so old, or as above.
+    An object is present from its first sample until the streams of its newest samples have ended,
+    one of each feature (`ended`); under ``sample every`` while its last sample is less than a
+    period old. ``present_for``: also while its last sample is at most so old.
     ``wider``: the sorts of the formula that include each sort of it.
 
     Law (tests/laws/reasoning): the states are those of the definition, however the samples are cut.
@@ -84,6 +85,10 @@ class StateMaker:
         """The available time of the first instant, at which the grid begins without a duration."""
         self._candidates: Times = np.empty(0, np.int64)
         """Times at which states will leave, without a grid."""
+        self._lives: dict[int, int] = {}
+        """The number of each stream's present life: a stream that has ended may begin another."""
+        self._ends: Times = np.empty(0, np.int64)
+        """The valid time at which each life ended; `TIME_MAX`: it lasts."""
         self._greatest = TIME_MIN
         self.late = 0
         """Samples that came after the state of their valid time had left."""
@@ -112,7 +117,23 @@ class StateMaker:
     def add(self, term: Term, source: int, rows: Rows) -> None:
         """Take samples of a term from a stream, in order of available time. Where samples of two
         streams are equal in both times, that of the greater ``source`` counts as newer."""
+        if self._policy.period is None:
+            rows = replace(rows, life=np.full(len(rows.valid), self._life(source)))
         self._kept[term].add(source, rows)
+
+    def ended(self, source: int, time: int) -> None:
+        """A stream has ended. Its objects were there up to the valid ``time``, which is not before
+        those of its samples."""
+        if source in self._lives:
+            self._ends[self._lives[source]] = time
+
+    def _life(self, source: int) -> int:
+        """The number of a stream's present life."""
+        life = self._lives.get(source)
+        if life is None or self._ends[life] != TIME_MAX:
+            life = self._lives[source] = len(self._ends)
+            self._ends = np.append(self._ends, TIME_MAX)
+        return life
 
     def advance(self, steps: Steps) -> Iterator[MadeStates]:
         """Make the states that leave at ``steps``; each step comes once. Consume it at once."""
@@ -189,28 +210,22 @@ class StateMaker:
             yield MadeStates(self._some(due[part], left[part]), left[part])
 
     def _some(self, due: Times, left: Times) -> States:
-        last_valid = {
-            sort: np.full((len(due), len(names)), TIME_MIN, np.int64)
-            for sort, names in self._names.items()
-        }
+        period, count = self._policy.period, len(due)
+        has_ended = period is None and bool((self._ends != TIME_MAX).any())
+        last_valid, until = self._no_times(count), self._no_times(count) if has_ended else {}
         values: dict[Term, Values] = {}
         for term, kept in self._kept.items():
             sorts = variables_of(term)
             shape = tuple(len(self._names[sort]) for sort in sorts)
-            found, valid = kept.at(due, left, shape)
+            ends = self._ends if has_ended else None
+            found, valid, alive = kept.at(due, left, shape, ends)
             known = valid != TIME_MIN
             if self._policy.approximation is Approximation.NONE:
                 known &= valid == due.reshape((-1,) + (1,) * len(shape))
             values[term] = Values(found, known)
-            for axis, sort in enumerate(sorts, 1):
-                others = tuple(i for i in range(1, valid.ndim) if i != axis)
-                newest = valid.max(axis=others, initial=TIME_MIN) if others else valid
-                np.maximum(last_valid[sort], newest, out=last_valid[sort])
-                for each in self._wider[sort]:
-                    places = [self._places[each][iri] for iri in self._names[sort]]
-                    mine = last_valid[each]
-                    mine[:, places] = np.maximum(mine[:, places], newest)
-        period = self._policy.period
+            self._raise(last_valid, sorts, valid)
+            if alive is not None:
+                self._raise(until, sorts, alive)
         following = earlier(np.append(due[1:], TIME_MAX), 1)
         horizon = due if period is None else np.minimum(following, later(due, period - 1))
         return States(
@@ -218,23 +233,48 @@ class StateMaker:
             horizon,
             {sort: tuple(names) for sort, names in self._names.items()},
             {
-                sort: present_at(times, due, period, self._present_for)
+                sort: present_at(times, due, period, self._present_for, until.get(sort))
                 for sort, times in last_valid.items()
             },
             values,
         )
 
+    def _no_times(self, states: int) -> dict[str, Times]:
+        """For each sort a table of shape ``(states, objects)``, which has no time yet."""
+        return {
+            sort: np.full((states, len(names)), TIME_MIN, np.int64)
+            for sort, names in self._names.items()
+        }
 
-def present_at(last_valid: Times, due: Times, period: int | None, extended: int | None) -> Mask:
+    def _raise(self, tables: Mapping[str, Times], sorts: Sequence[str], times: Times) -> None:
+        """Raise the times of objects to those of a term's arguments, which are of these sorts."""
+        for axis, sort in enumerate(sorts, 1):
+            others = tuple(i for i in range(1, times.ndim) if i != axis)
+            newest = times.max(axis=others, initial=TIME_MIN) if others else times
+            np.maximum(tables[sort], newest, out=tables[sort])
+            for each in self._wider[sort]:
+                places = [self._places[each][iri] for iri in self._names[sort]]
+                mine = tables[each]
+                mine[:, places] = np.maximum(mine[:, places], newest)
+
+
+def present_at(
+    last_valid: Times,
+    due: Times,
+    period: int | None,
+    extended: int | None,
+    until: Times | None = None,
+) -> Mask:
     """Whether objects with these last valid times, of shape ``(states, objects)``, are there at the
-    states ``due``: on a grid less than its ``period`` before, or at most ``extended`` (ns) before.
-    """
+    states ``due``: on a grid less than its ``period`` before, otherwise up to the times ``until``
+    (None: for ever); or at most ``extended`` (ns) before."""
     is_known = last_valid != TIME_MIN
-    if period is None and extended is None:
-        return np.asarray(is_known)
-    found = np.zeros(last_valid.shape, np.bool_)
     if period is not None:
-        found |= last_valid > earlier(due, period)[:, None]
+        found = last_valid > earlier(due, period)[:, None]
+    elif until is not None:
+        found = until >= due[:, None]
+    else:
+        return np.asarray(is_known)
     if extended is not None:
         found |= last_valid >= earlier(due, extended)[:, None]
     return np.asarray(found & is_known)

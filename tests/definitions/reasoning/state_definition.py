@@ -141,23 +141,29 @@ class StateDefinition:
             for arrival, s in enumerate(self.samples)
             if (s.available, 1) <= left and s.valid <= t
         ]
-        values = {}
-        last = {}
+        newest = {}
         # The newest comes last, and stays.
         for *_, arrival in sorted(counted):
             s = self.samples[arrival]
+            newest[s.term, s.objects] = s
+        values, present = {}, set()
+        for key, s in newest.items():
             if self.uses_most_recent or s.valid == t:
-                values[s.term, s.objects] = s.value
+                values[key] = s.value
+            if not self.is_present(t, s):
+                continue
             for argument, iri in zip(s.term[1], s.objects, strict=True):
                 if not argument.startswith("<"):
-                    for sort in (argument, *self.wider.get(argument, ())):
-                        last[sort, iri] = s.valid
-        present = {key for key, valid in last.items() if self.is_present(t, valid)}
+                    present |= {(sort, iri) for sort in (argument, *self.wider.get(argument, ()))}
         return State(t, left[0], present, values, left)
 
-    def is_present(self, t: int, last: int) -> bool:
-        """Whether an object is there at ``t`` whose last sample is valid at ``last``."""
-        if self.period is None and self.present_for is None:
+    def is_present(self, t: int, newest: Sample) -> bool:
+        """Whether an object is there at ``t`` by the newest sample of one of its features."""
+        if self.present_for is not None and newest.valid >= t - self.present_for:
             return True
-        within_period = self.period is not None and last > t - self.period
-        return within_period or (self.present_for is not None and last >= t - self.present_for)
+        if self.period is not None:
+            return newest.valid > t - self.period
+        end = self.ended[newest.source]
+        if end is None:
+            return True
+        return t <= max(end, *(s.valid for s in self.samples if s.source == newest.source))

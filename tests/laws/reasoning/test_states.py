@@ -124,6 +124,7 @@ class Playing:
         end = self.case.ended[source]
         if is_last and end is not None and self.random.random() < 0.7:
             self.departures.end(source, end)
+            self.maker.ended(source, max([end, *(s.valid for s in stream)]))
             self._ended.add(source)
 
     def _rows(self, part: list[Sample]) -> Rows:
