@@ -354,3 +354,26 @@ def test_recorded_flights() -> None:
     assert found == wanted
     assert checked.summary.samples == len(rows)
     assert checked.summary.late == 0
+
+
+def test_objects_of_a_stream_that_has_ended_are_gone() -> None:
+    ssl = (
+        "stream heights contains altitude(RMAX) = alt [ft] for every RMAX = id\n"
+        "stream others contains altitude(Car) = alt [ft] for every Car = id"
+    )
+    streams = {
+        "heights": [{"valid": t * SECOND, "id": "a", "alt": 90.0} for t in range(2)],
+        "others": [{"valid": t * SECOND, "id": "c", "alt": 110.0} for t in range(5)],
+    }
+
+    def verdicts(formula: str, options: str) -> list[str]:
+        text = f"monitor m = {formula} with {options}, report verdicts"
+        return [row["verdict"] for row in dyknow.run(text, streams, ssl=ssl)]
+
+    recent = "use most recent"
+    low, high = "altitude(?x) < 100", "altitude(?x) > 100"
+    gone = ["true"] * 2 + ["false"] * 3
+    assert verdicts(f"exists ?x in Vehicle {low}", recent) == gone
+    assert verdicts(f"forall ?x in Vehicle {high}", recent) == ["false"] * 2 + ["true"] * 3
+    longer = verdicts(f"exists ?x in Vehicle {low}", f"{recent}, present for 2s")
+    assert longer == ["true"] * 4 + ["false"]
