@@ -6,15 +6,25 @@ from collections.abc import Callable, Sequence
 
 from ...languages.mtl import CheckedMonitor
 from ...languages.mtl.checked import ObjectVariable
+from ...languages.mtl.normal_form import normal_form
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...languages.ssl.annotation_text import with_ssl_source
 from ...matching.plan import Node, Supply
 from ...matching.subject import Sorts
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
-from ...reasoning.mtl.formulas import reach_of, sorts_of
+from ...reasoning.mtl.evaluator import BYTES_OF_NODE, MOST_STATES
+from ...reasoning.mtl.formulas import (
+    count_of,
+    is_of_one_object,
+    past_reach_of,
+    reach_of,
+    remembered_in,
+    sorts_of,
+)
 from ...reasoning.mtl.monitoring import VERDICT
 from ...reasoning.mtl.nodes import term_of
+from ...reasoning.mtl.sliced_evaluator import bits_of_state, is_sliced
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Approximation
 from ...streams.time import format_duration
@@ -162,6 +172,9 @@ def explain_monitor(monitor: CheckedMonitor) -> str:
         latest = "an interval has no end, so some verdicts wait for the end of the streams"
     elif reach + delay:
         latest = f"at most {format_duration(reach + delay)} after the time of the start"
+        if reach and delay:
+            parts = format_duration(reach), format_duration(delay)
+            latest += f": {parts[0]} of intervals and {parts[1]} of max delay"
     else:
         latest = "with the state of its start"
     order = "" if policy.max_delay is not None else "; the streams are taken to be in order"
@@ -170,14 +183,44 @@ def explain_monitor(monitor: CheckedMonitor) -> str:
     )
     return "\n".join(
         [
+            f"normal form  {normal_form(monitor.formula)}",
             f"states       {states}, with values that are "
             + ("the newest" if is_approximate else "valid just then")
             + order,
             f"a verdict    {latest}; reported are {monitor.report}"
             + (", with their robustness" if monitor.robustness else "")
             + (", of the first state alone" if monitor.once else ""),
+            f"memory       {_memory(monitor, reach)}",
         ]
     )
+
+
+def _memory(monitor: CheckedMonitor, reach: int | None) -> str:
+    """How many states are kept at most, and the bytes of each. ``reach``: that of the formula."""
+    has_own_states = monitor.policy.period is None and is_of_one_object(monitor)
+    if not has_own_states and is_sliced(monitor):
+        size = bits_of_state(monitor) / 8
+    else:
+        size = float(BYTES_OF_NODE * count_of(monitor.formula))
+    each = f"about {size:g} bytes of each for an object"
+    back, period = past_reach_of(monitor.formula), monitor.policy.period
+    remembered = len(remembered_in(monitor.formula))
+    if remembered and monitor.robustness:
+        back = None  # a margin is of all states
+    if reach is None or back is None:
+        why = (
+            "since the oldest start without a verdict" if back is not None else "from the first on"
+        )
+        return f"all states {why}, {each}; the monitor fails with more than {MOST_STATES:,}"
+    if reach + back == 0:
+        states = "one state"
+    elif period is None:
+        states = f"the states of {format_duration(reach + back)}"
+    else:
+        states = f"at most {(reach + back) // period + 2:,} states"
+    if remembered:
+        states += f" and {1 + 2 * remembered} of the past without an end"
+    return f"{states}, {each}"
 
 
 def verdict_annotation(stream: str, event: str, monitor: CheckedMonitor) -> StreamAnnotation | None:

@@ -15,7 +15,7 @@ lower one false and the upper one true.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import prod
 from typing import Any, Final, TypeAlias
@@ -23,17 +23,27 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...languages.mtl.ast import Report
+from ...languages.mtl.ast import Report, Temporal
 from ...languages.mtl.checked import (
     CheckedMonitor,
     Constant,
+    Formula,
     ObjectConstant,
+    Within,
 )
 from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX, TIME_MIN
-from ..states.states import States, Term, Values
-from .formulas import earliest, looks_back, reach_of, sorts_of
-from .nodes import END, Pass, spread_node, terms_of
+from ..states.states import States, Term
+from .formulas import (
+    earliest,
+    is_remembered,
+    looks_back,
+    reach_of,
+    remembered_in,
+    sorts_of,
+)
+from .kept_states import KeptStates
+from .nodes import END, Pass, column, spread_node, terms_of
 from .robustness import Margins
 from .timelines import Timelines
 from .windows import NEVER, Moments
@@ -49,6 +59,12 @@ CELLS: Final = 1 << 13
 """Cells of a table that are made at once: some dozens of such tables fit into a core's cache."""
 MOST_VALUES: Final = 10_000_000
 """The values of features that an explanation keeps: some hundred megabytes with its tables."""
+
+
+MOST_STATES: Final = 1_000_000
+"""The states that a formula may need."""
+BYTES_OF_NODE: Final = 17
+"""Memory of a node for a binding and state: two moments of eight bytes, and a truth."""
 
 
 class TooManyStates(Exception):
@@ -80,59 +96,6 @@ class Verdicts:
 
     def __len__(self) -> int:
         return len(self.part)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """States kept, as one `States`; for each whether the verdict of a binding is out, its part, and
-    when it left. Those of a part are in order."""
-
-    states: States
-    is_decided: Mask
-    part: NDArray[np.int64]
-    left: Times
-
-    def take(self, rows: Any) -> _Rows:
-        return _Rows(
-            self.states.take(rows),
-            self.is_decided[rows],
-            self.part[rows],
-            self.left[rows],
-        )
-
-    def followed_by(self, new: _Rows) -> _Rows:
-        """These states, and new ones after them, which may have further objects."""
-        kept, states = self.states, new.states
-        values = {
-            term: Values(
-                _extended(kept.values[term].values, part.values),
-                _extended(kept.values[term].known, part.known),
-            )
-            for term, part in states.values.items()
-        }
-        return _Rows(
-            States(
-                np.concatenate([kept.valid, states.valid]),
-                np.concatenate([kept.horizon, states.horizon]),
-                states.objects,
-                {s: _extended(kept.present[s], part) for s, part in states.present.items()},
-                values,
-            ),
-            _extended(self.is_decided, new.is_decided),
-            np.concatenate([self.part, new.part]),
-            np.concatenate([self.left, new.left]),
-        )
-
-    def by_part(self) -> _Rows:
-        """The same in order of the parts."""
-        if np.count_nonzero(self.part[1:] < self.part[:-1]):
-            return self.take(np.argsort(self.part, kind="stable"))
-        return self
-
-    def split(self, is_of: Mask) -> tuple[_Rows, _Rows | None]:
-        """The states of these parts, and the others; None if there are none."""
-        mine = is_of[self.part]
-        return (self, None) if mine.all() else (self.take(mine), self.take(~mine))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,17 +130,20 @@ class MonitorEvaluator:
     Cost: O(states kept + new states) numpy and compiled loops for each node and push, of the parts
     that have new ones; `until` and `since` that times the states of an interval. Memory: 17 bytes a
     node's binding and state kept. Kept are states from the oldest start without a verdict on, and
-    before it as far as the past operators look; all of them if a past interval has no bound, at
-    most ``limit`` of a part.
+    before it as far as the past operators look. Where an interval of the past has no end these are
+    the states that are remembered (`formulas.is_remembered`), of each object two at most; otherwise
+    all of them, at most ``limit`` of a part.
     """
 
-    def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
+    def __init__(self, monitor: CheckedMonitor, *, limit: int = MOST_STATES) -> None:
         self._monitor = monitor
         self._limit = limit
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
         self._looks_back = looks_back(monitor.formula)
-        self._kept: _Rows | None = None
+        # A margin is the greatest, or least, of all states.
+        self._remembered = () if monitor.robustness else remembered_in(monitor.formula)
+        self._kept: KeptStates | None = None
         self._values: dict[str, NDArray[Any]] = {}
         """The values of parameters of the formula, by part."""
         self.states_of: NDArray[np.int64] = np.zeros(1, np.int64)
@@ -270,7 +236,7 @@ class MonitorEvaluator:
             # The first state of a part is its only start.
             first = Timelines.of(part, self.states_of).first
             is_decided[first[self.states_of[part[first]] == 0]] = False
-        rows = _Rows(states, is_decided, part, left)
+        rows = KeptStates(states, is_decided, part, left)
         rest = None
         if self._kept is not None:
             mine, rest = self._kept.split(self._among(part))
@@ -317,7 +283,7 @@ class MonitorEvaluator:
         found[parts] = True
         return found
 
-    def _decided(self, rows: _Rows, rest: _Rows | None) -> Verdicts:
+    def _decided(self, rows: KeptStates, rest: KeptStates | None) -> Verdicts:
         """The verdicts that these states determine; keep those that are needed, and the ``rest``.
         Contract: they are in order of parts."""
         values = {name: known[rows.part] for name, known in self._values.items()}
@@ -328,7 +294,7 @@ class MonitorEvaluator:
         self._kept = rows if rest is None else rest.followed_by(rows)
         return found
 
-    def _verdicts(self, rows: _Rows, once: Pass) -> Verdicts:
+    def _verdicts(self, rows: KeptStates, once: Pass) -> Verdicts:
         states = rows.states
         is_there = self._present(states)
         if self._monitor.robustness:
@@ -434,7 +400,7 @@ class MonitorEvaluator:
             found = found & own.reshape(shape)
         return found
 
-    def _needed(self, rows: _Rows, once: Pass) -> _Rows:
+    def _needed(self, rows: KeptStates, once: Pass) -> KeptStates:
         """The states that a verdict to come needs."""
         count, timelines = len(rows.part), once.timelines
         is_open = ~rows.is_decided.reshape(count, -1).all(axis=1)
@@ -443,18 +409,29 @@ class MonitorEvaluator:
         oldest = np.minimum.reduceat(row, timelines.first)
         keep = oldest
         if self._looks_back:
-            keep = earliest(self._monitor.formula, oldest, once.back)
-        if len(keep) == 1:
+            keep = earliest(self._monitor.formula, oldest, self._back(once))
+        if len(keep) == 1 and not self._remembered:
             return rows.take(slice(int(keep[0]), None)) if keep[0] else rows
         needed = np.arange(count) >= np.repeat(keep, np.diff(timelines.first, append=count))
+        if self._remembered:
+            # The past of an object to come is unknown.
+            needed[timelines.first] = True
+        for formula in self._remembered:
+            needed[_first_decided(formula, once)] = True
         return rows if needed.all() else rows.take(needed)
+
+    def _back(self, once: Pass) -> Callable[[Formula, Any], Any]:
+        """How far operators of the past look back, but for what is remembered."""
+        if not self._remembered:
+            return once.back
+        return lambda formula, rows: rows if is_remembered(formula) else once.back(formula, rows)
 
 
 class StateKeeper(MonitorEvaluator):
     """Keeps all states and decides nothing: an explanation evaluates them once. Raises
     `TooManyStates` for more than `MOST_VALUES` values of features."""
 
-    def _decided(self, rows: _Rows, rest: _Rows | None) -> Verdicts:
+    def _decided(self, rows: KeptStates, rest: KeptStates | None) -> Verdicts:
         self._kept = rows if rest is None else rest.followed_by(rows)
         kept = self._kept.states.values
         if sum(each.values.size for each in kept.values()) > MOST_VALUES:
@@ -462,12 +439,17 @@ class StateKeeper(MonitorEvaluator):
         return no_verdicts(len(self._axes))
 
 
-def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
-    """Rows kept, with the columns that new objects added, and new rows after them."""
-    if kept.shape[1:] != new.shape[1:]:
-        more = zip(kept.shape[1:], new.shape[1:], strict=True)
-        kept = np.pad(kept, [(0, 0), *((0, n - k) for k, n in more)])
-    return np.concatenate([kept, new])
+def _first_decided(formula: Within, once: Pass) -> NDArray[np.int64]:
+    """The first row of each timeline and object that decides `once`, or `historically`, for good,
+    in each reading. Contract: `is_remembered`."""
+    found = []
+    for is_upper in (False,) if once.is_known(formula) else (False, True):
+        operand = once.node(formula.operand, is_upper)
+        moments = operand.true if formula.operator is Temporal.ONCE else operand.false
+        rows = np.where(moments < NEVER, column(once.at, moments.ndim), once.rows)
+        found.append(np.minimum.reduceat(rows, once.timelines.first, axis=0).reshape(-1))
+    first = np.concatenate(found)
+    return first[first < once.rows]
 
 
 def concatenated(parts: Sequence[Verdicts]) -> Verdicts:

@@ -90,6 +90,29 @@ def looks_back(formula: Any) -> bool:
     return is_of_past(formula) or any(map(looks_back, parts_of(formula)))
 
 
+def is_of_state(formula: Any) -> bool:
+    """Whether the formula has no temporal operator: it is about single states."""
+    own = isinstance(formula, Previous | Within | Until)
+    return not own and all(map(is_of_state, parts_of(formula)))
+
+
+def is_remembered(formula: Any) -> bool:
+    """Whether the formula is `once` or `historically` without an end, of a formula about single
+    states: of the past it needs the first state that decides it, and no other."""
+    match formula:
+        case Within(operator, interval, operand):
+            return operator.is_past and interval.end is None and is_of_state(operand)
+        case _:
+            return False
+
+
+def remembered_in(formula: Any) -> tuple[Within, ...]:
+    """Return the parts of a formula that are remembered."""
+    if is_remembered(formula):
+        return (formula,)
+    return tuple(found for part in parts_of(formula) for found in remembered_in(part))
+
+
 def earliest(formula: Any, rows: Any, back: Callable[[Formula, Any], Any]) -> Any:
     """Return the first row that the formula looks at from each of the ``rows`` or later ones.
     ``back``: the first one that an operator of the past looks at from each."""
@@ -98,6 +121,28 @@ def earliest(formula: Any, rows: Any, back: Callable[[Formula, Any], Any]) -> An
     for part in parts_of(formula):
         rows = np.minimum(rows, earliest(part, rows, back))
     return rows
+
+
+def count_of(formula: Any) -> int:
+    """Return the number of operators and atoms."""
+    inner = () if isinstance(formula, Atom) else parts_of(formula)
+    return 1 + sum(map(count_of, inner))
+
+
+def past_reach_of(formula: Any) -> int | None:
+    """Return how long before its start (ns) a verdict looks back at most; None: no bound. The state
+    that `previous` looks at may be any time before, as may one that is remembered."""
+    if is_remembered(formula):
+        return 0
+    below = [past_reach_of(part) for part in parts_of(formula)]
+    if None in below:
+        return None
+    inner = max((each for each in below if each is not None), default=0)
+    match formula:
+        case Within(_, interval) | Until(_, interval) if is_of_past(formula):
+            return None if interval.end is None else interval.end + inner
+        case _:
+            return inner
 
 
 def reach_of(formula: Any) -> int | None:

@@ -169,10 +169,10 @@ class Pass:
 
     def _previous(self, child: Node) -> Node:
         """The child at the state before; false at the first state of all."""
-        known = _column(self.at, child.true.ndim)
+        known = column(self.at, child.true.ndim)
         true, false = np.roll(child.true, 1, axis=0), np.roll(child.false, 1, axis=0)
         first = self.timelines.first
-        is_whole = _column(self.timelines.is_whole, child.true.ndim)
+        is_whole = column(self.timelines.is_whole, child.true.ndim)
         true[first], false[first] = NEVER, np.where(is_whole, 0, NEVER)
         return Node(child.axes, np.maximum(true, known), np.maximum(false, known))
 
@@ -218,8 +218,8 @@ class Pass:
         present = self.states.present[sort]
         known = self.at
         if variable not in child.axes:
-            some = _column(np.asarray(present.any(axis=1)), child.true.ndim)
-            at = _column(known, child.true.ndim)
+            some = column(np.asarray(present.any(axis=1)), child.true.ndim)
+            at = column(known, child.true.ndim)
             return Node(
                 child.axes, np.where(some, child.true, NEVER), np.where(some, child.false, at)
             )
@@ -230,7 +230,7 @@ class Pass:
         axes = tuple(each for each in child.axes if each != variable)
         true = np.min(np.where(there, child.true, NEVER), axis=axis, initial=NEVER)
         false = np.max(np.where(there, child.false, -1), axis=axis, initial=-1)
-        at = _column(known, false.ndim)
+        at = column(known, false.ndim)
         return Node(axes, true, np.maximum(false, at))
 
     # -- atoms -------------------------------------------------------------------------------
@@ -253,7 +253,7 @@ class Pass:
 
     def _constant(self, holds: Mask, axes: Axes) -> Node:
         """A node that is determined at its own state."""
-        at = _column(self.at, holds.ndim)
+        at = column(self.at, holds.ndim)
         return Node(axes, np.where(holds, at, NEVER), np.where(holds, NEVER, at))
 
     def value(self, value: Value) -> tuple[Axes, NDArray[Any], Mask]:
@@ -393,5 +393,5 @@ def _shaped(like: Node, true: Moments, false: Moments) -> Node:
     return Node(like.axes, true.reshape(like.true.shape), false.reshape(like.true.shape))
 
 
-def _column(rows: NDArray[Any], dimensions: int) -> NDArray[Any]:
+def column(rows: NDArray[Any], dimensions: int) -> NDArray[Any]:
     return rows.reshape((-1,) + (1,) * (dimensions - 1))

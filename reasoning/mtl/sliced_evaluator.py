@@ -34,7 +34,7 @@ from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MIN
 from ..states.states import States, Term
 from . import sliced_program, sliced_tables, sliced_verdicts
-from .evaluator import TooManyStates, Verdicts, concatenated, no_verdicts
+from .evaluator import MOST_STATES, TooManyStates, Verdicts, concatenated, no_verdicts
 from .formulas import earliest, looks_back, sorts_of
 from .nodes import END, OPERATORS, Pass, term_of, terms_of
 from .sliced_program import Compiler, Program
@@ -47,6 +47,14 @@ CELLS: Final = 1 << 12
 """Words of a table that are filled at once: some dozens of such tables fit into a core's cache."""
 _COUNTS: Final = [sliced_tables.EMITTED, sliced_tables.TRUES, sliced_tables.UNKNOWNS]
 _NO_TIMELINES: Final = Timelines.one(0)
+
+
+def bits_of_state(monitor: CheckedMonitor) -> int:
+    """Return the bits of a state for an object, in one reading: of the nodes and atoms, whether it
+    is there, and whether its verdict is out and new. Contract: `is_sliced`."""
+    compiler = Compiler(monitor)
+    nodes = len(compiler.program(has_two_readings=False).nodes)
+    return nodes * sliced_program.TABLES + 2 * len(compiler.atoms) + len(compiler.domains) + 2
 
 
 def is_sliced(monitor: CheckedMonitor) -> bool:
@@ -93,7 +101,7 @@ class SlicedEvaluator:
     that `MonitorEvaluator` keeps.
     """
 
-    def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
+    def __init__(self, monitor: CheckedMonitor, *, limit: int = MOST_STATES) -> None:
         self._monitor = monitor
         self._limit = limit
         self._sorts = sorts_of(monitor)

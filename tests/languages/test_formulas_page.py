@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from dyknow.languages.mtl import (
     parse_monitor,
 )
 from dyknow.languages.mtl.ast import Report
+from dyknow.languages.mtl.normal_form import normal_form
+from dyknow.languages.mtl.parser import parse_formula
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
@@ -103,7 +106,38 @@ def test_timelines_are_what_the_evaluator_gives(timeline: str) -> None:
 def test_examples_are_right(text: str) -> None:
     monitor = parse_monitor(text)
     assert parse_monitor(format_monitor(monitor)) == monitor
-    check_mtl(monitor, text, Engine(epoch="e1").ontology.vocabulary)
+    check_normal_form(text, Engine(epoch="e1").ontology.vocabulary)
+
+
+def check_normal_form(text: str, vocabulary: Vocabulary) -> str:
+    """Check a monitor and, instead of its formula, the normal form; return that."""
+    monitor = parse_monitor(text)
+    checked = check_mtl(monitor, text, vocabulary)
+    found = normal_form(checked.formula)
+    again = replace(monitor, formula=parse_formula(found))
+    assert check_mtl(again, found, vocabulary) == checked, found
+    return found
+
+
+@pytest.mark.parametrize(
+    ("formula", "normal"),
+    [
+        (
+            "speed(?x) >= 10 [m.s-1] -> eventually [0s, 2s] altitude(?x) - 1.5 < 3 [m] * 2",
+            "not dyknow:speed(?x) >= 36 [km.h-1] or eventually [0s, 2s] "
+            "dyknow:altitude(?x) - 1.5 < 3 * 2 * 3.2808398950131235",
+        ),
+        (
+            "forall ?y in Car (?x != ?y and not once [1s, 2s] speed(?y) = speed(car1))",
+            "forall ?y in dyknow:Car (?x != ?y and not once [1s, 2s] "
+            "dyknow:speed(?y) = dyknow:speed(dyknow:car1))",
+        ),
+        ("previous true since [0s, oo] not false", "previous true since not false"),
+    ],
+)
+def test_normal_forms(formula: str, normal: str) -> None:
+    text = f"monitor m(?x in UAV) = {formula} with report verdicts"
+    assert check_normal_form(text, Engine(epoch="e1").ontology.vocabulary) == normal
 
 
 @pytest.mark.parametrize("text", TEMPLATES)

@@ -13,7 +13,16 @@ from progression_definition import END, Progression, Trace, bound
 from witness_definition import Witness
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
-from dyknow.languages.mtl.checked import CheckedMonitor, Within
+from dyknow.languages.mtl.checked import (
+    Atom,
+    CheckedMonitor,
+    Constant,
+    Kind,
+    ObjectVariable,
+    Previous,
+    Reading,
+    Within,
+)
 from dyknow.reasoning.mtl import evaluator
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates
 from dyknow.reasoning.states.states import States, Values
@@ -77,8 +86,25 @@ def states_of(trace: Trace, table: dict, part: slice, objects: list[str]) -> Sta
     return States(valid, horizon, {SORT: objects}, {SORT: present}, values)
 
 
-def compared(seed: int, count: int, depth: int) -> int:
-    draw = Drawing(seed)
+class LongPast(Drawing):
+    """Formulas whose past often has no end."""
+
+    def interval(self) -> Interval:
+        if self.random.random() < 0.6:
+            return Interval(self.random.choice([0, 0, 1, 3]), None)
+        return super().interval()
+
+    def formula(self, depth: int, scope: list[str]):
+        found = super().formula(depth, scope)
+        if isinstance(found, Within) and not found.operator.is_past and self.random.random() < 0.7:
+            is_dual = found.operator is Temporal.ALWAYS
+            operator = Temporal.HISTORICALLY if is_dual else Temporal.ONCE
+            return Within(operator, found.interval, found.operand)
+        return found
+
+
+def compared(seed: int, count: int, depth: int, drawing: type[Drawing] = Drawing) -> int:
+    draw = drawing(seed)
     parameters = tuple((f"x{i}", SORT) for i in range(draw.random.choice([0, 1, 1, 2])))
     formula = draw.formula(depth, [name for name, _ in parameters])
     trace, table = draw.trace(count)
@@ -160,9 +186,54 @@ def test_long_traces(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert sum(compared(seed, 60, 2) for seed in seeds) > 300
 
 
+@pytest.mark.parametrize("block", range(4))
+def test_long_past(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a past without end some states are remembered."""
+    monkeypatch.setattr(evaluator, "CELLS", evaluator.CELLS if block % 2 else 4)
+    seeds = range(block * 60, block * 60 + 60)
+    assert sum(compared(seed, 24, 2, LongPast) for seed in seeds) > 500
+
+
+@pytest.mark.parametrize("operator", [Temporal.ONCE, Temporal.HISTORICALLY])
+def test_a_past_without_end_needs_two_states_of_an_object(operator: Temporal) -> None:
+    draw = Drawing(1)
+    atom = draw.atom(["x"])
+    while not isinstance(atom.left, Reading) or atom.left.feature != "urn:p":
+        atom = draw.atom(["x"])
+    formula = Within(operator, Interval(2, None), atom)
+    monitor = CheckedMonitor(
+        "m", (("x", SORT),), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
+    )
+    running = MonitorEvaluator(monitor)
+    trace, table = draw.trace(400)
+    for start in range(0, 400, 20):
+        running.push(states_of(trace, table, slice(start, start + 20), OBJECTS))
+        assert running.pending <= 2 + 2 * len(OBJECTS)
+
+
+def test_the_past_of_an_object_that_comes_later_is_unknown() -> None:
+    reading = Reading("urn:p", (ObjectVariable("x"),), Kind.TRUTH, None)
+    atom = Atom("=", reading, Constant(True, Kind.TRUTH))
+    formula = Within(Temporal.ONCE, Interval(2, None), atom)
+    monitor = CheckedMonitor(
+        "m", (("x", SORT),), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
+    )
+    running = MonitorEvaluator(monitor)
+
+    def verdicts(time: int, objects: list[str]) -> list[int]:
+        here = np.ones((1, len(objects)), np.bool_)
+        values = {("urn:p", (SORT,)): Values(~here, here)}
+        at = np.array([time])
+        return running.push(States(at, at, {SORT: objects}, {SORT: here}, values)).value.tolist()
+
+    # It is false at each state; those before an object came are unknown.
+    assert [verdicts(time, OBJECTS[:1]) for time in range(5)] == [[0]] * 5
+    assert [verdicts(time, OBJECTS[:2]) for time in range(5, 9)] == [[0, -1]] * 4
+
+
 def test_states_that_a_past_interval_without_end_keeps_are_limited() -> None:
     draw = Drawing(1)
-    formula = Within(Temporal.ONCE, Interval(0, None), draw.atom([]))
+    formula = Within(Temporal.ONCE, Interval(0, None), Previous(draw.atom([])))
     monitor = CheckedMonitor(
         "m", (), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
     )

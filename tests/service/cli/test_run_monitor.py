@@ -377,3 +377,51 @@ def test_objects_of_a_stream_that_has_ended_are_gone() -> None:
     assert verdicts(f"forall ?x in Vehicle {high}", recent) == ["false"] * 2 + ["true"] * 3
     longer = verdicts(f"exists ?x in Vehicle {low}", f"{recent}, present for 2s")
     assert longer == ["true"] * 4 + ["false"]
+
+
+@pytest.mark.parametrize(
+    ("formula", "normal", "verdict", "memory"),
+    [
+        (
+            "always [0s, 10s] (altitude(?x) > 3.048 [m] -> eventually [0s, 5s] altitude(?x) < 9) "
+            "with sample every 1s, max delay 2s",
+            "always [0s, 10s] (not dyknow:altitude(?x) > 10 [ft] or eventually [0s, 5s] "
+            "dyknow:altitude(?x) < 9 [ft])",
+            "at most 17s after the time of the start: 15s of intervals and 2s of max delay; ",
+            "at most 17 states, about 3.5 bytes of each for an object",
+        ),
+        (
+            "eventually [0s, 4s] altitude(?x) < 9 and once [1s, 3s] altitude(?x) < 9",
+            "eventually [0s, 4s] dyknow:altitude(?x) < 9 [ft] and once [1s, 3s] "
+            "dyknow:altitude(?x) < 9 [ft]",
+            "at most 4s after the time of the start; ",
+            "the states of 7s, about 85 bytes of each for an object",
+        ),
+        (
+            "historically altitude(?x) < 9",
+            "historically dyknow:altitude(?x) < 9 [ft]",
+            "with the state of its start; ",
+            "one state and 3 of the past without an end, about 34 bytes of each for an object",
+        ),
+        (
+            "true since altitude(?x) < 9",
+            "true since dyknow:altitude(?x) < 9 [ft]",
+            "with the state of its start; ",
+            "all states from the first on, about 51 bytes of each for an object; "
+            "the monitor fails with more than 1,000,000",
+        ),
+        (
+            "eventually altitude(?x) < 9 with once",
+            "eventually dyknow:altitude(?x) < 9 [ft]",
+            "an interval has no end, so some verdicts wait for the end of the streams; ",
+            "all states since the oldest start without a verdict, about 34 bytes of each for an "
+            "object; the monitor fails with more than 1,000,000",
+        ),
+    ],
+)
+def test_a_monitor_is_explained(formula: str, normal: str, verdict: str, memory: str) -> None:
+    made = dyknow.run(f"monitor m(?x in UAV) = {formula}", {"heights": ROWS}, ssl=SSL)
+    lines = [line.strip() for line in made.explain().splitlines()]
+    assert f"normal form  {normal}" in lines
+    assert f"memory       {memory}" in lines
+    assert any(line.startswith(f"a verdict    {verdict}") for line in lines), lines
