@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -33,7 +34,11 @@ def test_a_loop_is_compiled_again_when_what_it_calls_has_changed(tmp_path: Path)
     def told(part: str) -> str:
         (folder / "part.py").write_text(part)
         command = [sys.executable, "-c", "import rooms.inner.loop"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        # Python takes a module compiled before for current if its size and second are the same.
+        environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
         return done.stdout.strip()
 
     first = "FACTOR = 1\ndef part(x):\n    return x + 1\n"
