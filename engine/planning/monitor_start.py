@@ -16,10 +16,10 @@ from ...rdf.dictionary import TermDictionary
 from ...reasoning.mtl.evaluator import BYTES_OF_NODE, MOST_STATES
 from ...reasoning.mtl.formulas import (
     count_of,
-    is_of_one_object,
+    objects_have_states,
     past_reach_of,
     reach_of,
-    remembered_in,
+    remembered_by,
     sorts_of,
 )
 from ...reasoning.mtl.monitoring import VERDICT
@@ -104,7 +104,7 @@ class MonitorStarter:
                 objects=objects,
                 dictionary=self._dictionary,
                 text=free.text,
-                explanation=explain_monitor(monitor),
+                explanation=explain_monitor(monitor, has_own_states=True),
                 newest=self._configuration.newest_sample,
             )
 
@@ -162,8 +162,11 @@ class MonitorStarter:
         }
 
 
-def explain_monitor(monitor: CheckedMonitor) -> str:
-    """Describe the evaluation of a monitor before it starts."""
+def explain_monitor(monitor: CheckedMonitor, *, has_own_states: bool | None = None) -> str:
+    """Describe the evaluation of a monitor before it starts. ``has_own_states``: as for
+    `Monitoring`."""
+    if has_own_states is None:
+        has_own_states = objects_have_states(monitor)
     policy = monitor.policy
     delay = 0 if policy.max_delay is None else policy.max_delay
     is_approximate = policy.approximation is Approximation.MOST_RECENT
@@ -190,23 +193,20 @@ def explain_monitor(monitor: CheckedMonitor) -> str:
             f"a verdict    {latest}; reported are {monitor.report}"
             + (", with their robustness" if monitor.robustness else "")
             + (", of the first state alone" if monitor.once else ""),
-            f"memory       {_memory(monitor, reach)}",
+            f"memory       {_memory(monitor, reach, has_own_states)}",
         ]
     )
 
 
-def _memory(monitor: CheckedMonitor, reach: int | None) -> str:
+def _memory(monitor: CheckedMonitor, reach: int | None, has_own_states: bool) -> str:
     """How many states are kept at most, and the bytes of each. ``reach``: that of the formula."""
-    has_own_states = monitor.policy.period is None and is_of_one_object(monitor)
     if not has_own_states and is_sliced(monitor):
         size = bits_of_state(monitor) / 8
     else:
         size = float(BYTES_OF_NODE * count_of(monitor.formula))
     each = f"about {size:g} bytes of each for an object"
-    back, period = past_reach_of(monitor.formula), monitor.policy.period
-    remembered = len(remembered_in(monitor.formula))
-    if remembered and monitor.robustness:
-        back = None  # a margin is of all states
+    remembered, period = remembered_by(monitor), monitor.policy.period
+    back = past_reach_of(monitor.formula, remembered)
     if reach is None or back is None:
         why = (
             "since the oldest start without a verdict" if back is not None else "from the first on"
@@ -219,7 +219,7 @@ def _memory(monitor: CheckedMonitor, reach: int | None) -> str:
     else:
         states = f"at most {(reach + back) // period + 2:,} states"
     if remembered:
-        states += f" and {1 + 2 * remembered} of the past without an end"
+        states += f" and {1 + 2 * len(remembered)} of the past without an end"
     return f"{states}, {each}"
 
 

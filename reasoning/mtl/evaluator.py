@@ -15,8 +15,9 @@ lower one false and the upper one true.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import prod
 from typing import Any, Final, TypeAlias
 
@@ -34,14 +35,7 @@ from ...languages.mtl.checked import (
 from ...streams.sample import Mask, Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..states.states import States, Term
-from .formulas import (
-    earliest,
-    is_remembered,
-    looks_back,
-    reach_of,
-    remembered_in,
-    sorts_of,
-)
+from .formulas import earliest, looks_back, reach_of, remembered_by, sorts_of
 from .kept_states import KeptStates
 from .nodes import END, Pass, column, spread_node, terms_of
 from .robustness import Margins
@@ -141,8 +135,7 @@ class MonitorEvaluator:
         self._sorts = sorts_of(monitor)
         self._axes = tuple(sorted(name for name, _ in monitor.parameters))
         self._looks_back = looks_back(monitor.formula)
-        # A margin is the greatest, or least, of all states.
-        self._remembered = () if monitor.robustness else remembered_in(monitor.formula)
+        self._remembered = remembered_by(monitor)
         self._kept: KeptStates | None = None
         self._values: dict[str, NDArray[Any]] = {}
         """The values of parameters of the formula, by part."""
@@ -409,7 +402,7 @@ class MonitorEvaluator:
         oldest = np.minimum.reduceat(row, timelines.first)
         keep = oldest
         if self._looks_back:
-            keep = earliest(self._monitor.formula, oldest, self._back(once))
+            keep = earliest(self._monitor.formula, oldest, partial(self._back, once))
         if len(keep) == 1 and not self._remembered:
             return rows.take(slice(int(keep[0]), None)) if keep[0] else rows
         needed = np.arange(count) >= np.repeat(keep, np.diff(timelines.first, append=count))
@@ -420,11 +413,9 @@ class MonitorEvaluator:
             needed[_first_decided(formula, once)] = True
         return rows if needed.all() else rows.take(needed)
 
-    def _back(self, once: Pass) -> Callable[[Formula, Any], Any]:
-        """How far operators of the past look back, but for what is remembered."""
-        if not self._remembered:
-            return once.back
-        return lambda formula, rows: rows if is_remembered(formula) else once.back(formula, rows)
+    def _back(self, once: Pass, formula: Formula, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """As `Pass.back`, but for what is remembered."""
+        return rows if formula in self._remembered else once.back(formula, rows)
 
 
 class StateKeeper(MonitorEvaluator):

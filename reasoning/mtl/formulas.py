@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,6 +72,11 @@ def is_of_one_object(monitor: CheckedMonitor) -> bool:
     return all(reading.arguments == own for reading in readings_of(monitor.formula))
 
 
+def objects_have_states(monitor: CheckedMonitor) -> bool:
+    """Whether each object of a monitor has states of its own, at its own samples."""
+    return monitor.policy.period is None and is_of_one_object(monitor)
+
+
 def is_of_past(formula: Formula) -> bool:
     """Whether the formula's own operator is one of the past."""
     match formula:
@@ -106,11 +111,16 @@ def is_remembered(formula: Any) -> bool:
             return False
 
 
-def remembered_in(formula: Any) -> tuple[Within, ...]:
-    """Return the parts of a formula that are remembered."""
+def remembered_by(monitor: CheckedMonitor) -> tuple[Within, ...]:
+    """Return the parts of a monitor's formula that are remembered. A margin is the greatest, or
+    least, of all states: with robustness there are none."""
+    return () if monitor.robustness else _remembered_in(monitor.formula)
+
+
+def _remembered_in(formula: Any) -> tuple[Within, ...]:
     if is_remembered(formula):
         return (formula,)
-    return tuple(found for part in parts_of(formula) for found in remembered_in(part))
+    return tuple(found for part in parts_of(formula) for found in _remembered_in(part))
 
 
 def earliest(formula: Any, rows: Any, back: Callable[[Formula, Any], Any]) -> Any:
@@ -123,38 +133,37 @@ def earliest(formula: Any, rows: Any, back: Callable[[Formula, Any], Any]) -> An
     return rows
 
 
-def count_of(formula: Any) -> int:
+def subformulas(formula: Formula) -> tuple[Formula, ...]:
+    """Return the operands of a formula that are formulas themselves."""
+    return () if isinstance(formula, Atom) else parts_of(formula)
+
+
+def count_of(formula: Formula) -> int:
     """Return the number of operators and atoms."""
-    inner = () if isinstance(formula, Atom) else parts_of(formula)
-    return 1 + sum(map(count_of, inner))
-
-
-def past_reach_of(formula: Any) -> int | None:
-    """Return how long before its start (ns) a verdict looks back at most; None: no bound. The state
-    that `previous` looks at may be any time before, as may one that is remembered."""
-    if is_remembered(formula):
-        return 0
-    below = [past_reach_of(part) for part in parts_of(formula)]
-    if None in below:
-        return None
-    inner = max((each for each in below if each is not None), default=0)
-    match formula:
-        case Within(_, interval) | Until(_, interval) if is_of_past(formula):
-            return None if interval.end is None else interval.end + inner
-        case _:
-            return inner
+    return 1 + sum(map(count_of, subformulas(formula)))
 
 
 def reach_of(formula: Any) -> int | None:
     """Return how long after its start (ns) a verdict is decided at the latest; None: no bound."""
-    below = [reach_of(part) for part in parts_of(formula)]
+    return _reach(formula, is_past=False)
+
+
+def past_reach_of(formula: Any, remembered: Sequence[Formula]) -> int | None:
+    """Return how long before its start (ns) a verdict looks back at most; None: no bound. The state
+    that `previous` looks at may be any time before, as may those that are ``remembered``."""
+    return _reach(formula, is_past=True, without=remembered)
+
+
+def _reach(formula: Any, *, is_past: bool, without: Sequence[Formula] = ()) -> int | None:
+    """How far the intervals of the past, or of the future, reach together; None: no bound."""
+    if formula in without:
+        return 0
+    below = [_reach(part, is_past=is_past, without=without) for part in parts_of(formula)]
     if None in below:
         return None
     inner = max((each for each in below if each is not None), default=0)
     match formula:
-        case Within(operator, interval) if not operator.is_past:
-            return None if interval.end is None else interval.end + inner
-        case Until(False, interval):
+        case Within(_, interval) | Until(_, interval) if is_of_past(formula) is is_past:
             return None if interval.end is None else interval.end + inner
         case _:
             return inner

@@ -19,7 +19,7 @@ from ..states.part_states import CommonSteps, PartStates
 from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
 from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
-from .formulas import compares_objects, is_of_one_object
+from .formulas import compares_objects, objects_have_states
 from .sliced_evaluator import SlicedEvaluator, is_sliced
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
@@ -95,7 +95,7 @@ class Monitoring:
         self.monitor = monitor
         self._only = only
         if has_own_states is None:
-            has_own_states = monitor.policy.period is None and is_of_one_object(monitor)
+            has_own_states = objects_have_states(monitor)
         self.has_own_states = has_own_states
         self._evaluator = self._made_evaluator(decides)
         self.terms: tuple[Term, ...] = tuple(sorted(self._evaluator.terms))

@@ -36,9 +36,9 @@ from .formulas import (
     compares_objects,
     is_of_past,
     looks_back,
-    parts_of,
     readings_of,
     sorts_of,
+    subformulas,
 )
 
 TRUE, FALSE, NEW, BY_LEFT = range(4)
@@ -238,17 +238,13 @@ def is_sliced(monitor: CheckedMonitor) -> bool:
 def _looks_ahead(formula: Formula) -> bool:
     """Whether the formula has an operator of the future."""
     own = isinstance(formula, Within | Until) and not is_of_past(formula)
-    return own or any(map(_looks_ahead, _subformulas(formula)))
-
-
-def _subformulas(formula: Formula) -> tuple[Formula, ...]:
-    return () if isinstance(formula, Atom) else parts_of(formula)
+    return own or any(map(_looks_ahead, subformulas(formula)))
 
 
 def _atoms(formula: Formula) -> Iterator[Atom]:
     if isinstance(formula, Atom):
         yield formula
-    for part in _subformulas(formula):
+    for part in subformulas(formula):
         yield from _atoms(part)
 
 
@@ -256,7 +252,7 @@ def _free_variables(formula: Formula) -> set[str]:
     if isinstance(formula, Atom):
         arguments = (a for reading in readings_of(formula) for a in reading.arguments)
         return {each.name for each in arguments if isinstance(each, ObjectVariable)}
-    free: set[str] = set().union(*map(_free_variables, _subformulas(formula)))
+    free: set[str] = set().union(*map(_free_variables, subformulas(formula)))
     return free - {formula.variable} if isinstance(formula, Quantified) else free
 
 
@@ -265,13 +261,13 @@ def _has_narrow_parts(formula: Formula) -> bool:
     free = _free_variables(formula)
     if isinstance(formula, Quantified) and free:
         return False
-    return len(free) < 2 and all(map(_has_narrow_parts, _subformulas(formula)))
+    return len(free) < 2 and all(map(_has_narrow_parts, subformulas(formula)))
 
 
 def _has_bounded_past(formula: Formula) -> bool:
     if isinstance(formula, Within | Until) and is_of_past(formula) and formula.interval.end is None:
         return False
-    return all(map(_has_bounded_past, _subformulas(formula)))
+    return all(map(_has_bounded_past, subformulas(formula)))
 
 
 def _is_witnessed_by_bits(formula: Formula, *, in_quantifier: bool) -> bool:
@@ -279,7 +275,7 @@ def _is_witnessed_by_bits(formula: Formula, *, in_quantifier: bool) -> bool:
     `previous` may have been decided by states at different times before."""
     match formula:
         case Not() | And() | Or():
-            parts = _subformulas(formula)
+            parts = subformulas(formula)
             return all(_is_witnessed_by_bits(each, in_quantifier=in_quantifier) for each in parts)
         case Previous(operand):
             return not (looks_back(operand) or _looks_ahead(operand) or bound_sorts(operand))

@@ -46,7 +46,7 @@ MUTANTS = (
     # Unknown needs both readings.
     ("mtl/evaluator.py", "np.maximum(lower.false, upper.true)", "np.minimum(lower.false, upper.true)", PROGRESSION),
     # States that a later verdict needs are kept.
-    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, self._back(once))", "pass", PROGRESSION),
+    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, partial(self._back, once))", "pass", PROGRESSION),
     # Of a past without end the first state that decides it is remembered, in each reading; and the first of all.
     ("mtl/evaluator.py", "(False,) if once.is_known(formula) else (False, True)", "(False,)", PROGRESSION),
     ("mtl/evaluator.py", "needed[timelines.first] = True", "pass", PROGRESSION),
