@@ -207,6 +207,8 @@ class StringPool:
 
 _EACH: Final = 256
 """One text of so many is sampled, by its hash."""
+_FEWEST: Final = 4
+"""Sampled texts from which on a share is estimated: one alone would say all or nothing."""
 _GHOSTS: Final = 1024
 """Hashes that are remembered: those of the last 262,144 forgotten texts."""
 
@@ -230,9 +232,12 @@ class Ghosts:
             del self._hashes[next(iter(self._hashes))]
 
     def share(self, pool: StringPool) -> float:
-        """The estimated share of the texts of ``pool`` that had been forgotten."""
+        """The estimated share of the texts of ``pool`` that had been forgotten; 0 if too few are
+        sampled to tell."""
         sampled = _sampled(pool)
-        return sum(each in self._hashes for each in sampled) / max(1, len(sampled))
+        if len(sampled) < _FEWEST:
+            return 0.0
+        return sum(each in self._hashes for each in sampled) / len(sampled)
 
 
 def _sampled(pool: StringPool) -> list[int]:

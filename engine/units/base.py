@@ -185,11 +185,8 @@ class ComputationalUnit(ABC):
         self._idle = [source for source in running if source.is_idle]
         others = [source for source in running if not source.is_idle]
         if self._idle and self.waits_for_all:
-            watermarks = [self._watermarks[one] for one in others if one in self._watermarks]
-            if not others:
-                watermarks = list(self._watermarks.values())
-            if watermarks and len(watermarks) >= len(others):
-                watermark = min(watermarks) if others else max(watermarks)
+            watermark = _past_idle(self._watermarks, others)
+            if watermark is not None:
                 if self._until is not None:
                     watermark = min(watermark, self._until)
                 for source in self._idle:
@@ -276,6 +273,16 @@ class ComputationalUnit(ABC):
                 return None
         return least
 
+    def watermark_if_new(self, source: StreamGenerator) -> int | None:
+        """Return the watermark that a unit which starts now has of an input; None: none yet."""
+        own = {each: each.watermark for each in self.sources}
+        known = {each: time for each, time in own.items() if time is not None}
+        if not source.is_idle:
+            return own[source]
+        others = [each for each in self.sources if not each.is_ended and not each.is_idle]
+        passed = _past_idle(known, others)
+        return passed if source not in known or passed is None else max(known[source], passed)
+
     @property
     def waits_for(self) -> tuple[StreamGenerator, ...]:
         """Inputs without a watermark that have not ended and are not idle. The unit decides nothing
@@ -307,8 +314,16 @@ class ComputationalUnit(ABC):
         whichever of them ended first."""
         if self.all_ended:
             if self._watermarks:
-                self.output.advance(max(self.last_processed + 1, *self._watermarks.values()))
+                self.output.advance(max(self._after_newest, *self._watermarks.values()))
             self.output.end()
+
+    @property
+    def _after_newest(self) -> int:
+        """The available time (ns) after the newest samples of the inputs, also of those that were
+        there before this unit: it then ends where an older unit does."""
+        times = [one.stream.last_available for one in self.sources]
+        newest = max((time for time in times if time is not None), default=TIME_MIN)
+        return min(newest, TIME_MAX - 1 if self._until is None else self._until) + 1
 
     def _guarded(self, work: Callable[[], None]) -> None:
         if self.failure is not None:
@@ -390,3 +405,14 @@ class ComputationalUnit(ABC):
         # A unit may fail on the past, before it has subscribed to anything.
         while self._subscribed:
             self._subscribed.pop().unsubscribe(self)
+
+
+def _past_idle(
+    watermarks: Mapping[StreamGenerator, int], others: Sequence[StreamGenerator]
+) -> int | None:
+    """How far a unit goes past its idle inputs: to the least watermark of the ``others`` that run,
+    to the greatest of all if none does; None while one of them has no watermark yet."""
+    if not others:
+        return max(watermarks.values(), default=None)
+    known = [watermarks[one] for one in others if one in watermarks]
+    return min(known) if len(known) == len(others) else None

@@ -132,9 +132,8 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         """Whether every sample in time for its input is in time for the windows. It is not if an
         input has ended, which closed all windows, and goes on."""
         for source in self.sources:
-            limit, watermark = self.evaluator.limit(source.name), source.watermark
-            is_late = limit is not None and (watermark is None or limit >= watermark)
-            if is_late and not source.is_idle:
+            limit, watermark = self.evaluator.limit(source.name), self.watermark_if_new(source)
+            if limit is not None and (watermark is None or limit >= watermark):
                 return False
         return True
 

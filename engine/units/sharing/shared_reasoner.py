@@ -182,10 +182,11 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
         """Whether a new instance would be as a unit of its own. It would not if this unit did not
         wait for an input that has gone on since: samples may be late for it that come in time for a
         new unit."""
-        return all(
-            source.is_idle or self._watermarks.get(source, TIME_MIN) <= _watermark_of(source)
-            for source in self.sources
-        )
+        for source in self.sources:
+            known, fresh = self._watermarks.get(source), self.watermark_if_new(source)
+            if known is not None and (fresh is None or known > fresh):
+                return False
+        return True
 
     def past_of_part(
         self, number: int, since: Mapping[StreamGenerator, int]
@@ -235,9 +236,9 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
         self.promise_to_followed()
 
     def ended(self, source: StreamGenerator) -> None:
-        # As a unit that selects an object's samples ends its stream: after the last one it read.
+        # As a unit that selects an object's samples ends its stream: after the newest sample.
         last = source.stream.last_available
-        if source in self._first and last is not None:
+        if last is not None:
             self.advance(source, min(last, TIME_MAX - 1) + 1)
         super().ended(source)
 
@@ -290,7 +291,3 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
             instance.emit(of_instance(rows, instance))
         (last,) = self.output.stamps_at(available.max(keepdims=True))
         self.emit_tally(int(last), int(valid.max()), len(numbers))
-
-
-def _watermark_of(source: StreamGenerator) -> int:
-    return TIME_MIN if source.watermark is None else source.watermark

@@ -205,6 +205,8 @@ def test_sharing_a_pattern_changes_nothing(seed):
 
 @settings(deadline=None, max_examples=100)
 @given(st.integers(0, 2**32))
+# A request that comes while all streams are idle, one of which ends.
+@example(85588)
 def test_sharing_a_formula_changes_nothing(seed):
     compared(seed, is_formula=True)
 

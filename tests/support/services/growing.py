@@ -50,9 +50,14 @@ def _parts(each: object) -> Iterator[tuple[str, object]]:
 
 
 def grown(before: Sequence[Counter[str]], after: Sequence[Counter[str]]) -> int:
-    """How many entries more there are ``after`` than ``before`` at least, of several looks each:
-    what goes on just now is in some of them."""
-    return min(each.total() for each in after) - min(each.total() for each in before)
+    """How many entries more there are ``after`` than ``before``, of several looks each. Of each
+    kind the least counts: what goes on just now is in some looks, and what is forgotten in jumps
+    rises and falls."""
+    return _least(after) - _least(before)
+
+
+def _least(looks: Sequence[Counter[str]]) -> int:
+    return sum(min(look[kind] for look in looks) for kind in looks[0])
 
 
 def growth(before: Counter[str], after: Counter[str]) -> list[tuple[str, int]]:
