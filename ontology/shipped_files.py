@@ -12,6 +12,9 @@ from . import graphs
 from .texts.reading import read_triples
 
 _HERE = Path(__file__).parent
+SHIPPED_CLOSURE = _HERE / "closure.nt"
+"""The triples that the shipped ontologies entail. The first line is a comment with their key
+(`closure.closure_key`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,11 @@ def shipped_ontologies() -> tuple[ShippedOntology, ...]:
         ShippedOntology(graphs.DOMAIN_ONTOLOGY, _HERE / "domain.ttl"),
         *(ShippedOntology(NamedNode(graphs.ALIGNMENTS + f.stem), f) for f in alignments),
     )
+
+
+def shipped_hashes() -> dict[str, str]:
+    """Return the hash of each shipped ontology's text, by its graph."""
+    return {each.graph.value: text_hash(each.text()) for each in shipped_ontologies()}
 
 
 def is_shipped(graph: NamedNode) -> bool:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import rdflib
 from pyoxigraph import Triple
 
-from .entailment.closure import to_rdflib
 from .shipped_files import shapes_text
 
-_SH = rdflib.Namespace("http://www.w3.org/ns/shacl#")
+if TYPE_CHECKING:
+    import rdflib
+
+_SHACL = "http://www.w3.org/ns/shacl#"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +37,11 @@ class ShaclReport:
 
 def validate(triples: Iterable[Triple]) -> ShaclReport:
     """Check closed triples against shapes.ttl. Nothing is fetched or inferred."""
-    # Imported here: pyshacl takes a third of a second, and only interactive requests need it.
+    # Imported here: they take half a second, and only interactive requests need them.
     import pyshacl
+    import rdflib
+
+    from .entailment.owlrl_closure import to_rdflib
 
     data = rdflib.Graph()
     for triple in triples:
@@ -49,10 +54,13 @@ def validate(triples: Iterable[Triple]) -> ShaclReport:
 
 
 def _violations(report: rdflib.Graph) -> list[Violation]:
+    from rdflib import RDF, Namespace
+
+    sh = Namespace(_SHACL)
     found = []
-    for result in report.subjects(rdflib.RDF.type, _SH.ValidationResult):
-        node, path = report.value(result, _SH.focusNode), report.value(result, _SH.resultPath)
-        message = report.value(result, _SH.resultMessage)
+    for result in report.subjects(RDF.type, sh.ValidationResult):
+        node, path = report.value(result, sh.focusNode), report.value(result, sh.resultPath)
+        message = report.value(result, sh.resultMessage)
         found.append(
             Violation(str(node), None if path is None else str(path), str(message or "refused"))
         )

@@ -4,6 +4,7 @@
 soak-patterns`` draws a multiple of them.
 """
 
+import gc
 from collections.abc import Iterator
 
 import pytest
@@ -25,6 +26,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if share != 1 and known is not None:
             count = max(1, round(share * known.max_examples))
             law._hypothesis_internal_use_settings = settings(known, max_examples=count)
+
+
+def pytest_collection_finish() -> None:
+    # Modules and tests are no garbage: full collections need not walk them.
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -30,9 +30,9 @@ from ...languages.errors import LanguageError
 from ...languages.specification import parse_specification
 from ...languages.specification.markup import NAMESPACE
 from ...ontology.churn import Churn
-from ...ontology.entailment.closure import closure_of
 from ...ontology.entailment.closure_queries import answer
 from ...ontology.entailment.deep_hierarchies import MARKERS
+from ...ontology.entailment.owlrl_closure import closure_of
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.texts.query_guard import Dataset, check_user_query
 from ...ontology.texts.reading import TextFormat, nquads_of_json_ld, read_triples

@@ -8,9 +8,11 @@ import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
 from dyknow.continuous.operators.background import Background
+from dyknow.ontology.entailment.closure import closure_key, shipped_closure
+from dyknow.ontology.entailment.owlrl_closure import closure_of
 from dyknow.ontology.errors import OntologyError, QueryRefused
 from dyknow.ontology.ontology import Ontology
-from dyknow.ontology.shipped_files import shipped_ontologies
+from dyknow.ontology.shipped_files import shipped_hashes, shipped_ontologies
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, RDFS, STREAM_SPACE
 
 LISTING_2 = """:dyknow_cul a :ComputationalUnit ;
@@ -66,6 +68,14 @@ def column(ontology: Ontology, query: str) -> set[str]:
 def plain() -> Ontology:
     """As shipped; tests that change something open their own."""
     return Ontology.open()
+
+
+def test_the_closure_in_the_package_is_that_of_its_ontologies() -> None:
+    shipped = shipped_closure(closure_key(shipped_hashes()))
+    asserted = frozenset().union(*(ontology.triples() for ontology in shipped_ontologies()))
+    again = "write it: python -m dyknow.ontology.entailment.owlrl_closure"
+    assert shipped == closure_of(asserted), again
+    assert shipped_closure("of other ontologies") is None
 
 
 def test_every_term_of_the_papers_is_there(plain: Ontology) -> None:

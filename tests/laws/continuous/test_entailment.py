@@ -19,7 +19,7 @@ from dyknow.continuous.algebra.options import Options, Semantics
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
-from dyknow.ontology.entailment.closure import closure_of, owlrl_closure
+from dyknow.ontology.entailment.owlrl_closure import closure_of, owlrl_closure
 from dyknow.ontology.entailment.rules import Rules
 from dyknow.rdf.dictionary import NO_TERM, Term, TermDictionary
 from dyknow.rdf.namespaces import OWL, RDF_TYPE, RDFS

@@ -12,9 +12,9 @@ from pyoxigraph import NamedNode, Quad, QueryBoolean, QuerySolutions, Store
 
 from dyknow.continuous.operators.background import Background
 from dyknow.ontology.entailment import deep_hierarchies
-from dyknow.ontology.entailment.closure import closure_of
 from dyknow.ontology.entailment.closure_queries import QueryResults, answer
 from dyknow.ontology.entailment.deep_hierarchies import MARKERS, deep_kinds
+from dyknow.ontology.entailment.owlrl_closure import closure_of
 from dyknow.ontology.errors import OntologyError
 from dyknow.ontology.graphs import ENTAILMENTS
 from dyknow.rdf.namespaces import DYKNOW, OWL, RDF_TYPE, RDFS

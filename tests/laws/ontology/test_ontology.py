@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from dyknow.ontology.entailment.closure import cached_closure, closure_of, owlrl_closure
+from dyknow.ontology.entailment.closure import cached_closure
 from dyknow.ontology.entailment.hierarchy import Hierarchy
+from dyknow.ontology.entailment.owlrl_closure import closure_of, owlrl_closure
 from dyknow.ontology.entailment.rules import Entailments, Rules
 from dyknow.ontology.entailment.separation import Separation
 from dyknow.ontology.errors import OntologyError
