@@ -30,6 +30,9 @@ _LEAST: Final = 2.0**-1022
 _LONG: Final = 300
 """A number closer to 0 has an exponent, or more characters."""
 _ZEROS: Final = b"0" * _LONG
+_MINUS, _EXPONENT, _LOWER = ord("-"), ord("e"), 0x20
+_SHORT: Final = 4096
+"""Characters of a text up to which plain Python is faster than numpy."""
 _FEW: Final = 16
 """Values up to which plain Python is faster than numpy."""
 
@@ -100,7 +103,14 @@ def _may_be_small(spelling: str) -> bool:
 
 def has_small(data: bytes) -> bool:
     """Whether a JSON text may have a number closer to 0 than doubles have digits."""
-    return b"e-" in data or b"E-" in data or _ZEROS in data
+    if _ZEROS in data:
+        return True
+    if len(data) < _SHORT:
+        return b"e-" in data or b"E-" in data
+    # numpy finds the few minus signs five times as fast as Python finds two characters.
+    texts = np.frombuffer(data, np.uint8)
+    before = texts[np.flatnonzero(texts[1:] == _MINUS)]
+    return bool(((before | _LOWER) == _EXPONENT).any())
 
 
 def rounded_lines(data: bytes, batch: SampleBatch) -> Rounded | None:

@@ -136,19 +136,24 @@ def _served(
             follow = threading.Thread(target=_follow, args=(client.base_url.netloc, streams[-1]))
             follow.daemon = True
             follow.start()
-    time.sleep(2 * QUIET)
-    begun = cpu_seconds(served.process)
+    begun = _spent_at_rest(served)
     kind = {"Content-Type": "application/x-ndjson"}
     for body in bodies:
         while client.post("/streams/adsb/samples", content=body, headers=kind).status_code == 429:
             time.sleep(QUIET)
-    spent, before = cpu_seconds(served.process), begun
+    spent = _spent_at_rest(served)
+    views = [client.get(f"/streams/{stream}").json() for stream in streams]
+    return spent - begun, sum(view["counters"]["used"] for view in views)
+
+
+def _spent_at_rest(served: Served) -> float:
+    """Wait until a service does nothing more; return the processor seconds it has taken."""
+    before, spent = 0.0, cpu_seconds(served.process)
     while spent > before + 0.05:
         before = spent
         time.sleep(QUIET)
         spent = cpu_seconds(served.process)
-    views = [client.get(f"/streams/{stream}").json() for stream in streams]
-    return spent - begun, sum(view["counters"]["used"] for view in views)
+    return spent
 
 
 def _follow(address: bytes, stream: str) -> None:

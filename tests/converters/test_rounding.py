@@ -48,6 +48,8 @@ NUMBERS = INTEGERS | TINY | DOUBLES | st.sampled_from(["null", "0", "-0.0", "0e-
 @example([("1", "9007199254740992"), ("1e-400", "1e300")])
 @example([("0", "0"), ("0", "11009960943271584e-290")])
 @example([("0." + "0" * 400 + "1", "1")])
+@example([("0", "-1")] * 200 + [("1e-400", "1")])
+@example([("0", "-1")] * 200 + [("1", "1E-400")])
 def test_it_is_as_defined(rows: list[tuple[str, str]]) -> None:
     lost = [
         (line, name)
