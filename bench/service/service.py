@@ -38,8 +38,8 @@ ROOT = Path(__file__).parents[2]
 REPEATS = 6
 BATCH = 5_000
 RUNS = 3
-SENT = 1_000
-"""Samples a request over HTTP."""
+SENT = 5_000
+"""Samples a request over HTTP, as `dyknow replay` sends them."""
 QUIET = 0.5
 """Seconds without work after which a service has done all."""
 
