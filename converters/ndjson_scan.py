@@ -176,7 +176,7 @@ def _decode(raw: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incomin
     keys = np.frombuffer(b"".join(names), np.uint8)
     # The shortest line has two braces, and per key but `available` a name, four signs, a value.
     shortest = 2 + int(offsets[-2]) + 5 * (len(names) - 1) - 1
-    shape = (len(names), min(np.count_nonzero(data == LF), len(raw) // shortest) + 1)
+    shape = (len(names), min(int(np.count_nonzero(data == LF)), len(raw) // shortest) + 1)
     starts, ends = np.empty(shape, np.int32), np.empty(shape, np.int32)
     order = np.arange(len(names), dtype=np.int64)
     seen = np.full(len(names), -1, np.int64)

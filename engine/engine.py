@@ -29,7 +29,7 @@ from ..reasoning.mtl.explanation import Explanation as VerdictExplanation
 from ..reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
 from ..streams.generator import StreamGenerator
 from ..streams.instants import PlacesOf, places_in_instants
-from ..streams.sample import SampleBatch
+from ..streams.sample import Mask, SampleBatch
 from ..streams.stream_rules import INSTANTS
 from ..streams.time import SECOND, TIME_MIN
 from .catalog.iri_annotations import DescribedStream, DescribedTransformation
@@ -385,6 +385,12 @@ class Engine:
         answer that it is; the subject of a statement. None: it has no objects that are known.
         Raises `UnknownStream`."""
         return self._parts.object_fields(self._parts.configuration.stream(name))
+
+    def rows_about(self, name: str, object: str) -> Callable[[SampleBatch], Mask]:
+        """Return a function from samples of a stream to the rows that are about an object, named as
+        in `object_iri`. Raises `UnknownStream`, and `Conflict` if its objects are not known."""
+        stream = self._parts.configuration.stream(name)
+        return self._parts.rows_about(stream, self.object_iri(object))
 
     # -- templates ---------------------------------------------------------------------------
 

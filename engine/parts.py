@@ -11,21 +11,23 @@ from ..converters.to_triples import ToTriples
 from ..languages.ssl.annotation import Content, StreamAnnotation, id_fields
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import shorten
+from ..rdf.namespaces import DYKNOW, shorten
 from ..streams.generator import StreamGenerator
+from ..streams.sample import Mask, SampleBatch
 from ..templates.library import TemplateLibrary
 from .catalog.annotations import Annotations
 from .catalog.declared_streams import DeclaredStreams
-from .catalog.known_objects import KnownObjects
+from .catalog.known_objects import KnownObjects, rows_about, statements_about
 from .catalog.registered_transformations import RegisteredTransformations
 from .catalog.semantics_manager import SemanticsManager
 from .catalog.transformation_library import Transformations
 from .configuration.configuration import Configuration
 from .configuration.idle_streams import Idleness
 from .configuration.ingest import Intake
-from .configuration.policy_keys import policy_keys
+from .configuration.policy_keys import contents_before_policies, policy_keys
 from .kpl.application import Application
 from .kpl.declarations import KplDeclarations
+from .model.errors import Conflict
 from .model.status_changes import Change, ChangeKind
 from .model.status_stream import RETENTION, SCHEMA, STATUS, StatusStream
 from .planning.plan_execution import Plans
@@ -283,13 +285,35 @@ class Parts:
         name = generator.name
         if name in self.configuration.statements:
             return (SUBJECT,)
-        annotation = self._annotation_of_answer(name)
-        if annotation is not None:
-            return id_fields(annotation.contents)
-        converter = self._query_converter(name)
-        if converter is not None:
-            return id_fields(converter.annotation.contents)
+        contents = self._contents_of_answer(name)
+        if contents is not None:
+            return id_fields(contents)
         return policy_keys(self.configuration, generator)
+
+    def rows_about(self, generator: StreamGenerator, iri: str) -> Callable[[SampleBatch], Mask]:
+        """Return a function from samples of a stream to those that are about an object. Raises
+        `Conflict` for a stream whose objects are not known."""
+        name = generator.name
+        if name in self.configuration.statements:
+            return lambda batch: statements_about(batch, iri)
+        contents = self._contents_of_answer(name)
+        if contents is None:
+            contents = contents_before_policies(self.configuration, generator)
+        if not contents:
+            raise Conflict(
+                f"what the samples of {name!r} are about is not known",
+                "annotate the stream",
+            )
+        namespace = self.configuration.namespaces.get(name, DYKNOW)
+        return lambda batch: rows_about(batch, contents, iri, namespace)
+
+    def _contents_of_answer(self, name: str) -> tuple[Content, ...] | None:
+        """What the samples of an answer or of a query's results contain; None: it is neither."""
+        annotation = self._annotation_of_answer(name)
+        if annotation is None:
+            converter = self._query_converter(name)
+            annotation = None if converter is None else converter.annotation
+        return None if annotation is None else annotation.contents
 
     def _annotation_of_answer(self, name: str) -> StreamAnnotation | None:
         """The annotation by which the samples of an answer convert to triples."""

@@ -9,12 +9,13 @@ itself.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...converters.objects import object_iri, spellings
+from ...converters.rdf.statements import SUBJECT
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...ontology.ontology import Ontology
 from ...streams.sample import Column, Mask, SampleBatch, Value
@@ -143,6 +144,22 @@ class KnownObjects:
                     )
                 )
         return (frozenset(sorts), values) if is_known else None
+
+
+def rows_about(batch: SampleBatch, contents: Iterable[Content], iri: str, namespace: str) -> Mask:
+    """The rows of a stream with these ``contents`` in which one of them is about the object."""
+    about = np.zeros(len(batch), np.bool_)
+    for content in contents:
+        about |= _about(batch, content, iri, namespace)[0]
+    return about
+
+
+def statements_about(batch: SampleBatch, iri: str) -> Mask:
+    """The rows of a stream of RDF whose subject is the object."""
+    column = batch.columns[SUBJECT]
+    assert column.pool is not None
+    found: Mask = column.values == column.pool.find(f"<{iri}>")
+    return found
 
 
 def _about(batch: SampleBatch, content: Content, iri: str, namespace: str) -> tuple[Mask, set[str]]:

@@ -24,10 +24,17 @@ def policy_keys(configuration: Configuration, source: StreamGenerator) -> tuple[
     objects. Without any it holds for the whole stream."""
     if not configuration.rules.separates_objects:
         return ()
-    # The output of a policy has the contents of its input, so look there for the annotation.
+    return id_fields(contents_before_policies(configuration, source))
+
+
+def contents_before_policies(
+    configuration: Configuration, source: StreamGenerator
+) -> tuple[Content, ...]:
+    """Return the contents of a stream by its annotation; of a policy's output those of its
+    input."""
     while True:
         contents = annotated_contents(configuration, source.name)
         unit = configuration.units.get(source.name)
         if contents or unit is None or unit.transformation != POLICY:
-            return id_fields(contents)
+            return contents
         source = unit.inputs[0]

@@ -230,10 +230,10 @@ class Routes:
         **query: str | int | Sequence[str] | None,
     ) -> Flow[History]:
         """Return samples of the history by available time, with valid times from ``valid_from`` to
-        ``valid_to``, and with only some ``fields``. With ``every`` (``"10s"``) return a row for
-        each object and interval: the last sample, and minimum and maximum of each number. Or one of
-        these queries: ``at`` or ``before`` (with ``known``), ``prev``, ``last_avail`` [DyKnow10
-        Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
+        ``valid_to``, about an ``object``, and with only some ``fields``. With ``every`` (``"10s"``)
+        return a row for each object and interval: the last sample, and minimum and maximum of each
+        number. Or one of these queries: ``at`` or ``before`` (with ``known``), ``prev``,
+        ``last_avail`` [DyKnow10 Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
 
         Raises `ServiceError` 410 if the result depends on evicted samples.
         """
@@ -835,7 +835,7 @@ def _history(
 
 
 _HISTORY_PARAMETERS: Final = frozenset(
-    {"start", "end", "valid_from", "valid_to", "limit", "fields", "every"}
+    {"start", "end", "valid_from", "valid_to", "limit", "object", "fields", "every"}
     | {"at", "before", "prev", "last_avail", "known"}
 )
 

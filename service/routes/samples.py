@@ -68,6 +68,9 @@ class HistoryParameters:
     known: Annotated[
         Time, Query(description="with `at` or `before`: only samples available by then")
     ] = None
+    object: Annotated[
+        str | None, Query(description="of a range: only the samples about this object")
+    ] = None
     fields: Annotated[
         list[str] | None, Query(description="only these fields, not as RDF: `fields=id,spd`")
     ] = None
@@ -83,7 +86,7 @@ class HistoryParameters:
 @router.get(
     "/streams/{name}/samples",
     response_class=Response,
-    responses=CONTENT | responses(404, 406, 410, 422),
+    responses=CONTENT | responses(404, 406, 409, 410, 422),
 )
 async def read_samples(
     name: str,
@@ -94,7 +97,7 @@ async def read_samples(
     """Return the samples of the history with available time from `from` to `to` and valid time from
     `valid_from` to `valid_to`, inclusive. With `every` minimum, maximum and last value of each
     interval, for plots; `limit` then counts rows, and the oldest ones come with the rest of their
-    last interval.
+    last interval. With `object` only the samples about it; 409 if the objects are not known.
 
     A long response comes in pieces; the service encodes each after the client has read the previous
     one.
@@ -109,11 +112,18 @@ async def read_samples(
     fields = chosen_fields(parameters.fields, stream.schema.names, repr(name))
     kind = accepted(request, FORMATS if intervals is None and fields is None else TABLES)
     limit = parameters.limit or service.settings.history_limit
-    query = _history_query(parameters, limit if intervals is None else None)
+    about = (
+        None if parameters.object is None else service.engine.rows_about(name, parameters.object)
+    )
+    query = _history_query(parameters, limit if intervals is None and about is None else None)
     # No limit on long responses applies yet (service/http/response_limit), so few histories are
     # looked up at a time: many simultaneous requests then need no more memory than that limit.
     async with service.histories:
         batch = query(stream)
+        if about is not None:
+            batch = batch.take(about(batch))
+            if intervals is None:
+                batch = _at_most(limit, batch, parameters)
         if intervals is not None:
             batch = await intervals.downsampled(batch, fields, limit)
         elif fields is not None:
@@ -169,6 +179,18 @@ def _intervals(name: str, service: Service, parameters: HistoryParameters) -> _I
     return _Intervals(name, service.engine.object_fields(name), every, newest)
 
 
+def _at_most(limit: int, batch: SampleBatch, parameters: HistoryParameters) -> SampleBatch:
+    """Return what `past_queries.between` leaves of a range that is too long."""
+    if len(batch) <= limit:
+        return batch
+    if parameters.start is None and parameters.valid_from is None:
+        return batch.take(slice(len(batch) - limit, None))
+    if parameters.valid_from is not None or parameters.valid_to is not None:
+        return batch.take(slice(0, limit))
+    instant = batch.available[limit - 1]
+    return batch.take(slice(0, int(batch.available.searchsorted(instant, "right"))))
+
+
 def _triples(service: Service, name: str, batch: SampleBatch, places: PlacesOf) -> list[str]:
     try:
         return service.engine.rdf_of(name, batch, places)
@@ -195,6 +217,13 @@ def _history_query(
             "wrong arguments",
             f"`{next(iter(times))}` excludes all other queries",
             hint="send one of at, before, prev, last_avail; or a range",
+        )
+    if times and parameters.object is not None:
+        raise Problem(
+            400,
+            "wrong arguments",
+            f"`object` is for a range, not for `{next(iter(times))}`",
+            hint="send a range, such as valid_to, with limit=1 for the newest sample",
         )
     if known is not None and not times.keys() & {"at", "before"}:
         raise Problem(400, "wrong arguments", "`known` requires `at` or `before`")

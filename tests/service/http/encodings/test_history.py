@@ -190,6 +190,41 @@ def test_what_has_no_intervals_is_refused(
     assert http.get(f"/streams/s/samples?every=1s&valid_to={13 * SECOND}").status_code == 200
 
 
+def test_a_range_may_be_of_one_object(http: httpx.Client, plotted: Client) -> None:
+    whole = plotted.history("s")
+    mine = [row for row in whole if row["id"] == "a"]
+    assert 1 < len(mine) < len(whole)
+    for name in ("a", "dyknow:a", "<http://www.ida.liu.se/dyknow/a>"):
+        assert plotted.history("s", object=name) == mine
+    # The limit counts what is left: the newest ones, or the oldest from a time on.
+    assert plotted.history("s", object="a", limit=2) == mine[-2:]
+    assert plotted.history("s", object="a", limit=2, start=0) == mine[:2]
+    assert plotted.history("s", object="a", limit=2, valid_from=2 * SECOND) == mine[2:4]
+    in_intervals = plotted.history("s", every="10s")
+    assert plotted.history("s", object="a", every="10s") == [
+        row for row in in_intervals if row["id"] == "a"
+    ]
+    assert plotted.history("s", object="nobody") == []
+    refused = http.get("/streams/s/samples?object=a&at=5")
+    assert (refused.status_code, refused.json()["hint"][:12]) == (400, "send a range")
+    plotted.put_stream("t", {"v": "float"})
+    assert http.get("/streams/t/samples?object=a").status_code == 409
+
+
+def test_a_range_of_answers_and_of_rdf_may_be_of_one_object(
+    http: httpx.Client, plotted: Client
+) -> None:
+    request = plotted.subscribe_to("dyknow:speed", sort="dyknow:UAV", since="start")
+    rows = plotted.history(request["stream"], object="a")
+    assert [row["object"] for row in rows] == ["a"] * 7
+    http.put("/streams/facts", json={"kind": "rdf"}).raise_for_status()
+    lines = "<x:a> <x:p> <x:b> .\n<x:b> <x:p> <x:a> .\n"
+    headers = {"Content-Type": NTRIPLES}
+    http.post("/streams/facts/samples", content=lines, headers=headers).raise_for_status()
+    (row,) = plotted.history("facts", object="x:a")
+    assert row["subject"] == "<x:a>"
+
+
 def test_a_history_may_have_only_some_fields(http: httpx.Client, plotted: Client) -> None:
     rows = plotted.history("s", limit=2, fields="mode,id")
     assert [list(row) for row in rows] == [["available", "valid", "mode", "id"]] * 2
