@@ -17,7 +17,7 @@ from ...streams import past_queries
 from ...streams.downsampling import downsampled, name_clash
 from ...streams.history import FluentStream
 from ...streams.instants import PlacesOf
-from ...streams.sample import SampleBatch
+from ...streams.sample import Mask, SampleBatch
 from ...streams.time import DAY, NANOSECOND, TIME_MAX
 from ..config.media_types import ARROW, CSV, JSON, JSON_LD, NDJSON, NQUADS, NTRIPLES, TRIG
 from ..http.encodings.history_encoding import RdfWriter, history_answer
@@ -121,7 +121,8 @@ async def read_samples(
     async with service.histories:
         batch = query(stream)
         if about is not None:
-            batch = batch.take(about(batch))
+            # Safe in another thread: batches are immutable.
+            batch = await anyio.to_thread.run_sync(_chosen, batch, about)
             if intervals is None:
                 batch = _at_most(limit, batch, parameters)
         if intervals is not None:
@@ -177,6 +178,10 @@ def _intervals(name: str, service: Service, parameters: HistoryParameters) -> _I
         return None
     newest = parameters.start is None and parameters.valid_from is None
     return _Intervals(name, service.engine.object_fields(name), every, newest)
+
+
+def _chosen(batch: SampleBatch, rows: Callable[[SampleBatch], Mask]) -> SampleBatch:
+    return batch.take(rows(batch))
 
 
 def _at_most(limit: int, batch: SampleBatch, parameters: HistoryParameters) -> SampleBatch:
