@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pyoxigraph import (
     BlankNode,
@@ -52,8 +52,10 @@ from .static_side import StaticSide
 from .successor import CONCEPTS, Successor, build_successor
 from .texts.reading import TextFormat
 from .units import UnitError
-from .validation import ShaclReport, validate
 from .vocabulary import Vocabulary
+
+if TYPE_CHECKING:
+    from .validation import ShaclReport
 
 _IMPORTS = NamedNode(OWL + "imports")
 
@@ -468,6 +470,10 @@ class Ontology:
 
     def validate(self) -> ShaclReport:
         """Check the stream space against the shapes of shapes.ttl."""
+        # Imported here: pyshacl and rdflib take half a second, and only interactive requests need
+        # them.
+        from .validation import validate
+
         pattern = None, None, None, DefaultGraph()
         # A list: the import of pySHACL leaves its callers' frames in a cycle. Another thread may
         # collect them, and pyoxigraph reports an error if that drops an iterator of the store.

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+import pyshacl
+import rdflib
 from pyoxigraph import Triple
 
+from .entailment.owlrl_closure import to_rdflib
 from .shipped_files import shapes_text
 
-if TYPE_CHECKING:
-    import rdflib
-
-_SHACL = "http://www.w3.org/ns/shacl#"
+_SH = rdflib.Namespace("http://www.w3.org/ns/shacl#")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +36,6 @@ class ShaclReport:
 
 def validate(triples: Iterable[Triple]) -> ShaclReport:
     """Check closed triples against shapes.ttl. Nothing is fetched or inferred."""
-    # Imported here: they take half a second, and only interactive requests need them.
-    import pyshacl
-    import rdflib
-
-    from .entailment.owlrl_closure import to_rdflib
-
     data = rdflib.Graph()
     for triple in triples:
         data.add(to_rdflib(triple))
@@ -54,13 +47,10 @@ def validate(triples: Iterable[Triple]) -> ShaclReport:
 
 
 def _violations(report: rdflib.Graph) -> list[Violation]:
-    from rdflib import RDF, Namespace
-
-    sh = Namespace(_SHACL)
     found = []
-    for result in report.subjects(RDF.type, sh.ValidationResult):
-        node, path = report.value(result, sh.focusNode), report.value(result, sh.resultPath)
-        message = report.value(result, sh.resultMessage)
+    for result in report.subjects(rdflib.RDF.type, _SH.ValidationResult):
+        node, path = report.value(result, _SH.focusNode), report.value(result, _SH.resultPath)
+        message = report.value(result, _SH.resultMessage)
         found.append(
             Violation(str(node), None if path is None else str(path), str(message or "refused"))
         )

@@ -140,9 +140,21 @@ def between(
         _need_valid(stream, low, high)
     found = stream.between(start, end)
     found = found.take((found.valid >= low) & (found.valid <= high))
-    if most is None or len(found) <= most:
-        return found
-    return found.take(slice(len(found) - most, None) if newest else slice(0, most))
+    return found if most is None else at_most(found, most, newest=newest)
+
+
+def at_most(
+    batch: SampleBatch, most: int, *, newest: bool, whole_instant: bool = False
+) -> SampleBatch:
+    """The ``newest`` samples of a batch; or the oldest, with ``whole_instant`` also the rest of
+    their last instant."""
+    if len(batch) <= most:
+        return batch
+    if newest:
+        return batch.take(slice(len(batch) - most, None))
+    if whole_instant:
+        most = int(batch.available.searchsorted(batch.available[most - 1], "right"))
+    return batch.take(slice(0, most))
 
 
 def number_since(stream: FluentStream, since: Moment) -> int:

@@ -273,15 +273,15 @@ class ComputationalUnit(ABC):
                 return None
         return least
 
-    def watermark_if_new(self, source: StreamGenerator) -> int | None:
-        """Return the watermark that a unit which starts now has of an input; None: none yet."""
-        own = {each: each.watermark for each in self.sources}
-        known = {each: time for each, time in own.items() if time is not None}
-        if not source.is_idle:
-            return own[source]
+    def watermarks_if_new(self) -> dict[StreamGenerator, int]:
+        """Return the watermarks that a unit which starts now has of the inputs."""
+        known = {each: time for each in self.sources if (time := each.watermark) is not None}
         others = [each for each in self.sources if not each.is_ended and not each.is_idle]
         passed = _past_idle(known, others)
-        return passed if source not in known or passed is None else max(known[source], passed)
+        if passed is None:
+            return known
+        idle = (each for each in self.sources if each.is_idle)
+        return known | {each: max(passed, known.get(each, passed)) for each in idle}
 
     @property
     def waits_for(self) -> tuple[StreamGenerator, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 
 from pyoxigraph import RdfFormat, Triple, parse
 
@@ -29,14 +29,18 @@ def cached_closure(asserted: frozenset[Triple]) -> frozenset[Triple]:
     return closure_of(asserted)
 
 
-@lru_cache(maxsize=1)
 def shipped_closure(key: str) -> frozenset[Triple] | None:
     """Return the closure of the shipped ontologies; None if it does not have this key, as with
     another version of owlrl."""
-    first, _, triples = SHIPPED_CLOSURE.read_text(encoding="utf-8").partition("\n")
-    if first != f"# {key}":
-        return None
-    return frozenset(quad.triple for quad in parse(triples, RdfFormat.N_TRIPLES))
+    first, triples = _shipped()
+    return triples if first == f"# {key}" else None
+
+
+@cache
+def _shipped() -> tuple[str, frozenset[Triple]]:
+    """The first line of the file, and its triples."""
+    first, _, lines = SHIPPED_CLOSURE.read_text(encoding="utf-8").partition("\n")
+    return first, frozenset(quad.triple for quad in parse(lines, RdfFormat.N_TRIPLES))
 
 
 def closure_key(hashes: Mapping[str, str]) -> str:

@@ -82,6 +82,11 @@ class HistoryParameters:
         ),
     ] = None
 
+    @property
+    def wants_newest(self) -> bool:
+        """Whether `limit` leaves the newest samples of a range, not the oldest."""
+        return self.start is None and self.valid_from is None
+
 
 @router.get(
     "/streams/{name}/samples",
@@ -124,7 +129,12 @@ async def read_samples(
             # Safe in another thread: batches are immutable.
             batch = await anyio.to_thread.run_sync(_chosen, batch, about)
             if intervals is None:
-                batch = _at_most(limit, batch, parameters)
+                batch = past_queries.at_most(
+                    batch,
+                    limit,
+                    newest=parameters.wants_newest,
+                    whole_instant=parameters.valid_from is None and parameters.valid_to is None,
+                )
         if intervals is not None:
             batch = await intervals.downsampled(batch, fields, limit)
         elif fields is not None:
@@ -176,24 +186,12 @@ def _intervals(name: str, service: Service, parameters: HistoryParameters) -> _I
     every = duration_of(parameters.every, "every", NANOSECOND, LONGEST_INTERVAL)
     if every is None:
         return None
-    newest = parameters.start is None and parameters.valid_from is None
-    return _Intervals(name, service.engine.object_fields(name), every, newest)
+    keys = service.engine.object_fields(name)
+    return _Intervals(name, keys, every, parameters.wants_newest)
 
 
 def _chosen(batch: SampleBatch, rows: Callable[[SampleBatch], Mask]) -> SampleBatch:
     return batch.take(rows(batch))
-
-
-def _at_most(limit: int, batch: SampleBatch, parameters: HistoryParameters) -> SampleBatch:
-    """Return what `past_queries.between` leaves of a range that is too long."""
-    if len(batch) <= limit:
-        return batch
-    if parameters.start is None and parameters.valid_from is None:
-        return batch.take(slice(len(batch) - limit, None))
-    if parameters.valid_from is not None or parameters.valid_to is not None:
-        return batch.take(slice(0, limit))
-    instant = batch.available[limit - 1]
-    return batch.take(slice(0, int(batch.available.searchsorted(instant, "right"))))
 
 
 def _triples(service: Service, name: str, batch: SampleBatch, places: PlacesOf) -> list[str]:

@@ -131,11 +131,9 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
     def accepts_timely_samples(self) -> bool:
         """Whether every sample in time for its input is in time for the windows. It is not if an
         input has ended, which closed all windows, and goes on."""
-        for source in self.sources:
-            limit, watermark = self.evaluator.limit(source.name), self.watermark_if_new(source)
-            if limit is not None and (watermark is None or limit >= watermark):
-                return False
-        return True
+        fresh = self.watermarks_if_new()
+        limits = ((source, self.evaluator.limit(source.name)) for source in self.sources)
+        return all(limit is None or limit < fresh.get(source, TIME_MIN) for source, limit in limits)
 
     def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
         late = self.late

@@ -182,11 +182,8 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
         """Whether a new instance would be as a unit of its own. It would not if this unit did not
         wait for an input that has gone on since: samples may be late for it that come in time for a
         new unit."""
-        for source in self.sources:
-            known, fresh = self._watermarks.get(source), self.watermark_if_new(source)
-            if known is not None and (fresh is None or known > fresh):
-                return False
-        return True
+        fresh = self.watermarks_if_new()
+        return all(time <= fresh.get(each, TIME_MIN) for each, time in self._watermarks.items())
 
     def past_of_part(
         self, number: int, since: Mapping[StreamGenerator, int]

@@ -209,6 +209,9 @@ def test_a_range_may_be_of_one_object(http: httpx.Client, plotted: Client) -> No
     assert (refused.status_code, refused.json()["hint"][:12]) == (400, "send a range")
     plotted.put_stream("t", {"v": "float"})
     assert http.get("/streams/t/samples?object=a").status_code == 409
+    # A stream without samples yet.
+    plotted.annotate("stream later contains speed(UAV) = spd for every UAV = id")
+    assert plotted.history("later", object="a") == []
 
 
 def test_a_range_of_answers_and_of_rdf_may_be_of_one_object(
