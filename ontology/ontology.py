@@ -11,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Set
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,8 +91,8 @@ class Ontology:
     declarations, not with the stream space. All methods are thread-safe.
     """
 
-    def __init__(self, store: Store, path: Path | None) -> None:
-        """Use `open`, `open_copy` or `from_quads`."""
+    def __init__(self, store: Store, path: Path | None, like: Ontology | None = None) -> None:
+        """Use `open`, `open_copy` or `from_quads`. ``like``: has the content of ``store``."""
         self._quads = QuadStore(store, path)
         self._pending: OrderedDict[Triple, bool] = OrderedDict()
         """Triples of the live stream space that are not in the store yet, in order; True adds,
@@ -105,7 +106,16 @@ class Ontology:
         self.version = 0
         self._lock = threading.RLock()
         self._static = StaticSide(self._quads)
-        self._start()
+        self._live: Entailments
+        self._concepts: Entailments
+        self._base: Vocabulary
+        if like is None:
+            self._start()
+        else:
+            rules = like._live.rules
+            self._live, self._concepts = Entailments(rules), Entailments(rules)
+            self._base = like._base
+            self._bump_version()
 
     @classmethod
     def open(cls, path: Path | None = None) -> Ontology:
@@ -115,9 +125,12 @@ class Ontology:
         another process has opened the store or the store is broken. Cost: a closure, unless the
         folder or the package contains it.
         """
-        if path is None:
-            return cls(Store(), None)
-        return cls(open_store(path), path)
+        if path is not None:
+            return cls(open_store(path), path)
+        shipped = _shipped()
+        store = Store()
+        store.extend(shipped.static_store)
+        return cls(store, None, like=shipped)
 
     @classmethod
     def open_copy(cls, path: Path) -> Ontology:
@@ -560,6 +573,12 @@ class Ontology:
 
     def _concept_triples(self) -> frozenset[Triple]:
         return frozenset().union(*map(self._quads.graph, CONCEPTS))
+
+
+@cache
+def _shipped() -> Ontology:
+    """The shipped ontologies, for the ontologies in memory that start with them."""
+    return Ontology(Store(), None)
 
 
 def _rdf11(term: object) -> Term | None:

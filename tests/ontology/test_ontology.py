@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import Literal, NamedNode, Store, Triple
 
 from dyknow.continuous.operators.background import Background
 from dyknow.ontology.entailment.closure import closure_key, shipped_closure
@@ -13,7 +13,7 @@ from dyknow.ontology.entailment.owlrl_closure import closure_of
 from dyknow.ontology.errors import OntologyError, QueryRefused
 from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.shipped_files import shipped_hashes, shipped_ontologies
-from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, RDFS, STREAM_SPACE
+from dyknow.rdf.namespaces import DYKNOW, OWL, RDF_TYPE, RDFS, STREAM_SPACE
 
 LISTING_2 = """:dyknow_cul a :ComputationalUnit ;
   :hasInput :dyknow_stream1 ;
@@ -76,6 +76,21 @@ def test_the_closure_in_the_package_is_that_of_its_ontologies() -> None:
     again = "write it: python -m dyknow.ontology.entailment.owlrl_closure"
     assert shipped == closure_of(asserted), again
     assert shipped_closure("of other ontologies") is None
+
+
+def test_each_ontology_in_memory_starts_as_the_first_did() -> None:
+    """A process reads the shipped ontologies once (`Ontology.open`)."""
+    first, other, third = Ontology(Store(), None), Ontology.open(), Ontology.open()
+    assert other.quads() == first.quads()
+    assert other.version == first.version
+    tram = DYKNOW + "Tram"
+    for ontology in (first, other):
+        ontology.load(f"<{tram}> a <{OWL}Class> .", name="trams")
+    assert other.quads() == first.quads()
+    assert other.vocabulary.sorts() == first.vocabulary.sorts()
+    assert first.vocabulary.is_sort(tram)
+    assert not third.vocabulary.is_sort(tram)
+    assert not Ontology.open().vocabulary.is_sort(tram)
 
 
 def test_every_term_of_the_papers_is_there(plain: Ontology) -> None:
