@@ -14,6 +14,7 @@ from urllib.parse import urlencode
 
 import httpx
 import pytest
+from asking import asking
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 from w3c_sparql import FOLDER, cases
 
@@ -165,7 +166,7 @@ def http() -> Iterator[httpx.Client]:
     settings = Settings(port=0, tick=1)
     with (
         running(create_app(Engine(epoch="e1"), settings, time.time_ns), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as client,
+        asking(url) as client,
     ):
         for graph in (ONE, TWO, THREE):
             client.post(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import ssl
 import sys
 import threading
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from typer.testing import CliRunner, Result
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
@@ -28,10 +28,6 @@ from dyknow.streams.time import SECOND
 
 START = 1_633_633_973 * SECOND
 """2021-10-07T19:12:53Z"""
-
-
-NO_CERTIFICATES = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-"""Plain HTTP needs none, and to read them takes as long as a short test."""
 
 
 class HandClock:
@@ -83,7 +79,7 @@ def url(
 @pytest.fixture
 def http(url: str) -> Iterator[httpx.Client]:
     """Plain HTTP, as a client written from the documentation would speak it."""
-    with httpx.Client(base_url=url, trust_env=False, timeout=120, verify=NO_CERTIFICATES) as client:
+    with asking(url) as client:
         yield client
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from growing import entries, grown, growth
 from uvicorn import Server
 
@@ -292,7 +293,7 @@ def test_what_comes_and_goes_leaves_nothing(
     third = ROUNDS // 3
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         using = Using(http, clock)
         for number in range(ROUNDS):

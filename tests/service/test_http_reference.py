@@ -5,13 +5,12 @@ from __future__ import annotations
 import importlib.util
 import re
 import shutil
-import subprocess
 from typing import Any
 
 import pytest
 from fastapi import FastAPI
 from places import ROOT
-from waiting import HANGS
+from serving import shell
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -99,15 +98,6 @@ def test_every_method_of_the_client_is_on_its_page() -> None:
 def test_the_commands_on_the_page_run_from_top_to_bottom(url: str) -> None:
     page = HTTP.read_text()
     blocks = re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    script = "".join(blocks).replace("http://127.0.0.1:8000", url)
-    checked = 'set -euo pipefail\ncurl() { command curl -sS --fail-with-body "$@"; }\n'
-    done = subprocess.run(
-        ["bash", "-c", checked + script],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=HANGS,
-    )
-    assert done.returncode == 0, (done.stdout, done.stderr)
+    told = shell("".join(blocks), ROOT, url)
     # The last block shows the event, which the sample of the first makes.
-    assert "event: sample" in done.stdout.rpartition("event: end")[0].rpartition('"plan"')[2]
+    assert "event: sample" in told.rpartition("event: end")[0].rpartition('"plan"')[2]

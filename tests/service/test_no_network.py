@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from asking import asking
 
 from dyknow.continuous.columns.oxigraph_port import NO_QUADS
 from dyknow.engine.engine import Engine
@@ -67,7 +68,7 @@ def http(settings: Settings) -> Iterator[httpx.Client]:
     try:
         with (
             running(create_app(engine, settings, lambda: 10**18), settings) as url,
-            httpx.Client(base_url=url, trust_env=False, timeout=120) as client,
+            asking(url) as client,
         ):
             fields = {"id": "string", "spd": "float"}
             client.put("/streams/s5", json={"fields": fields}).raise_for_status()

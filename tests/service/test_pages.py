@@ -6,20 +6,16 @@ the checkout's `templates` and `examples`. A `text` block right after a `sh` blo
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from pages import SHELL
 from places import ROOT
-from waiting import HANGS
+from serving import shell
 
 from dyknow.service.config.settings import Settings
 
@@ -53,21 +49,13 @@ def test_the_commands_run_from_top_to_bottom(page: Path, url: str, tmp_path: Pat
     for shared in ("templates", "examples"):
         (tmp_path / shared).symlink_to(ROOT / shared)
     commands = [text for kind, _, text in blocks if kind == "sh"]
-    done = subprocess.run(
-        ["bash", "-c", SHELL + "".join(f"echo; echo @@@\n{text}" for text in commands)],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHON": sys.executable, "URL": url, "DYKNOW_URL": url},
-        capture_output=True,
-        text=True,
-        timeout=HANGS,
-    )
-    assert done.returncode == 0, (done.stdout, done.stderr)
+    told = shell("".join(f"echo; echo @@@\n{text}" for text in commands), tmp_path, url)
     shown = {
         command: output
         for (kind, _, command), (after, _, output) in pairwise(blocks)
         if (kind, after) == ("sh", "text")
     }
-    printed = done.stdout.split("\n@@@\n")[1:]
+    printed = told.split("\n@@@\n")[1:]
     for command, output in zip(commands, printed, strict=True):
         assert lines(output) == lines(shown.get(command, output))
 

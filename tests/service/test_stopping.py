@@ -4,72 +4,30 @@ acknowledged is lost on who listens."""
 from __future__ import annotations
 
 import http.client
-import os
-import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 
-import httpx
 import pytest
+from asking import asking
+from serving import Serving
 from sse_clients import Reader, connect, read_all
 from waiting import PATIENCE
 
-COMMAND = "from dyknow.service.cli import main; main()"
 LINE = {"Content-Type": "application/x-ndjson"}
 
 
-@dataclass
-class Process:
-    """`dyknow serve`, and what it writes to standard error."""
-
-    process: subprocess.Popen[str]
-    url: str = ""
-    lines: list[str] = field(default_factory=list)
-
-    @property
-    def address(self) -> str:
-        return self.url.removeprefix("http://")
-
-    def read(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.append(line)
-
-    def log(self) -> str:
-        return "".join(self.lines)
+def ready(**environment: str) -> Serving:
+    """A service that is ready, with a stream `s`."""
+    service = Serving(None, **environment)
+    service.until(lambda: service.http.get("/readyz").status_code == 200)
+    service.http.put("/streams/s", json={"fields": {"n": "integer"}}).raise_for_status()
+    return service
 
 
-@contextmanager
-def serving(*arguments: str, **environment: str) -> Iterator[Process]:
-    command = [sys.executable, "-c", COMMAND, "serve", "--port", "0", *arguments]
-    variables = {**os.environ, **environment}
-    popen = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=variables)
-    assert popen.stderr is not None
-    found = Process(popen)
-    try:
-        first = popen.stderr.readline()
-        url = re.search(r"http://\S+", first)
-        assert url is not None, first + popen.stderr.read()
-        found.url = url[0]
-        reader = threading.Thread(target=found.read)
-        reader.start()
-        with httpx.Client(base_url=found.url, trust_env=False, timeout=60) as client:
-            while client.get("/readyz").status_code != 200:
-                time.sleep(0.02)
-            client.put("/streams/s", json={"fields": {"n": "integer"}})
-        yield found
-    finally:
-        popen.kill()
-        popen.wait()
-        reader.join()
-        popen.stderr.close()
+def address(service: Serving) -> str:
+    return service.url.removeprefix("http://")
 
 
 class Publisher(threading.Thread):
@@ -103,34 +61,36 @@ def wait_until_refused(address: str) -> None:
             socket.create_connection(address.split(":"), timeout=60).close()
         except ConnectionRefusedError:
             return
+        except ConnectionResetError:
+            pass  # The socket was closed while it was in its queue.
         time.sleep(0.01)
 
 
 def test_under_load_all_that_was_acknowledged_is_delivered_and_the_status_is_0() -> None:
-    with serving() as service:
+    with ready() as service:
         readers = [Reader(service.url, "/streams/s/events") for _ in range(3)]
-        live = socket.create_connection(service.address.split(":"), timeout=120)
+        live = socket.create_connection(address(service).split(":"), timeout=120)
         head = "POST /streams/s/samples/live HTTP/1.1\r\nHost: localhost\r\n"
         head += "Content-Type: application/x-ndjson\r\nTransfer-Encoding: chunked\r\n\r\n"
         line = b'{"valid": 1, "n": 7}\n'
         live.sendall(head.encode() + b"%x\r\n%b\r\n" % (len(line), line))
         # A body that never comes to its end, and a client that takes nothing.
-        stuck = socket.create_connection(service.address.split(":"), timeout=120)
+        stuck = socket.create_connection(address(service).split(":"), timeout=120)
         stuck.sendall(
             b"POST /streams/s/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 50\r\n\r\n{"
         )
-        half = socket.create_connection(service.address.split(":"), timeout=120)
+        half = socket.create_connection(address(service).split(":"), timeout=120)
         half.sendall(
             b"POST /streams/s/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{"
         )
         stalled = connect(service.url, "/streams/s/events", receive=2048)
-        publishers = [Publisher(service.address, number) for number in range(1, 4)]
+        publishers = [Publisher(address(service), number) for number in range(1, 4)]
         for one in publishers:
             one.start()
         while min(len(one.taken) for one in publishers) < 20:
             time.sleep(0.01)
         service.process.send_signal(signal.SIGTERM)
-        wait_until_refused(service.address)
+        wait_until_refused(address(service))
         half.sendall(b'"valid": 9, "n": 9}')
         assert b" 202 " in half.recv(4096).split(b"\r\n")[0]
         read_all(readers)
@@ -152,28 +112,28 @@ def test_under_load_all_that_was_acknowledged_is_delivered_and_the_status_is_0()
         assert [one.others for one in publishers] == [[]] * 3
         for one in (live, stuck, half, stalled):
             one.close()
-    assert "Traceback" not in service.log()
-    assert "serving" in service.log()
-    assert "stopped" in service.log()
+    assert "Traceback" not in service.log
+    assert "serving" in service.log
+    assert "stopped" in service.log
 
 
 @pytest.mark.parametrize("second", [signal.SIGTERM, signal.SIGINT])
 def test_a_second_signal_ends_it_at_once(second: signal.Signals) -> None:
-    with serving(DYKNOW_DRAIN="3600") as service:
+    with ready(DYKNOW_DRAIN="3600") as service:
         reader = Reader(service.url, "/streams/s/events")
         service.process.send_signal(signal.SIGINT)
-        with httpx.Client(base_url=service.url, trust_env=False, timeout=60) as client:
+        with asking(service.url) as client:
             while client.get("/readyz").status_code == 200:
                 time.sleep(0.01)
         service.process.send_signal(second)
         assert service.process.wait(PATIENCE) == 1  # and not after an hour
         read_all([reader])
-    assert "Traceback" not in service.log()
+    assert "Traceback" not in service.log
 
 
 def test_it_drains_first_not_ready_and_still_taking_requests() -> None:
-    with serving(DYKNOW_DRAIN="8") as service:
-        with httpx.Client(base_url=service.url, trust_env=False, timeout=60) as client:
+    with ready(DYKNOW_DRAIN="8") as service:
+        with asking(service.url) as client:
             service.process.send_signal(signal.SIGTERM)
             while (answer := client.get("/readyz")).status_code == 200:
                 time.sleep(0.01)

@@ -8,22 +8,16 @@ its output; `…` there is whatever depends on the machine.
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pages import SHELL, Block, blocks
+from pages import Block, blocks
 from places import ROOT
-from serving import Serving
-from waiting import HANGS
-
-from dyknow.service.config.defaults import URL
+from serving import Serving, shell
 
 PAGES = sorted((ROOT / "docs" / "tutorial").glob("*.md"))
 
@@ -54,16 +48,7 @@ class Reader:
     def does(self, commands: str) -> str:
         """Run the commands of a `sh` block, and return what they print."""
         url = "http://127.0.0.1:1" if self._service is None else self._service.url
-        done = subprocess.run(
-            ["bash", "-c", SHELL + commands.replace(URL, url)],
-            cwd=self._folder,
-            env=os.environ | {"PYTHON": sys.executable, "DYKNOW_URL": url},
-            capture_output=True,
-            text=True,
-            timeout=HANGS,
-        )
-        assert done.returncode == 0, (commands, done.stdout, done.stderr)
-        return done.stdout
+        return shell(commands, self._folder, url)
 
     def stop(self) -> None:
         if self._service is not None:

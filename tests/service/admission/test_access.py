@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import anyio
 import httpx
 import pytest
+from asking import asking
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from pydantic import SecretStr
@@ -58,7 +59,7 @@ def open_http() -> Iterator[httpx.Client]:
     settings = Settings(port=0, trusted_hosts="dyknow.example, *.below.example")
     with (
         running(create_app(Engine(epoch="e1"), settings, lambda: 0), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as client,
+        asking(url) as client,
     ):
         yield client
 
@@ -297,7 +298,7 @@ def test_event_streams_are_counted_by_token(engine: Engine, clock: Clock) -> Non
     settings = Settings(port=0, tokens=SecretStr(LINES), sse_clients_each=1)
     with (
         running(create_app(engine, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
         http.stream("GET", "/status/events", headers=bearer(READ)) as first,
     ):
         assert first.status_code == 200

@@ -11,6 +11,7 @@ from pathlib import Path
 import httpx
 import pyarrow as pa
 import pytest
+from asking import asking
 from waiting import until
 
 from dyknow.converters.arrow.stream import bytes_of_table
@@ -266,7 +267,7 @@ def test_reading_and_removing_go_on(service: tuple[str, Service]) -> None:
     url, inside = service
     with (
         Client(url, timeout=120) as client,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         client.put_stream("s", FIELDS)
         client.publish("s", [{"valid": 1, "id": "u", "speed": 1.0}])
@@ -385,7 +386,7 @@ def test_a_service_that_is_filled_has_a_way_back(engine: Engine, clock: Clock, w
     settings = Settings(port=0, tick=0.02, memory_limit=limit)
     with (
         running(create_app(engine, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
         Client(url, timeout=120) as client,
     ):
         client.put_stream("s", {"text": "string"})

@@ -5,11 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +14,10 @@ from pathlib import Path
 
 import httpx
 import pytest
+from asking import asking
+from launching import SERVICE
 from prometheus_client.parser import text_string_to_metric_families
+from serving import Serving
 from waiting import until
 
 from dyknow.engine.engine import Engine
@@ -67,7 +67,7 @@ def service(
     app = create_app(engine, settings, clock)
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         yield app.state.service, http
 
@@ -166,7 +166,7 @@ def test_streams_and_sessions_of_a_revoked_token_end(
 
     def follow(name: str, headers: dict[str, str]) -> None:
         try:
-            with httpx.Client(base_url=http.base_url, trust_env=False, timeout=120) as client:
+            with asking(http.base_url) as client:
                 client.get("/streams/s/events", headers=headers)
             ends[name] = "whole"
         except httpx.TransportError as error:
@@ -271,30 +271,13 @@ def test_a_pipe_is_read_once(tmp_path: Path) -> None:
 
 def test_sighup_takes_them_at_once(path: Path) -> None:
     # Only who asks gets it within the second that two looks are apart.
-    command = [
-        sys.executable,
-        "-c",
-        "from dyknow.service.admission import token_file; token_file.EVERY = 3600\n"
-        "from dyknow.service.cli import main; main()",
-        "serve",
-        "--port",
-        "0",
-        "--tokens",
-        str(path),
-    ]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    try:
-        url = re.search(r"http://\S+", process.stderr.readline())
-        assert url is not None
-        with httpx.Client(base_url=url[0], trust_env=False, timeout=60) as http:
-            assert (may(http, READ), may(http, OTHER)) == (200, 401)
-            write(path, f"admin me {ADMIN}", f"read other {OTHER}")
-            process.send_signal(signal.SIGHUP)
-            until(lambda: may(http, OTHER) == 200)
-            assert may(http, READ) == 401
-    finally:
-        process.terminate()
-        _, told = process.communicate(timeout=120)
-    assert process.returncode == 0
-    assert "tokens taken" in told
+    rarely = "from dyknow.service.admission import token_file; token_file.EVERY = 3600\n"
+    with Serving(None, "--tokens", str(path), program=rarely + SERVICE) as serving:
+        http = serving.http
+        assert (may(http, READ), may(http, OTHER)) == (200, 401)
+        write(path, f"admin me {ADMIN}", f"read other {OTHER}")
+        serving.process.send_signal(signal.SIGHUP)
+        until(lambda: may(http, OTHER) == 200)
+        assert may(http, READ) == 401
+        assert serving.stop() == 0
+    assert "tokens taken" in serving.log

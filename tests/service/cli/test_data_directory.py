@@ -3,14 +3,13 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
+import tempfile
 from pathlib import Path
 
-import httpx
 import pytest
+from asking import asking
 from command_line import run
-from serving import COMMAND, Serving
+from serving import Serving, launch
 from simulated_disk import Killed, SimulatedDisk
 
 from dyknow.engine.durability.checkpoint import program
@@ -593,7 +592,7 @@ def test_a_backup_of_a_service_that_takes_samples_and_forgets_is_whole(tmp_path)
     acknowledged = []
     with (
         running(create_app(recorded, settings, lambda: SECOND), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         http.put("/streams/s5", json={"fields": {"n": "integer"}}).raise_for_status()
         for i in range(4):
@@ -774,9 +773,9 @@ def restored(http):
 
 
 def run_anew(*arguments):
-    """A command in a process of its own: it loads modules."""
-    command = [sys.executable, "-c", COMMAND, *map(str, arguments)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "300"}
-    )
-    return done.stdout
+    """What a command in a process of its own prints: it loads modules."""
+    with tempfile.TemporaryFile("w+") as file:
+        process = launch(*map(str, arguments), stdout=file.fileno(), COLUMNS="300")
+        assert process.wait() == 0
+        file.seek(0)
+        return file.read()

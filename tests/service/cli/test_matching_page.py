@@ -3,27 +3,22 @@ says."""
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from places import ROOT
-from waiting import HANGS
+from serving import shell
 
 from dyknow.engine.processes.loading import load_processes
 from dyknow.engine.processes.registry import PROCESSES
 
 PAGE = (ROOT / "docs" / "explanation" / "matching.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)(?: (\S+))?\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
-RUN = """set -euo pipefail
-dyknow() { "$PYTHON" -c 'from dyknow.service.cli import main; main()' "$@"; }
-curl() { command curl -sS --fail-with-body "$@"; }
+FOLLOW_UNTIL = """
 follow_until() {
   command curl -sSN "$2" > followed & follower=$!
   until grep -q "$1" followed; do sleep 0.05; done
@@ -56,16 +51,8 @@ def test_the_commands_of_the_page_print_what_it_says(folder: Path, url: str) -> 
     script = "".join(f"echo @@@\n{text}" for text in commands)
     assert script.count(BY_TIME) == 1
     script = script.replace(BY_TIME, BY_CONTENT)
-    done = subprocess.run(
-        ["bash", "-c", RUN + script.replace("http://127.0.0.1:8000", url)],
-        cwd=folder,
-        env=os.environ | {"PYTHON": sys.executable, "DYKNOW_URL": url, "COLUMNS": "200"},
-        capture_output=True,
-        text=True,
-        timeout=HANGS,
-    )
-    assert done.returncode == 0, (done.stdout, done.stderr)
-    printed = done.stdout.split("@@@\n")[1:]
+    told = shell(FOLLOW_UNTIL + script, folder, url, COLUMNS="200")
+    printed = told.split("@@@\n")[1:]
     shown = {
         command: then
         for (kind, _, command), (after, _, then) in pairwise(BLOCKS)
@@ -76,4 +63,4 @@ def test_the_commands_of_the_page_print_what_it_says(folder: Path, url: str) -> 
         assert shown.get(command, said) == said
     # The switch of the page, as the service tells it.
     (switch,) = (then for kind, _, then in BLOCKS if then.startswith("event: rematched"))
-    assert switch.replace('": ', '":').replace(', "', ',"') in done.stdout
+    assert switch.replace('": ', '":').replace(', "', ',"') in told

@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 
 from dyknow.engine.engine import Engine
 from dyknow.languages.kpl import parse_kpl
@@ -76,7 +77,7 @@ def test_annotations_come_back_whole(
     told = ssl(http)
     with (
         fresh(settings, clock) as other,
-        httpx.Client(base_url=other.url, timeout=60) as other_http,
+        asking(other.url) as other_http,
     ):
         before = ssl(other_http)
         assert len(parse_ssl(told)) == THINGS + len(parse_ssl(before))
@@ -98,7 +99,7 @@ def test_kpl_comes_back_whole(
     assert len(parse_kpl(told).declarations) == THINGS
     with (
         fresh(settings, clock) as other,
-        httpx.Client(base_url=other.url, timeout=60) as other_http,
+        asking(other.url) as other_http,
     ):
         other.declare_kpl(told)
         assert kpl(other_http) == told

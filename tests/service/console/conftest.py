@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 import chromium
 import httpx
 import pytest
+from asking import asking
 from chromium import Browser, Page
 
 from dyknow.engine.engine import Engine
@@ -75,7 +76,7 @@ def service() -> Iterator[httpx.Client]:
     app = create_app(engine, settings, time.time_ns)
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         yield http
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
+from asking import asking
 from chromium import Browser, Page
 from pydantic import SecretStr
 
@@ -113,7 +114,7 @@ SEEN = """(async () => { const { shown } = await import('/console/feed.js');
 
 
 def test_a_cut_connection_loses_no_sample(open_page: OPEN) -> None:
-    with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+    with service() as url, asking(url) as http:
         declare(http)
         proxy = CuttingProxy(int(url.rpartition(":")[2]))
         # The browser's requests name the proxy's port, as those of a page behind a proxy do.
@@ -139,7 +140,7 @@ TRACKS = """(async () => { const { shown } = await import('/console/feed.js');
 
 def test_of_positions_the_newest_of_each_object_comes(open_page: OPEN) -> None:
     """A request for the same stream then brings all of its samples."""
-    with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+    with service() as url, asking(url) as http:
         fields = {"id": "string", "lat": "float", "lon": "float", "n": "integer"}
         assert http.put("/streams/flights", json={"fields": fields}).status_code == 201
         ssl = "stream flights contains latitude(UAV) = lat, longitude(UAV) = lon for every UAV = id"
@@ -180,7 +181,7 @@ window.fetch = async (path, ...rest) => {
 
 
 def test_samples_come_while_other_streams_begin_to_be_followed(open_page: OPEN) -> None:
-    with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+    with service() as url, asking(url) as http:
         page = open_page(f"{url}/#live")
         page.wait_text("streams")
         page.run(HOLD_FOLLOWING)
@@ -204,7 +205,7 @@ def test_samples_come_while_other_streams_begin_to_be_followed(open_page: OPEN) 
 @pytest.mark.parametrize("is_late", [False, True])
 def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN, is_late: bool) -> None:
     """Also where the page learns first that its streams are not there yet (``is_late``)."""
-    with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+    with service() as url, asking(url) as http:
         port = int(url.rpartition(":")[2])
         declare(http)
         page = open_page(f"{url}/#live")
@@ -218,7 +219,7 @@ def test_a_service_that_begins_anew_is_followed_with_a_gap(open_page: OPEN, is_l
     page.wait("document.title.startsWith('(1) ')")
     with (
         service(port, "e2") as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         if is_late:
             page.wait("import('/console/state.js').then((m) => m.streams.value.length === 1)")
@@ -241,7 +242,7 @@ window.fetch = (path, ...rest) => {
 
 
 def test_streams_that_ended_are_no_lost_connection(open_page: OPEN) -> None:
-    with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+    with service() as url, asking(url) as http:
         declare(http)
         assert http.put("/streams/others", json={"fields": {"v": "integer"}}).status_code == 201
         assert http.post("/subscriptions", json={"stream": "others"}).status_code == 201
@@ -332,7 +333,7 @@ def test_a_token_is_asked_for_and_decides_what_is_offered(open_page: OPEN) -> No
 
 @pytest.mark.parametrize("rate", [10_000])
 def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) -> None:
-    with service() as url, httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+    with service() as url, asking(url) as http:
         declare(http)
         page = open_page(f"{url}/#live")
         page.wait(OPEN_FEED)

@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import httpx
 import pytest
+from asking import asking
 from chromium import Page
 from waiting import until
 
@@ -236,7 +237,7 @@ HTMLAnchorElement.prototype.click = function () {
 
 
 def test_what_was_ended_runs_again_as_it_was_asked_for(flying: str, open_page: OPEN) -> None:
-    with httpx.Client(base_url=flying, trust_env=False, timeout=60) as http:
+    with asking(flying) as http:
         text = (
             "REGISTER QUERY tops COMPUTE EVERY 1s AS SELECT ?o (MAX(?a) AS ?top) "
             "WHERE { ?o dyknow:altitude ?a } GROUP BY ?o WINDOW [RANGE 2s STEP 1s]"
@@ -356,7 +357,7 @@ def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> No
 def test_system_counts_a_silent_stream(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#system")
     page.wait_text("Nothing is wrong")
-    with httpx.Client(base_url=flying, trust_env=False, timeout=60) as http:
+    with asking(flying) as http:
         ssl = "stream quiet contains speed(Car) = v for every Car = id"
         fields = {"fields": {"id": "string", "v": "float"}}
         assert http.put("/streams/quiet", json=fields).status_code == 201

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from asking import asking
 from httpx_sse import EventSource, connect_sse
 from serving import Serving
 from simulated_disk import SimulatedDisk
@@ -202,7 +203,7 @@ def test_after_a_full_disk_and_a_kill_nothing_is_lost_and_nothing_doubled(
     for meanwhile."""
     with (
         running(create_app(recorded, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         declare(http)
         acknowledged = []
@@ -299,7 +300,7 @@ def test_a_checkpoint_that_finds_no_room_is_told_and_costs_nothing_acknowledged(
     small = settings.model_copy(update={"checkpoint_bytes": 1})
     with (
         running(create_app(recorded, small, clock), small) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         declare(http)
         until(lambda: list((tmp_path / "data" / "checkpoints").iterdir()))
@@ -318,7 +319,7 @@ def test_a_disk_that_fails_ends_writing_and_a_restart_recovers(
 ):
     with (
         running(create_app(recorded, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         declare(http)
         assert post(http, 1, "one").status_code == 202
@@ -337,7 +338,7 @@ def test_a_disk_that_fails_ends_writing_and_a_restart_recovers(
     again = RecordedEngine(tmp_path / "data", now=0)
     with (
         running(create_app(again, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         until(lambda: http.get("/readyz").status_code == 200)
         for n, key in ((1, "one"), (2, "two"), (3, "three")):

@@ -3,8 +3,8 @@
 import gc
 import json
 
-import httpx
 import pytest
+from asking import asking
 from httpx_sse import connect_sse
 from typer.testing import CliRunner
 
@@ -243,7 +243,7 @@ def test_what_another_program_wrote_goes_on_under_new_ids(written, settings, clo
     new_epoch, last = engine.epoch, before[1]
     with (
         running(create_app(again, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         headers = {"Last-Event-ID": f"{epoch}-{last}"}
         with connect_sse(http, "GET", "/streams/s5/events", headers=headers) as source:

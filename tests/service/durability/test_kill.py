@@ -10,17 +10,16 @@ from __future__ import annotations
 import json
 import os
 import random
-import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
 import httpx
+from asking import asking
 from commanding import FAST
-from nursery import OPERATIONS
-from places import TESTS
+from dying import OPERATIONS
+from launching import Forked
+from serving import launch
 
 from dyknow.engine.durability.commands import (
     Publish,
@@ -29,7 +28,7 @@ from dyknow.engine.durability.commands import (
 )
 from dyknow.engine.engine import Engine
 
-HERE = TESTS / "support" / "services"
+DYING = "import sys; from dying import main; main(*sys.argv[1:])"
 ROUNDS = int(os.environ.get("DYKNOW_KILLS", "25"))
 STREAM = {
     "fields": {"id": "string", "v": "float"},
@@ -41,49 +40,30 @@ EVENT = "dyknow:FastEvent(?o, dyknow:UAV, 40)"
 NDJSON = {"Content-Type": "application/x-ndjson"}
 
 
-class Nursery:
-    """Starts services and kills them."""
+class Mortal:
+    """A service that is killed, or dies by itself, and starts again."""
 
     def __init__(self, data: Path) -> None:
         self._data = data
-        with (data.parent / "stderr").open("w") as stderr:
-            self._process = subprocess.Popen(
-                [sys.executable, HERE / "nursery.py"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                text=True,
-            )
-        assert self._line() == "ready\n"
-        self.pid = 0
+        self._process: Forked | None = None
 
     def start(self, die: tuple[str, int, float] | None) -> str:
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps({"data": str(self._data), "die": die}) + "\n")
-        self._process.stdin.flush()
-        child = json.loads(self._line())
-        self.pid = child["pid"]
-        return f"http://127.0.0.1:{child['port']}"
+        reading, writing = os.pipe()
+        arguments = (str(self._data), json.dumps(die))
+        self._process = launch(*arguments, program=DYING, stdout=writing, stderr=writing)
+        os.close(writing)
+        with open(reading) as told:
+            port = int(told.readline())
+        return f"http://127.0.0.1:{port}"
 
     @property
     def is_alive(self) -> bool:
-        return Path(f"/proc/{self.pid}").exists()
+        return self._process is not None and self._process.poll() is None
 
     def kill(self) -> None:
-        try:
-            os.kill(self.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            return
-        while self.is_alive:
-            time.sleep(0.002)
-
-    def close(self) -> None:
-        self.kill()
-        self._process.communicate()
-
-    def _line(self) -> str:
-        assert self._process.stdout is not None
-        return self._process.stdout.readline()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
 
 
 class Follower:
@@ -161,14 +141,14 @@ class Publisher:
         return "\n".join(rows).encode()
 
 
-def wait_for(client: httpx.Client, nursery: Nursery) -> None:
+def wait_for(client: httpx.Client, service: Mortal) -> None:
     deadline = time.monotonic() + 120
     while True:
         try:
             if client.get("/readyz").status_code == 200:
                 return
         except httpx.TransportError:
-            if not nursery.is_alive:
+            if not service.is_alive:
                 raise
         assert time.monotonic() < deadline, "the service does not come back"
         time.sleep(0.005)
@@ -184,18 +164,18 @@ def point(pick: random.Random) -> tuple[str, int, float] | None:
 
 def test_kill_9_at_any_moment(tmp_path: Path) -> None:
     pick = random.Random(1)
-    nursery = Nursery(tmp_path / "data")
+    service = Mortal(tmp_path / "data")
     publisher, said = Publisher(pick), Follower("/streams/s/events")
     events: Follower | None = None
     epoch, id, killed, restarts = "", "", 0, []
     try:
         for round in range(ROUNDS):
-            url = nursery.start(point(pick) if round else None)
-            with httpx.Client(base_url=url, timeout=120, trust_env=False) as client:
+            url = service.start(point(pick) if round else None)
+            with asking(url) as client:
                 threads = []
                 try:
                     begun = time.monotonic()
-                    wait_for(client, nursery)
+                    wait_for(client, service)
                     restarts.append(time.monotonic() - begun)
                     if not round:
                         client.put("/streams/s", json=STREAM).raise_for_status()
@@ -212,16 +192,16 @@ def test_kill_9_at_any_moment(tmp_path: Path) -> None:
                         publisher.publish(client)
                 except (httpx.TransportError, AssertionError) as error:
                     # Only because it is dead.
-                    if isinstance(error, AssertionError) and nursery.is_alive:
+                    if isinstance(error, AssertionError) and service.is_alive:
                         raise
                     killed += 1
-                nursery.kill()
+                service.kill()
                 for thread in threads:
                     thread.join(120)
         # Once more, to be told all there is.
-        url = nursery.start(None)
-        with httpx.Client(base_url=url, timeout=120, trust_env=False) as client:
-            wait_for(client, nursery)
+        url = service.start(None)
+        with asking(url) as client:
+            wait_for(client, service)
             publisher.publish(client)
             threads = [said.follow(url), events.follow(url)]
             stream = client.get("/streams/s").json()
@@ -231,7 +211,7 @@ def test_kill_9_at_any_moment(tmp_path: Path) -> None:
                 assert time.monotonic() < deadline, (len(said.messages), stream["last"])
                 time.sleep(0.01)
     finally:
-        nursery.close()
+        service.kill()
     assert said.wrong == [] == events.wrong
     whole, answer = uninterrupted(publisher.sent, epoch)
     counters = whole.stream("s").counters

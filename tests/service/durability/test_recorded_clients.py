@@ -10,6 +10,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from asking import asking
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.journal.disk import Disk
@@ -104,7 +105,7 @@ def test_what_is_not_kept_yet_is_shown_to_nobody(url: str, http: httpx.Client, d
     disk.may.clear()
     publisher = threading.Thread(target=publish, args=(http, 4, 6))
     publisher.start()
-    with httpx.Client(base_url=url, trust_env=False, timeout=120) as other:
+    with asking(url) as other:
         while other.get("/streams/s").json()["last"] < 5:
             assert publisher.is_alive()
     told: list[list[tuple[str, int]]] = []

@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from places import ROOT
 from typer.testing import CliRunner
 
@@ -69,7 +70,7 @@ def served(path: Path, settings: Settings, clock: Clock) -> Iterator[httpx.Clien
     recorded = RecordedEngine(path, now=0, durability=Durability.WRITE)
     with (
         running(create_app(recorded, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         yield http
 

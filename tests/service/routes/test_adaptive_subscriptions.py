@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from typer.testing import CliRunner
 
 from dyknow.engine.engine import Engine
@@ -453,7 +454,7 @@ def test_the_command(http: httpx.Client, url: str, client: Client, as_json: bool
     is_over = threading.Event()
 
     def switch() -> None:
-        with httpx.Client(base_url=url, trust_env=False, timeout=60) as other:
+        with asking(url) as other:
             while not is_over.is_set() and not other.get("/subscriptions").json():
                 pass
             quality(other, "s1", 0.25)

@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -46,7 +47,7 @@ def _service(engine: Engine, settings: Settings, clock: Clock) -> Any:
         def __enter__(self) -> httpx.Client:
             self._running = running(create_app(engine, settings, clock), settings)
             url = self._running.__enter__()
-            self._http = httpx.Client(base_url=url, trust_env=False, timeout=120)
+            self._http = asking(url)
             return self._http
 
         def __exit__(self, *error: object) -> None:

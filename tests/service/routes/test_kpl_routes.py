@@ -6,6 +6,7 @@ import sys
 
 import httpx
 import pytest
+from asking import asking
 from typer.testing import CliRunner
 
 from dyknow.engine.engine import Engine
@@ -156,7 +157,7 @@ def test_a_unit_that_ends_the_program_fails_and_its_publisher_does_not(
     text += "compunit out Leave(pos)\nstrmgen p = place\nstrmgen left = Leave(p)\nstream s = left"
     with (
         running(create_app(engine, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         answer = http.post("/kpl", content=text, headers=TEXT)
         assert answer.status_code == 201, answer.text

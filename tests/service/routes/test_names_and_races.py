@@ -7,6 +7,7 @@ from urllib.parse import quote
 import httpx
 import pyarrow as pa
 import pytest
+from asking import asking
 
 TEMPLATE = """REGISTER TEMPLATE {name}(?o) COMPUTE EVERY 1s AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
@@ -87,7 +88,7 @@ def test_samples_fit_the_stream_that_is_there_when_the_body_is_complete(
 
     def body() -> Iterator[bytes]:
         yield b'{"valid": 1, "id": "uav1", '
-        with httpx.Client(base_url=url, trust_env=False, timeout=60) as other:
+        with asking(url) as other:
             answer = other.put("/streams/z", json=fields(("id", "string"), ("alt", "integer")))
             assert answer.status_code == 200
         yield b'"alt": 5}\n'

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -14,14 +13,13 @@ import threading
 import warnings
 from pathlib import Path
 
-import httpx
 import pytest
-from waiting import until
+from launching import SERVICE
+from serving import Serving
 
 from dyknow.service.admission.tokens import new_token
 from dyknow.service.config.logs import REQUEST, configure, log
 
-SERVE = "from dyknow.service.cli import main; main()"
 FAILS = """
 import asyncio, logging, threading, warnings
 from dyknow.service import app
@@ -42,47 +40,36 @@ def test_every_line_of_a_service_is_json_with_ids_and_without_tokens(tmp_path: P
     path = tmp_path / "tokens"
     path.write_text(f"admin me {token}\nread you {other}")
     path.chmod(0o600)
-    log_path = tmp_path / "log"
     variables = {
-        **os.environ,
-        "DYKNOW_LOG_JSON": "true",
         "DYKNOW_LOG_LEVEL": "debug",
         "DYKNOW_SSE_PING": "inf",
         "DYKNOW_TOKENS": f"read env {new_token()}",
     }
-    command = [sys.executable, "-c", FAILS + SERVE, "serve", "--port", "0", "--tokens", str(path)]
-    command += ["--data", str(tmp_path / "data")]
-    with log_path.open("wb") as file:
-        process = subprocess.Popen(command, stderr=file, env=variables)
-    try:
-        until(lambda: '"serving"' in log_path.read_text())
-        url = re.search(r"http://[^\s\"]+", log_path.read_text())
-        assert url is not None
-        bearer = {"Authorization": f"Bearer {token}"}
-        with httpx.Client(base_url=url[0], trust_env=False, timeout=60) as http:
-            until(lambda: http.get("/readyz").status_code == 200, 300)
-            for secret in (token, other):
-                for target in (
-                    f"/streams?token={secret}",
-                    f"/streams?access_token={secret}",
-                    f"/streams/s/events?since={token}",
-                    f"/streams/{token}",
-                ):
-                    http.get(target, headers={"X-Request-Id": "mine"})
-                    http.get(target, headers=bearer)
-                http.post("/session", json={"token": secret}).raise_for_status()
-                http.post("/session", json={"tokens": secret})
-                http.get("/streams", headers={"Authorization": f"Basic {secret}"})
-            http.post("/kpl", content="source float \n", headers=bearer)
-            failed = http.get("/broken", headers={**bearer, "X-Request-Id": "broken"})
-            assert failed.status_code == 500
-            path.write_text("nonsense")
-            process.send_signal(signal.SIGHUP)
-            until(lambda: "not taken" in log_path.read_text())
-    finally:
-        process.terminate()
-        process.wait(30)
-    text = log_path.read_text()
+    bearer = {"Authorization": f"Bearer {token}"}
+    given = (tmp_path / "data", "--tokens", str(path))
+    with Serving(*given, program=FAILS + SERVICE, **variables) as serving:
+        http = serving.http
+        serving.until(lambda: http.get("/readyz").status_code == 200)
+        for secret in (token, other):
+            for target in (
+                f"/streams?token={secret}",
+                f"/streams?access_token={secret}",
+                f"/streams/s/events?since={token}",
+                f"/streams/{token}",
+            ):
+                http.get(target, headers={"X-Request-Id": "mine"})
+                http.get(target, headers=bearer)
+            http.post("/session", json={"token": secret}).raise_for_status()
+            http.post("/session", json={"tokens": secret})
+            http.get("/streams", headers={"Authorization": f"Basic {secret}"})
+        http.post("/kpl", content="source float \n", headers=bearer)
+        failed = http.get("/broken", headers={**bearer, "X-Request-Id": "broken"})
+        assert failed.status_code == 500
+        path.write_text("nonsense")
+        serving.process.send_signal(signal.SIGHUP)
+        serving.until(lambda: "not taken" in serving.log)
+        serving.stop()
+    text = serving.log
     assert token not in text
     assert other not in text
 
@@ -111,7 +98,7 @@ def test_every_line_of_a_service_is_json_with_ids_and_without_tokens(tmp_path: P
 
 
 def test_a_start_that_fails_says_so_in_json(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", SERVE, "serve", "--port", "0", "--tokens", "/nowhere"]
+    command = [sys.executable, "-c", SERVICE, "serve", "--port", "0", "--tokens", "/nowhere"]
     variables = {**os.environ, "DYKNOW_LOG_JSON": "true"}
     done = subprocess.run(command, capture_output=True, text=True, env=variables, timeout=60)
     assert done.returncode == 1

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from asking import asking
 from hosting import hosting
 from places import ROOT
 from prometheus_client.parser import text_string_to_metric_families
@@ -117,7 +118,7 @@ def test_bodies_under_way_are_counted(service_url: tuple[Service, httpx.Client])
 
     def body() -> Iterator[bytes]:
         yield b'{"valid": 1, '
-        with httpx.Client(base_url=http.base_url, trust_env=False, timeout=60) as other:
+        with asking(http.base_url) as other:
             limit = time.monotonic() + 120
             while not seen or not seen[-1]["dyknow_bodies_bytes"][""]:
                 seen.append(families(other))
@@ -198,7 +199,7 @@ def test_slow_requests_are_warned_of(
     strict = settings.model_copy(update={"slow_request": 1e-9})
     with (
         running(create_app(engine, strict, clock), strict) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         http.get("/status")
     (line,) = told(records, "slow request")

@@ -11,8 +11,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-import httpx
 import pytest
+from asking import asking
 from prometheus_client.parser import text_string_to_metric_families
 from waiting import until
 
@@ -48,7 +48,7 @@ def test_what_goes_on_is_a_reason_until_it_is_over(
     service.warming.begin("loops", "being compiled", lambda: gate.wait(30) and None)
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         until(lambda: http.get("/readyz").json()["reasons"] == ["loops: being compiled"])
         answer = http.get("/readyz")
@@ -161,7 +161,7 @@ def test_workers_that_cannot_be_started_are_tried_again(
     service.warming = WarmUp()
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         with monkeypatch.context() as broken:
             broken.setattr(sys, "executable", "/nowhere/python")
@@ -186,7 +186,7 @@ def test_serve_is_ready_when_its_workers_are() -> None:
     try:
         url = re.search(r"http://\S+", process.stderr.readline())
         assert url is not None
-        with httpx.Client(base_url=url[0], trust_env=False, timeout=60) as http:
+        with asking(url[0]) as http:
             # The very first start of all compiles the loops.
             until(lambda: http.get("/readyz").status_code == 200, 300)
             workers = {

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
+from asking import asking
 from fastapi import FastAPI
 from sse_clients import chunks, connect
 from starlette.responses import PlainTextResponse, StreamingResponse
@@ -52,7 +53,7 @@ def settings() -> Settings:
 def http(url: str, client: Client) -> Iterator[httpx.Client]:
     """With a stream whose history is longer than what a kernel holds for who takes nothing."""
     fill(client)
-    with httpx.Client(base_url=url, trust_env=False, timeout=LONG) as http:
+    with asking(url) as http:
         yield http
 
 
@@ -84,7 +85,7 @@ def filled(engine: Engine, settings: Settings, clock: Clock) -> Iterator[tuple[s
     app = create_app(engine, settings, clock)
     with running(app, settings) as url, Client(url, timeout=LONG) as client:
         fill(client)
-        with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+        with asking(url) as http:
             yield url, http
 
 
@@ -159,7 +160,7 @@ def test_a_history_is_reckoned_with_what_is_held_for_it(
         given = range(first, first + 5_000)
         client.publish("wide", [{"valid": i, **dict.fromkeys(fields, 1.5)} for i in given])
     with (
-        httpx.Client(base_url=url, trust_env=False, timeout=LONG) as http,
+        asking(url) as http,
         connect(url, "/streams/wide/samples?limit=15000", receive=2048, accept=kind),
     ):
         held = 15_000 * (16 + 20 * 8)
@@ -177,7 +178,7 @@ def test_an_answer_without_a_place_is_refused_and_others_are_answered(
         fill(client)
         for i in range(200):  # so that /metrics are long, too
             client.put_stream(f"other{i}", {"v": "float"})
-        with httpx.Client(base_url=url, trust_env=False, timeout=LONG) as http:
+        with asking(url) as http:
             with connect(url, HISTORY, "a", receive=2048), connect(url, SPARQL, "a", receive=2048):
                 until(lambda: metric(http, "dyknow_long_answers") == 2)
                 for key, status in (("a", 429), ("b", 503)):

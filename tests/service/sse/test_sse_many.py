@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from asking import asking
 from sse_clients import Reader, connect, head, read_all
 from waiting import until
 
@@ -132,7 +133,7 @@ def test_what_is_held_for_who_takes_nothing_is_bounded(
     with (
         running(app, patient) as url,
         Client(url) as client,
-        httpx.Client(base_url=url, timeout=60) as http,
+        asking(url) as http,
     ):
         client.put_stream("many", FIELDS)
         for i in range(8):  # a megabyte each
@@ -170,7 +171,7 @@ def test_one_address_does_not_take_every_place(
     service.client_key = lambda request: request.headers.get("last-event-id", "")[:1]
     with (
         running(app, limited) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         http.put("/streams/many", json={"fields": FIELDS})
         path = "/streams/many/events"

@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from typer.testing import CliRunner
 from waiting import until
 
@@ -51,17 +52,11 @@ def serving(most: float, data: Path | None = None) -> Iterator[str]:
         engine = RecordedEngine(data, now=0, durability=Durability.WRITE, turns=turns)
     settings = Settings(port=0, tick=0.02, sse_ping=0, slow_request=60)
     with running(create_app(engine, settings, lambda: 10**18), settings) as url:
-        with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
+        with asking(url) as http:
             fields = {"id": "string", "spd": "float"}
             http.put("/streams/s", json={"fields": fields}).raise_for_status()
             http.post("/annotations", content=SSL, headers=TEXT).raise_for_status()
         yield url
-
-
-@contextmanager
-def asking(url: str) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
-        yield http
 
 
 def line(seconds: float) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from waiting import until
 
 from dyknow.continuous.columns.budget import Budget, Stopped
@@ -317,7 +318,7 @@ def test_ten_thousand_windows_of_one_sample_hold_nobody_up() -> None:
     engine = Engine(epoch="e1", turns=patient())
     with (
         served(engine) as url,  # type: ignore[attr-defined]
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         declared(http, "s")
         declared(http, "other")
@@ -327,7 +328,7 @@ def test_ten_thousand_windows_of_one_sample_hold_nobody_up() -> None:
         http.post("/queries", content=count, headers={"Content-Type": TEXT}).raise_for_status()
         body = line(1) + line(100)
         sender = threading.Thread(target=publish, args=(http, "s", body))
-        with httpx.Client(base_url=url, trust_env=False, timeout=60) as other:
+        with asking(url) as other:
             sender.start()
             before = 0
             for second in range(1, 6):
@@ -348,7 +349,7 @@ def test_a_unit_that_cannot_keep_up_is_cut_off_alone() -> None:
     engine = Engine(epoch="e1", turns=WindowTurns(5, 0.05))
     with (
         served(engine) as url,  # type: ignore[attr-defined]
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         declared(http, "s")
         for text in (JUMP, JUMP.replace("jump", "beside").replace("STEP 1ms", "STEP 1s")):
@@ -426,7 +427,7 @@ def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_pat
     recorded = opened()
     with (
         served(recorded) as url,  # type: ignore[attr-defined]
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         declared(http, "s")
         text = JUMP.replace("1ms", "400us")
@@ -438,7 +439,7 @@ def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_pat
         assert 0 < told(http, "jump") < 25_000
     with (
         served(opened()) as url,  # type: ignore[attr-defined]
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         assert query(http, "jump")["state"] == "running"
         # That takes seconds of a processor, of which others may have most.
@@ -494,7 +495,7 @@ def test_nobody_waits_for_what_is_not_taken_as_the_log_takes_nothing(
     monkeypatch.setattr(recorded, "work_backlog", when_there_is_room)
     with (
         served(recorded) as url,  # type: ignore[attr-defined]
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         counting(http)
         is_full.set()

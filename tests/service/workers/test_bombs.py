@@ -7,9 +7,6 @@ The service is a process of its own, as one that is shot at may die.
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,8 +16,10 @@ from typing import Any
 
 import httpx
 import pytest
+from asking import asking
 from bombs import NDJSON, SPARQL, SSL, TEXT, WINDOWS, Bomb, documents, evaluations, query, texts
-from places import ROOT
+from launching import Forked
+from serving import Serving
 
 PATIENCE = 5.0
 """Seconds within which others are answered while a bomb is dealt with: of a machine that does other
@@ -37,14 +36,14 @@ DEADLINES = {
 class Served:
     """A service in a process of its own."""
 
-    process: subprocess.Popen[str]
+    process: Forked
     http: httpx.Client
     worst: float = 0.0
     failures: list[str] = field(default_factory=list)
 
     def watch(self, stop: threading.Event) -> None:
         """Ask for something small all the time."""
-        with httpx.Client(base_url=self.http.base_url, trust_env=False, timeout=60) as http:
+        with asking(self.http.base_url) as http:
             while not stop.is_set():
                 begin = time.monotonic()
                 try:
@@ -81,26 +80,11 @@ class Served:
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
-    path = os.pathsep.join([str(ROOT / ".typing"), *sys.path])
-    environment = {**os.environ, **DEADLINES, "PYTHONPATH": path}
-    code = "from dyknow.service.cli import app; app(['serve', '--port', '0'])"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        words = process.stderr.readline().split()
-        reader = threading.Thread(target=process.stderr.read)
-        reader.start()
-        try:
-            url = next(word for word in words if word.startswith("http://"))
-            with httpx.Client(base_url=url, trust_env=False, timeout=60) as http:
-                fields = {"id": "string", "spd": "float"}
-                http.put("/streams/s5", json={"fields": fields}).raise_for_status()
-                http.post("/annotations", content=SSL, headers={"Content-Type": TEXT})
-                yield Served(process, http)
-        finally:
-            process.terminate()
-            reader.join()
+    with Serving(None, **DEADLINES) as serving:
+        fields = {"id": "string", "spd": "float"}
+        serving.http.put("/streams/s5", json={"fields": fields}).raise_for_status()
+        serving.http.post("/annotations", content=SSL, headers={"Content-Type": TEXT})
+        yield Served(serving.process, serving.http)
 
 
 @pytest.mark.parametrize("open", ["(", "ABS("])
@@ -123,7 +107,7 @@ def test_eight_texts_at_once(served: Served) -> None:
 
 
 def _sent(served: Served, bomb: Bomb) -> httpx.Response:
-    with httpx.Client(base_url=served.http.base_url, trust_env=False, timeout=60) as http:
+    with asking(served.http.base_url) as http:
         headers = {"Content-Type": bomb.kind}
         return http.request(bomb.method, bomb.path, content=bomb.body, headers=headers)
 

@@ -16,6 +16,7 @@ from typing import Any
 import anyio
 import httpx
 import pytest
+from asking import asking
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 from waiting import until
 
@@ -482,7 +483,7 @@ def test_escapes_count_as_bytes_of_a_graph(engine: Engine) -> None:
     query = f'CONSTRUCT {{ <urn:s> <urn:p> "{returns}" }} {{}}'
     with (
         running(create_app(engine, settings, lambda: 10**18), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
+        asking(url) as http,
     ):
         for accept, status in (("text/turtle", 200), ("application/rdf+xml", 422)):
             asked = {"params": {"query": query}, "headers": {"Accept": accept}}
@@ -500,7 +501,7 @@ def test_a_slow_query_says_so(http: httpx.Client, graphs: dict[str, str]) -> Non
 def test_a_client_that_goes_frees_its_worker(engine: Engine) -> None:
     settings = Settings(port=0, sparql_workers=1, sparql_waiting=0, sparql_deadline=60)
     app = create_app(engine, settings, lambda: 10**18)
-    with running(app, settings) as url, httpx.Client(base_url=url, timeout=60) as http:
+    with running(app, settings) as url, asking(url) as http:
         assert ask(http, "ASK {}").status_code == 200
         host, port = url.removeprefix("http://").split(":")
         with socket.create_connection((host, int(port))) as gone:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import httpx
+from asking import asking
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
@@ -24,6 +25,6 @@ def hosting(
     app = create_app(engine, settings, clock)
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        asking(url) as http,
     ):
         yield app.state.service, http

@@ -11,12 +11,6 @@ from pathlib import Path
 from places import ROOT
 
 _FENCED = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SHELL = """set -euo pipefail
-dyknow() { "$PYTHON" -c 'from dyknow.service.cli import main; main()' "$@"; }
-python() { "$PYTHON" "$@"; }
-curl() { command curl -sS --fail-with-body "$@"; }
-"""
-"""What comes before the commands of a page; ``PYTHON`` in the environment is the interpreter."""
 _SEPARATORS = frozenset({";", "|", "&&", "||", "&", "do", "then", "!"})
 
 
