@@ -126,7 +126,7 @@ async function kept(names, bounds) {
 let epoch = null;
 /** Show a gap where the service has begun anew; `position` is that of a new connection. */
 function noteEpoch(position) {
-  const now = position.split("-").slice(0, -2).join("-");
+  const now = position.slice(0, position.lastIndexOf("-"));
   if (epoch !== null && now !== epoch) live.gap({ detail: "the service has begun anew" });
   epoch = now;
 }

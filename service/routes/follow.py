@@ -131,9 +131,9 @@ async def follow_streams(
     """Send the samples of several streams as server-sent events, on one connection.
 
     Messages are those of `/streams/{name}/events`; `data.stream` names the stream. An `id` is
-    opaque: sent as `Last-Event-ID` with the same streams, it resumes all of them. `end` concerns
-    one stream; the response ends with the last of them. ``last`` is of each stream; `fields` are
-    those of any.
+    opaque: sent as `Last-Event-ID`, it resumes the streams that it is of; others begin now. `end`
+    concerns one stream; the response ends with the last of them. ``last`` is of each stream;
+    `fields` are those of any.
     """
     key = service.client_key(request)
     delivery = parameters.delivery(service, stream)

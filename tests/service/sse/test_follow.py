@@ -119,9 +119,43 @@ def test_a_new_life_of_the_service_is_a_gap_of_each(client: Client, streams: lis
 
 
 @pytest.mark.parametrize(
+    ("names", "resumed"),
+    [("abc", {"a": 2, "b": 4, "c": 5}), ("cb", {"b": 4, "c": 5}), ("a", {"a": 2})],
+)
+def test_an_id_resumes_with_more_streams_and_with_fewer(
+    client: Client, http: httpx.Client, streams: list[str], names: str, resumed: dict[str, int]
+) -> None:
+    client.put_stream("c", FIELDS)
+    for name in "abc":
+        publish(client, name, 1, 5)
+    id = str(Position("e1", {"a": 2, "b": 4}))
+    query = "&".join(f"stream={name}" for name in names)
+    answer = http.head(f"/follow?{query}", headers={"Last-Event-ID": id})
+    assert answer.headers["dyknow-position"] == str(Position("e1", resumed))
+    for name in names:
+        client.end(name)
+    told = [e.data for e in client.follow(names, since=id) if e.kind == "sample"]
+    rest = {(name, n) for name, known in resumed.items() for n in range(known + 1, 6)}
+    assert {(data["stream"], data["sequence"]) for data in told} == rest
+
+
+def test_ids_of_earlier_versions_resume(client: Client, streams: list[str]) -> None:
+    """They have one digest of all names."""
+    publish(client, "a", 1, 5)
+    publish(client, "b", 1, 5)
+    client.end("a")
+    client.end("b")
+    id = "e1-59900c43-4.3"
+    told = [e.data for e in client.follow(["b", "a"], since=id) if e.kind == "sample"]
+    assert {(data["stream"], data["sequence"]) for data in told} == {("a", 5), ("b", 4), ("b", 5)}
+    with pytest.raises(ServiceError, match="of other streams"):
+        next(client.follow(["a"], since=id))
+
+
+@pytest.mark.parametrize(
     "id",
-    ["nonsense", "e1-5", "e1-00000000-1.2", str(Position("e1", {"a": 1})), "e1--1.2"],
-    ids=["no id", "one stream's", "a wrong digest", "other streams'", "no digest"],
+    ["nonsense", "e1-5", "e1-00000000-1.2", str(Position("e1", {"x": 1})), "e1--1.2", "-a:1"],
+    ids=["no id", "one stream's", "a wrong digest", "other streams'", "no digest", "no epoch"],
 )
 def test_an_id_of_other_streams_is_refused(client: Client, streams: list[str], id: str) -> None:
     with pytest.raises(ServiceError) as caught:
@@ -152,7 +186,7 @@ def test_one_connection_is_one_client_and_leaves_all_streams(
 
 def test_ids_are_bounded() -> None:
     longest = Position("3f2a91c0", {f"s{i}": 10**18 - 1 for i in range(MOST_STREAMS)})
-    assert len(str(longest)) <= 8 + 1 + 8 + 1 + 19 * MOST_STREAMS
+    assert len(str(longest)) <= 8 + 1 + 27 * MOST_STREAMS
     assert Position.parse(str(longest), list(longest.numbers)) == longest
 
 
