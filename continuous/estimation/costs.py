@@ -1,8 +1,9 @@
-"""The table of estimated and measured costs of the operators of a plan, for people."""
+"""The estimated and measured costs of the operators of a plan: as values, and as a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from ..algebra.plan import Plan, walk
 from ..algebra.plan_text import describe
@@ -17,9 +18,33 @@ _NUMBERS = (9, 8)
 """Columns of rows and of time."""
 
 
-def cost_table(
-    plan: Plan, costs: Mapping[int, Estimate], known: Known, profile: Profile | None
-) -> Iterator[str]:
+@dataclass(frozen=True, slots=True)
+class OperatorCost:
+    """One operator of a plan, as in `plan_text.describe`: ``depth`` below the first, its text, and
+    its cost. ``measured`` is None where it has not run by itself."""
+
+    depth: int
+    text: str
+    estimate: Estimate
+    measured: Measured | None
+
+
+def operator_costs(
+    plan: Plan, costs: Mapping[int, Estimate], profile: Profile | None
+) -> tuple[OperatorCost, ...]:
+    """The operators of a plan with their costs, each before its inputs."""
+    return tuple(
+        OperatorCost(
+            (len(line) - len(line.lstrip())) // 2,
+            line.lstrip(),
+            costs[id(node)],
+            None if profile is None else profile.measured(node),
+        )
+        for node, line in zip(walk(plan), describe(plan), strict=True)
+    )
+
+
+def cost_table(operators: Sequence[OperatorCost], known: Known) -> Iterator[str]:
     """The lines of the table: the rates of the inputs, then rows out and time of each operator.
 
     An operator ``WITHIN`` the one above it has no time of its own. Lines of operators are cut to
@@ -27,28 +52,24 @@ def cost_table(
     """
     for name in dict.fromkeys(one.input for one in known.schedule.windows):
         yield f"{name or 'any stream'}: {known.flows.get(name, NOTHING_KNOWN)}"
-    ran = profile is not None and profile.windows > 0
-    nodes = walk(plan)
-    lines = describe(plan)
-    ways = [costs[id(node)].way for node in nodes]
+    ran = any(one.measured is not None for one in operators)
+    lines = ["  " * one.depth + one.text for one in operators]
     columns = sum(_NUMBERS) * (2 if ran else 1)
-    room = _WIDEST - columns - 2 - max(len(way) for way in ways)
+    room = _WIDEST - columns - 2 - max(len(one.estimate.way) for one in operators)
     width = min(max(len("together"), *map(len, lines)), room)
     heads = ("estimated", "measured") if ran else ("estimated",)
     yield f"{'':<{width}}" + "".join(f"{head:>{sum(_NUMBERS)}}" for head in heads)
     yield f"{'':<{width}}{_pair('rows', 'time') * len(heads)}"
     estimated, spent = 0.0, 0.0
-    for node, line, way in zip(nodes, lines, ways, strict=True):
-        cost = costs[id(node)]
+    for one, line in zip(operators, lines, strict=True):
+        cost = one.estimate
         estimated += cost.nanoseconds
         rows = "" if cost.rows is None else _rows(cost.rows)
-        shown = _pair(rows, "" if way is Way.WITHIN else _time(cost.nanoseconds, 2))
+        shown = _pair(rows, "" if cost.way is Way.WITHIN else _time(cost.nanoseconds, 2))
         if ran:
-            assert profile is not None
-            measured = profile.measured(node)
-            spent += 0.0 if measured is None else measured.nanoseconds
-            shown += _measured(measured)
-        yield f"{_cut(line, width):<{width}}{shown}  {way}"
+            spent += 0.0 if one.measured is None else one.measured.nanoseconds
+            shown += _measured(one.measured)
+        yield f"{_cut(line, width):<{width}}{shown}  {cost.way}"
     total = _pair("", _time(estimated, 2)) + (_pair("", _time(spent)) if ran else "")
     yield f"{'together':<{width}}{total}"
 

@@ -20,6 +20,7 @@ from ..operators.entailment import PatternNeeds
 from ..operators.profile import Profile
 from ..operators.results import ResultBatch, WindowResult
 from ..windows.window_schedule import EvaluateWindows
+from .explain import Explanation
 from .solver import Solver
 from .windowed_evaluator import WindowedEvaluator
 
@@ -70,9 +71,13 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult | ResultBatch]):
         self._windows.clock = None if profile is None else profile.clock
 
     def explain(self, flows: Mapping[str, Flow] | None = None) -> str:
+        """Return the text of `explanation`."""
+        return str(self.explanation(flows))
+
+    def explanation(self, flows: Mapping[str, Flow] | None = None) -> Explanation:
         """Describe the query, its windows, its logical plan, its execution and its cost. ``flows``
         are the known rates of the inputs, by name."""
-        return self._solver.explain(flows or {})
+        return self._solver.explanation(flows or {})
 
     def _in_bulk(self) -> EvaluateWindows | None:
         return self._close_many if self._solver.works_in_bulk else None

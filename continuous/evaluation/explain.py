@@ -21,7 +21,7 @@ from ..algebra.options import Options
 from ..algebra.plan import DEFAULT, Plan, Query, expressions_of, walk
 from ..algebra.plan_text import describe, describe_query, show
 from ..columns.expression_evaluation import foreign_calls
-from ..estimation.costs import cost_table
+from ..estimation.costs import OperatorCost, cost_table, operator_costs
 from ..estimation.estimates import estimate
 from ..estimation.pattern_sizes import Known
 from ..incremental.aggregate_shape import Shape
@@ -65,6 +65,14 @@ class Explanation:
     def __str__(self) -> str:
         return "\n".join(self._lines())
 
+    def operators(self) -> tuple[OperatorCost, ...]:
+        """The operators of the plan with their costs a window; none where Oxigraph evaluates."""
+        if self.plan is None:
+            return ()
+        shape = None if isinstance(self.shape, str) else self.shape
+        costs = estimate(self.plan.plan, self.known, shape, self.served)
+        return operator_costs(self.plan.plan, costs, self.profile)
+
     def _lines(self) -> Iterator[str]:
         query = self.query
         name = f" {query.name}" if query.name else ""
@@ -83,9 +91,7 @@ class Explanation:
         if self.rules:
             names = ", ".join(rule.replace("_", " ") for rule in self.rules)
             yield from _section(f"improved by: {names}", describe_query(self.plan))
-        shape = None if isinstance(self.shape, str) else self.shape
-        costs = estimate(self.plan.plan, self.known, shape, self.served)
-        table = cost_table(self.plan.plan, costs, self.known, self.profile)
+        table = cost_table(self.operators(), self.known)
         yield from _section("costs a window: rows out, own time (estimates are rough)", table)
         if isinstance(self.shape, str):
             yield f"in columns, each window anew: {self.shape}"

@@ -215,28 +215,26 @@ class Solver:
         distinct = self.windows.options.semantics == "set"
         return Known(self.windows.schedule, self.static, flows, distinct)
 
-    def explain(self, flows: Mapping[str, Flow]) -> str:
+    def explanation(self, flows: Mapping[str, Flow]) -> Explanation:
         """Describe the query, its windows, its logical plan, its execution and its cost."""
         oxigraph, execution = self.oxigraph, self.execution
         plan = None
         if execution is not None and self.translated is not None:
             plan = Query(self.translated.head, execution.plan)
-        return str(
-            Explanation(
-                self.query,
-                oxigraph.sparql,
-                self.windows.options,
-                self.windows.schedule,
-                self.translated,
-                plan,
-                self.rules,
-                self.reason,
-                "" if execution is None else execution.shape,
-                "" if oxigraph.bag_text is not None else oxigraph.merges,
-                self.known(flows),
-                () if execution is None else execution.served,
-                self.bulk if isinstance(self.bulk, str) else "",
-                tuple(self.windows.entailment.describe()),
-                self.profile,
-            )
+        return Explanation(
+            self.query,
+            oxigraph.sparql,
+            self.windows.options,
+            self.windows.schedule,
+            self.translated,
+            plan,
+            self.rules,
+            self.reason,
+            "" if execution is None else execution.shape,
+            "" if oxigraph.bag_text is not None else oxigraph.merges,
+            self.known(flows),
+            () if execution is None else execution.served,
+            self.bulk if isinstance(self.bulk, str) else "",
+            tuple(self.windows.entailment.describe()),
+            self.profile,
         )

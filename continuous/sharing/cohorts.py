@@ -35,7 +35,7 @@ from ..algebra.unsupported import Unsupported
 from ..columns.budget import BudgetExceeded
 from ..columns.expression_evaluation import evaluate, holds
 from ..columns.relation import NeedsOxigraph, Relation
-from ..estimation.costs import cost_table
+from ..estimation.costs import cost_table, operator_costs
 from ..estimation.estimates import estimate
 from ..estimation.input_rates import Flow
 from ..estimation.pattern_sizes import Known
@@ -85,7 +85,7 @@ class SingleCohort:
         self._members.remove(number)
 
     def explain(self) -> str:
-        return self._solver.explain({})
+        return str(self._solver.explanation({}))
 
     def fold(self, end: int) -> None:
         """Fold the rows up to ``end``, which are complete."""
@@ -149,7 +149,7 @@ class JoinedCohort:
         known = Known(self.windows.schedule, self.static, flows, distinct)
         shape = None if isinstance(execution.shape, str) else execution.shape
         costs = estimate(execution.plan, known, shape, execution.served)
-        return cost_table(execution.plan, costs, known, None)
+        return cost_table(operator_costs(execution.plan, costs, None), known)
 
     @property
     def live(self) -> int:

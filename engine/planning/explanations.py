@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import assert_never
 
+from ...continuous.estimation.costs import OperatorCost
 from ...continuous.estimation.input_rates import Flow
 from ...continuous.evaluation.evaluator import ContinuousEvaluator
 from ...languages.csparql import format_query, with_streams
@@ -40,24 +41,31 @@ from ...templates.reasoning import Bound
 from ..configuration.configuration import Configuration
 from ..model.views import MatchView, PlanView, UnitView
 from ..units.base import ComputationalUnit
+from ..units.query import QueryUnit
 from .reasoning_start import explain_bound
 from .static_side import closed_ontology
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """An explanation: its text, the same by stages (pairs of a title and a text), and the matches
-    that found its streams."""
+    """An explanation: its text, the same by stages (pairs of a title and a text), the matches that
+    found its streams, and the operators of its query where it is evaluated by itself."""
 
     text: str
     stages: tuple[tuple[str, str], ...]
     matches: tuple[Match, ...] = ()
+    operators: tuple[OperatorCost, ...] = ()
 
     @classmethod
-    def of(cls, stages: Sequence[tuple[str, str]], matches: Sequence[Match] = ()) -> Explanation:
+    def of(
+        cls,
+        stages: Sequence[tuple[str, str]],
+        matches: Sequence[Match] = (),
+        operators: Sequence[OperatorCost] = (),
+    ) -> Explanation:
         """Return an explanation whose text has each title, and its stage indented below."""
         parts = (f"{title}\n{_indent(text)}" for title, text in stages)
-        return cls("\n\n".join(parts), tuple(stages), tuple(matches))
+        return cls("\n\n".join(parts), tuple(stages), tuple(matches), tuple(operators))
 
     @property
     def found(self) -> bool:
@@ -87,6 +95,11 @@ def plan_text(configuration: Configuration, unit: ComputationalUnit) -> str:
     lines = [_stream_line(configuration, unit.output.name)]
     _inputs(configuration, unit, "", lines)
     return "\n".join(lines)
+
+
+def operators_of(unit: ComputationalUnit) -> tuple[OperatorCost, ...]:
+    """The operators of a unit's query; none if it has no query of its own."""
+    return unit.explanation().operators() if isinstance(unit, QueryUnit) else ()
 
 
 def match_view(
@@ -149,8 +162,10 @@ def explain_query(
     names = list(dict.fromkeys(clause.iri for clause in parsed.streams))
     background = closed_ontology(ontology, parsed.static_named)
     evaluator = ContinuousEvaluator(parsed, dictionary, background, names)
-    stages = ("query", format_query(parsed)), ("evaluation", evaluator.explain(flows))
-    return Explanation("\n\n".join(text for _, text in stages), stages)
+    evaluation = evaluator.explanation(flows)
+    stages = ("query", format_query(parsed)), ("evaluation", str(evaluation))
+    text = "\n\n".join(text for _, text in stages)
+    return Explanation(text, stages, operators=evaluation.operators())
 
 
 def explain_matched_query(
@@ -161,8 +176,8 @@ def explain_matched_query(
     dictionary: TermDictionary,
 ) -> Explanation:
     """Explain a query that names no streams: text, matching, plans."""
-    stages = _matching_stages(parsed, wanted, matches, ontology, dictionary)
-    return Explanation.of([("registered", parsed.source.strip()), *stages], matches)
+    stages, operators = _matching_stages(parsed, wanted, matches, ontology, dictionary)
+    return Explanation.of([("registered", parsed.source.strip()), *stages], matches, operators)
 
 
 def explain_reasoning_plan(source: str, matches: Sequence[Match], evaluation: str) -> Explanation:
@@ -177,6 +192,7 @@ def explain_running_query(
     plan: str,
     evaluation: str,
     alone: str,
+    operators: Sequence[OperatorCost] = (),
 ) -> Explanation:
     """Explain a running query: text, annotations of its streams or the matches that found them,
     units, evaluation of windows. ``alone``: why it shares no computation with other queries; empty
@@ -188,7 +204,8 @@ def explain_running_query(
         stages.append(_matched(matches))
     if alone:
         evaluation = f"by itself: {alone}\n\n{evaluation}"
-    return Explanation.of([*stages, ("units", plan), ("evaluation", evaluation)], matches)
+    stages += [("units", plan), ("evaluation", evaluation)]
+    return Explanation.of(stages, matches, operators)
 
 
 def explain_request(
@@ -203,9 +220,9 @@ def explain_request(
     """Explain a request: template, needed features, matching, query, plans of the evaluation."""
     stages = [("request", request.source.strip()), ("template", template.source.strip())]
     if isinstance(bound, ContinuousQuery):
-        stages += _matching_stages(bound, wanted, matches, ontology, dictionary)
-    else:
-        stages += [*_found(wanted, matches), ("evaluation", explain_bound(bound))]
+        more, operators = _matching_stages(bound, wanted, matches, ontology, dictionary)
+        return Explanation.of([*stages, *more], matches, operators)
+    stages += [*_found(wanted, matches), ("evaluation", explain_bound(bound))]
     return Explanation.of(stages, matches)
 
 
@@ -215,17 +232,19 @@ def _matching_stages(
     matches: Sequence[Match],
     ontology: Ontology,
     dictionary: TermDictionary,
-) -> list[tuple[str, str]]:
-    """Explain needed features and matching; if all are found, the query and its plans too."""
+) -> tuple[list[tuple[str, str]], tuple[OperatorCost, ...]]:
+    """Explain needed features and matching; if all are found, the query and its plans too, with its
+    operators."""
     stages = _found(wanted, matches)
     streams = [name for m in matches if m.supply is not None for name in streams_of(m.supply)]
-    if all(match.supply is not None for match in matches):
-        names = list(dict.fromkeys(streams))
-        filled = with_streams(bound, names)
-        evaluator = ContinuousEvaluator(filled, dictionary, closed_ontology(ontology), names)
-        stages.append(("query", format_query(filled)))
-        stages.append(("evaluation", evaluator.explain()))
-    return stages
+    if any(match.supply is None for match in matches):
+        return stages, ()
+    names = list(dict.fromkeys(streams))
+    filled = with_streams(bound, names)
+    evaluator = ContinuousEvaluator(filled, dictionary, closed_ontology(ontology), names)
+    evaluation = evaluator.explanation()
+    stages += [("query", format_query(filled)), ("evaluation", str(evaluation))]
+    return stages, evaluation.operators()
 
 
 def _found(wanted: Needs, matches: Sequence[Match]) -> list[tuple[str, str]]:

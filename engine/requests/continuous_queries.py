@@ -345,6 +345,7 @@ class RegisteredQueries:
             explanations.plan_text(self._configuration, running.unit),
             running.unit.explain(),
             running.started.unshared,
+            explanations.operators_of(running.unit),
         )
 
     def explanation(self, text: str) -> explanations.Explanation:

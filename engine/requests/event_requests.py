@@ -261,7 +261,9 @@ class EventRequests:
         if running.alone:
             evaluation += f"\nnot shared   {running.alone}"
         stages = ("units", view.text.rstrip()), ("evaluation", evaluation)
-        return explanations.Explanation("\n\n".join(text for _, text in stages), stages)
+        text = "\n\n".join(text for _, text in stages)
+        operators = explanations.operators_of(running.unit)
+        return explanations.Explanation(text, stages, operators=operators)
 
     def why(
         self, id: str, objects: Sequence[str], start: int

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...continuous.evaluation.evaluator import ContinuousEvaluator
+from ...continuous.evaluation.explain import Explanation
 from ...continuous.operators.results import ResultBatch, WindowResult
 from ...converters.errors import ConversionError
 from ...converters.to_samples import ResultConverter
@@ -115,7 +116,11 @@ class QueryUnit(WindowUnit):
 
     def explain(self) -> str:
         """Print the evaluation of the query, with costs estimated from the rates of its streams."""
-        return self.evaluator.explain(self.flows())
+        return str(self.explanation())
+
+    def explanation(self) -> Explanation:
+        """The evaluation of the query, with costs estimated from the rates of its streams."""
+        return self.evaluator.explanation(self.flows())
 
     def emit(self, results: Sequence[WindowResult | ResultBatch]) -> None:
         for result in results:

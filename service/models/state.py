@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
+from ...continuous.estimation.costs import OperatorCost
+from ...continuous.estimation.estimates import Way
 from ...engine.planning.explanations import Explanation
 from ...matching.render import steps
 from .events import StepModel
@@ -192,6 +194,36 @@ class StageModel(BaseModel):
     text: str
 
 
+class CostModel(BaseModel):
+    """What an operator costs a window."""
+
+    rows: float | None = Field(description="rows out; null where it makes none")
+    nanoseconds: float = Field(description="its own time; 0 within another operator")
+
+
+class OperatorModel(BaseModel):
+    """An operator of a query's plan, before its inputs, which are one deeper."""
+
+    depth: int
+    operator: str
+    way: Way = Field(description="how it is computed")
+    estimated: CostModel
+    measured: CostModel | None = Field(description="null where it was not measured")
+
+    @classmethod
+    def of(cls, cost: OperatorCost) -> OperatorModel:
+        estimate, measured = cost.estimate, cost.measured
+        return cls(
+            depth=cost.depth,
+            operator=cost.text,
+            way=estimate.way,
+            estimated=CostModel(rows=estimate.rows, nanoseconds=estimate.nanoseconds),
+            measured=None
+            if measured is None
+            else CostModel(rows=measured.rows, nanoseconds=measured.nanoseconds),
+        )
+
+
 class ExplainModel(BaseModel):
     """The stages of a query, template, request or match."""
 
@@ -202,6 +234,9 @@ class ExplainModel(BaseModel):
     plan: list[StepModel] = Field(
         description="for each needed feature the plan, and what else was considered"
     )
+    operators: list[OperatorModel] = Field(
+        [], description="of a query that columns evaluate by itself: its plan, with costs a window"
+    )
 
     @classmethod
     def of(cls, explanation: Explanation) -> ExplainModel:
@@ -211,4 +246,5 @@ class ExplainModel(BaseModel):
             missing=list(explanation.missing),
             stages=[StageModel(title=title, text=text) for title, text in explanation.stages],
             plan=[StepModel.of(steps(match)) for match in explanation.matches],
+            operators=[OperatorModel.of(cost) for cost in explanation.operators],
         )

@@ -15,6 +15,7 @@ import pytest
 from pyoxigraph import DefaultGraph, RdfFormat, parse
 
 from dyknow.engine.engine import Engine
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.service.client.client import Client
 from dyknow.service.config.settings import Settings
 from dyknow.service.http.body_limit import BodyLimit
@@ -31,6 +32,12 @@ AGGREGATE {(?avgSpeed, AVG, {?spd}) FILTER (?avgSpeed > ?threshold)}
 WINDOW [RANGE 5s STEP 1s]"""
 IRI = "http://www.ida.liu.se/dyknow/HighSpeedEvent"
 SSL = "stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id"
+STREAMED = (
+    TEMPLATE.replace("TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold)", "STREAM fast")
+    .replace("> ?threshold", "> 100")
+    .replace(WINDOW, "")
+    .replace("WHERE", f"FROM STREAM <{DYKNOW}s5.trdf> {WINDOW.removeprefix('WINDOW ')}\nWHERE")
+)
 REQUEST = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
 TEXT = {"Content-Type": "text/plain"}
 LINES = {"Content-Type": "application/x-ndjson"}
@@ -296,15 +303,10 @@ def test_match_starts_nothing(annotated: httpx.Client) -> None:
 
 def test_explain_every_kind(annotated: httpx.Client) -> None:
     view = annotated.post("/events", content=REQUEST, headers=TEXT).json()
-    query = TEMPLATE.replace("TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold)", "STREAM fast")
-    query = query.replace("> ?threshold", "> 100").replace("WINDOW [RANGE 5s STEP 1s]", "")
-    query = query.replace(
-        "WHERE", "FROM STREAM <http://www.ida.liu.se/dyknow/s5.trdf> [RANGE 5s STEP 1s]\nWHERE"
-    )
     for parameter, value in {
         "event": REQUEST,
         "template": "HighSpeedEvent",
-        "query": query,
+        "query": STREAMED,
         "id": view["id"],
         "feature": "dyknow:speed",
     }.items():
@@ -323,7 +325,7 @@ def test_explain_every_kind(annotated: httpx.Client) -> None:
             "/explain", json={parameter: value}, headers=as_json.request.headers
         )
         assert posted.json() == found
-    for body in ({}, {"event": REQUEST, "query": query}):
+    for body in ({}, {"event": REQUEST, "query": STREAMED}):
         assert annotated.post("/explain", json=body).status_code == 400
 
 
@@ -343,6 +345,24 @@ def test_the_plan_of_an_explanation_is_a_tree(annotated: httpx.Client) -> None:
     assert (speed["parts"][0]["verdict"], speed["parts"][0]["stream"]) == ("chosen", "s5")
     match = {"feature": "dyknow:speed", "sort": "dyknow:UAV"}
     assert annotated.post("/match", json=match).json()["tree"]["parts"][0]["stream"] == "s5"
+
+
+def test_the_operators_of_an_explanation_have_costs(annotated: httpx.Client) -> None:
+    annotated.post("/queries", content=STREAMED).raise_for_status()
+    accept = {"Accept": "application/json"}
+    for thing in ({"event": REQUEST}, {"query": STREAMED}, {"id": "fast"}):
+        found = annotated.post("/explain", json=thing, headers=accept).json()
+        first, *below = found["operators"]
+        assert first["depth"] == 0
+        assert {one["depth"] for one in below} > {1, 2}
+        assert "folded, each step" in {one["way"] for one in found["operators"]}
+        assert first["estimated"]["rows"] > 0
+        spent = [one["estimated"]["nanoseconds"] for one in found["operators"]]
+        assert min(spent) >= 0 < sum(spent)
+        assert [one["operator"] for one in below if one["operator"] in found["text"]]
+        assert {one["measured"] for one in found["operators"]} == {None}
+    template = annotated.post("/explain", json={"template": "HighSpeedEvent"}, headers=accept)
+    assert template.json()["operators"] == []
 
 
 def test_an_explanation_without_a_plan_is_a_problem(annotated: httpx.Client) -> None:
