@@ -155,7 +155,7 @@ def test_individuals_sorts_and_predicates_of_ontologies_and_annotations(
     for number in (1, 2):
         come_and_go(number)
     before = terms(engine)
-    for number in range(3, 9):
+    for number in range(3, 6):
         come_and_go(number)
     assert terms(engine) == before
 

@@ -244,9 +244,9 @@ def test_schemas_that_the_text_names_are_not_read(tmp_path: Path) -> None:
         assert parse_specification(text).insertions == (unit("a"),)
 
 
-def test_a_hundred_thousand_siblings() -> None:
-    assert len(parse_specification(insertions("<spec:cu type='a'/>" * 100_000)).insertions) == 1e5
-    wrong = "<spec:cu/>" * 100_000
+def test_many_siblings() -> None:
+    assert len(parse_specification(insertions("<spec:cu type='a'/>" * 20_000)).insertions) == 20_000
+    wrong = "<spec:cu/>" * 20_000
     assert refused(insertions(wrong)).message == "`cu` has no `type`"
 
 

@@ -478,9 +478,9 @@ def test_annotations_of_declared_streams_survive_a_restart(tmp_path, processes):
     assert again.stream("f").annotation is not None
 
 
-def test_ten_thousand_small_streams(engine):
-    """A source and a stream for each of five thousand cars."""
-    count = 5_000
+def test_thousands_of_small_streams(engine):
+    """A source and a stream for each of fifteen hundred cars."""
+    count = 1_500
     text = "\n".join(
         f"source float p{i}\nstrmgen pos[car{i}] = p{i}\nstream q{i} = pos[car{i}] with any change"
         for i in range(count)
