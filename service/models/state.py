@@ -235,7 +235,8 @@ class ExplainModel(BaseModel):
         description="for each needed feature the plan, and what else was considered"
     )
     operators: list[OperatorModel] = Field(
-        [], description="of a query that columns evaluate by itself: its plan, with costs a window"
+        default=[],
+        description="of a query that columns evaluate by itself: its plan, with costs a window",
     )
 
     @classmethod
