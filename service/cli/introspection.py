@@ -116,6 +116,13 @@ def explain(
     query: Annotated[str | None, typer.Option(help="REGISTER text, its file, or - .")] = None,
     id: Annotated[str | None, typer.Option(help="A running request.")] = None,
     feature: Annotated[str | None, typer.Option(help="A feature to match.")] = None,
+    since: Annotated[
+        str | None,
+        typer.Option(
+            help="Also try a request or a query on what is kept: from the start, a time, or a "
+            "duration before the newest sample."
+        ),
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
@@ -123,7 +130,7 @@ def explain(
     plan."""
     if sum(value is not None for value in (event, template, query, id, feature)) != 1:
         raise typer.BadParameter("name one of: a request, --template, --query, --id, --feature")
-    thing = {"event": event, "template": template, "id": id, "feature": feature}
+    thing = {"event": event, "template": template, "id": id, "feature": feature, "since": since}
     thing["query"] = None if query is None else text_or_file(query)
     from ..client.errors import ServiceError
 

@@ -762,16 +762,18 @@ class Routes:
         query: str | None = None,
         id: str | None = None,
         feature: str | None = None,
+        since: str | None = None,
     ) -> Flow[str]:
-        """Return the stages of exactly one of these, as text."""
+        """Return the stages of exactly one of these, as text. With ``since`` (``start``, a time, a
+        duration) also how often an event or a query would have fired on what is kept."""
         things = {"event": event, "template": template, "query": query, "id": id}
-        body = things | {"feature": feature}
+        body = things | {"feature": feature, "since": since}
         return read_text("POST", "/explain", json=body, headers={"Accept": TEXT})
 
     @verb
     def explanation(self, /, **thing: str | None) -> Flow[dict[str, Any]]:
         """Return the same as ``text``, ``stages`` and ``plan``, a tree of what was considered. Of a
-        feature also for a ``sort``, and by a ``strategy``.
+        feature also for a ``sort``, and by a ``strategy``; with ``since`` also ``tried``.
 
         Raises `ServiceError` 422 if there is no plan; its ``problem`` has the same members, and
         ``missing``."""

@@ -8,8 +8,10 @@ from pydantic import BaseModel, Field
 
 from ...continuous.estimation.costs import OperatorCost
 from ...continuous.estimation.estimates import Way
+from ...engine.back_test import Trial
 from ...engine.planning.explanations import Explanation
 from ...matching.render import steps
+from ...streams.time import format_time
 from .events import StepModel
 
 
@@ -224,6 +226,49 @@ class OperatorModel(BaseModel):
         )
 
 
+class TrialModel(BaseModel):
+    """What a query or request would have given on the samples that are kept."""
+
+    since: str | None = Field(description="available time of the first sample; null without one")
+    until: str | None = Field(description="available time of the last sample that was read")
+    samples: int
+    results: int = Field(description="samples of its stream: how often it would have fired")
+    first: str | None = Field(description="valid time of the first result")
+    last: str | None
+    complete: bool = Field(description="false: its time was over before all was read")
+    failure: str | None = Field(description="why it could not start, or ended")
+
+    @classmethod
+    def of(cls, trial: Trial) -> TrialModel:
+        def shown(time: int | None) -> str | None:
+            return None if time is None else format_time(time)
+
+        return cls(
+            since=shown(trial.since),
+            until=shown(trial.until),
+            samples=trial.samples,
+            results=trial.results,
+            first=shown(trial.first),
+            last=shown(trial.last),
+            complete=trial.is_complete,
+            failure=trial.failure,
+        )
+
+    def __str__(self) -> str:
+        if self.until is None:
+            return f"not tried: {self.failure or 'no sample is kept'}"
+        found = f"{self.samples:,} samples from {self.since} to {self.until}: "
+        if self.results:
+            found += (
+                f"{self.results:,} results,\nthe first at {self.first}, the last at {self.last}"
+            )
+        else:
+            found += "no result"
+        if self.failure is not None:
+            return f"{found}\nthen it failed: {self.failure}"
+        return found if self.complete else f"{found}\nits time was over there"
+
+
 class ExplainModel(BaseModel):
     """The stages of a query, template, request or match."""
 
@@ -237,6 +282,9 @@ class ExplainModel(BaseModel):
     operators: list[OperatorModel] = Field(
         default=[],
         description="of a query that columns evaluate by itself: its plan, with costs a window",
+    )
+    tried: TrialModel | None = Field(
+        default=None, description="with `since`: what it would have given on what is kept"
     )
 
     @classmethod

@@ -81,6 +81,7 @@ class Service:
     client_key: ClientKey = address_of
     """The key under which the event streams of a client count (`Settings.sse_clients_each`)."""
     histories: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(BEGUN))
+    trials: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
     """Held while a history is looked up and its first pieces are encoded."""
 
     stream_versions: StreamVersions = field(init=False)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
+import time
+from functools import partial
 from typing import Any
 
+import anyio
 from fastapi import Depends, Query, Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field, model_validator
 
+from ....engine.back_test import BackTest
 from ....engine.model.errors import NoPlan
 from ....engine.model.views import MatchView
 from ....engine.planning.stream_binding import REMEDY
@@ -16,7 +21,7 @@ from ...http.negotiation import accepted
 from ...http.problems import Problem, responses
 from ...http.routers import resource_router
 from ...http.text_limits import parse_aside, parse_continuous
-from ...models import ExplainModel, StageModel, StepModel, Strategy
+from ...models import ExplainModel, StageModel, StepModel, Strategy, TrialModel
 from ...models.parts import Body
 from ...runtime.context import Context, Service
 from ..json_body import JsonRoute
@@ -25,6 +30,12 @@ from ..streams import json_only
 router = resource_router("explain", route_class=JsonRoute)
 
 LIMIT = 8192
+TRIAL_SECONDS = 5.0
+"""The time of a back test."""
+SINCE = (
+    "try a request or a query on what is kept: from the `start`, a time, or a duration before the "
+    "newest sample (`10m`)"
+)
 LONGEST = 1 << 18
 """Characters of a text that POST explains."""
 KINDS = ("event", "template", "query", "id", "feature")
@@ -51,6 +62,7 @@ class ExplainIn(Body):
     feature: str | None = Field(None, max_length=LONGEST, description="a feature to match")
     sort: str | None = Field(None, max_length=LONGEST, description="the sort that has the feature")
     strategy: Strategy = "fast"
+    since: str | None = Field(None, max_length=100, description=SINCE)
 
     @model_validator(mode="after")
     def _exactly_one(self) -> ExplainIn:
@@ -61,6 +73,13 @@ class ExplainIn(Body):
                 "wrong arguments",
                 f"a request explains one thing, and this one names {len(given)}",
                 hint=f"send exactly one of {', '.join(KINDS)}",
+            )
+        if self.since is not None and self.event is None and self.query is None:
+            raise Problem(
+                400,
+                "wrong arguments",
+                f"`since` tries a request or a query, and no {given[0]}",
+                hint="send it with event or query",
             )
         return self
 
@@ -80,10 +99,14 @@ async def explain(
     feature: str | None = Query(None, max_length=LIMIT, description="a feature to match"),
     sort: str | None = Query(None, max_length=LIMIT, description="the sort that has the feature"),
     strategy: Strategy = "fast",
+    since: str | None = Query(None, max_length=100, description=SINCE),
 ) -> Response:
     """Explain exactly one of `event`, `template`, `query`, `id` and `feature`.
 
-    As JSON `plan` is a tree of what was considered. 422: as JSON, where there is no plan; the
+    As JSON `plan` is a tree of what was considered. With `since` a request or a query is tried on
+    the samples that are kept, for a few seconds: `tried` says how often it would have fired.
+
+    422: as JSON, where there is no plan; the
     problem has `missing`, and the members of the explanation.
     """
     wanted = ExplainIn(
@@ -94,6 +117,7 @@ async def explain(
         feature=feature,
         sort=sort,
         strategy=strategy,
+        since=since,
     )
     return await _answer(request, service, wanted)
 
@@ -112,6 +136,8 @@ async def explain_long(request: Request, service: Context, wanted: ExplainIn) ->
 async def _answer(request: Request, service: Service, wanted: ExplainIn) -> Response:
     kind = accepted(request, (TEXT, JSON))
     model = await _explained(service, wanted)
+    if wanted.since is not None and model.found:
+        model = await _tried(service, wanted, wanted.since, model)
     if kind == TEXT:
         # For reading: the text itself says what is missing.
         return PlainTextResponse(model.text)
@@ -146,6 +172,31 @@ async def _explained(service: Service, wanted: ExplainIn) -> ExplainModel:
             strategy=wanted.strategy,
         )
     )
+
+
+async def _tried(
+    service: Service, wanted: ExplainIn, since: str, model: ExplainModel
+) -> ExplainModel:
+    """Add what a request or a query would have given on what is kept."""
+    engine = service.engine
+    asked = wanted.query if wanted.event is None else engine.parse_request(wanted.event)
+    assert asked is not None
+    # One at a time: each keeps a thread busy, and copies the samples.
+    async with service.trials:
+        test = BackTest(engine, since)
+        end = time.monotonic() + TRIAL_SECONDS
+        run = partial(
+            test.run,
+            asked,
+            wanted.strategy,
+            service.isolation.budget,
+            lambda: time.monotonic() >= end,
+        )
+        trial = TrialModel.of(await anyio.to_thread.run_sync(run))
+    stage = StageModel(title="on what is kept", text=str(trial))
+    text = f"{model.text.rstrip()}\n\n{stage.title}\n{textwrap.indent(stage.text, '  ')}\n"
+    stages = [*model.stages, stage]
+    return model.model_copy(update={"text": text, "stages": stages, "tried": trial})
 
 
 def _match(view: MatchView) -> str:

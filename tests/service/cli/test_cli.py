@@ -343,6 +343,9 @@ def test_match_and_explain(dyknow: Any, client: Client, template: str) -> None:
     assert "HighSpeedEvent" in dyknow("explain", REQUEST).stdout
     assert "text" in lines(dyknow("explain", "--template", "HighSpeedEvent", "--json"))[0]
     assert "--template" in dyknow("explain", status=2).stderr
+    tried = dyknow("explain", REQUEST, "--since", "start").stdout
+    assert tried.splitlines()[-2:] == ["on what is kept", "  not tried: no sample is kept"]
+    assert "since" in dyknow("explain", REQUEST, "--since", "soon", status=1).stderr
     lacking = REQUEST.replace("UAV", "Human")
     assert "failed" in dyknow("explain", lacking, status=1).stdout
     missed = lines(dyknow("explain", lacking, "--json", status=1))[0]

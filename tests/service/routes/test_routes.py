@@ -365,6 +365,41 @@ def test_the_operators_of_an_explanation_have_costs(annotated: httpx.Client) -> 
     assert template.json()["operators"] == []
 
 
+def test_a_request_and_a_query_are_tried_on_what_is_kept(annotated: httpx.Client) -> None:
+    rows = [{"valid": i * 10**9, "available": i * 10**9, "id": "u", "spd": 150} for i in range(20)]
+    publish(annotated, rows)
+    accept = {"Accept": "application/json"}
+    for thing in ({"event": REQUEST}, {"query": STREAMED}):
+        body = {**thing, "since": "start"}
+        found = annotated.post("/explain", json=body, headers=accept).json()
+        assert found["tried"] == {
+            "since": "1970-01-01T00:00:00Z",
+            "until": "1970-01-01T00:00:14Z",
+            "samples": 15,  # The others may still be overtaken.
+            "results": 14,
+            "first": "1970-01-01T00:00:00Z",
+            "last": "1970-01-01T00:00:13Z",
+            "complete": True,
+            "failure": None,
+        }
+        assert found["stages"][-1]["title"] == "on what is kept"
+        text = annotated.get("/explain", params=body).text
+        assert text == found["text"]
+        assert text.endswith(
+            "on what is kept\n  15 samples from 1970-01-01T00:00:00Z to 1970-01-01T00:00:14Z: "
+            "14 results,\n  the first at 1970-01-01T00:00:00Z, the last at 1970-01-01T00:00:13Z\n"
+        )
+        assert not annotated.get("/events").json()
+    for body, status in (
+        ({"feature": "dyknow:speed", "since": "start"}, 400),
+        ({"event": REQUEST, "since": "tomorrow"}, 400),
+        ({"event": REQUEST, "since": "now"}, 400),
+    ):
+        assert annotated.post("/explain", json=body, headers=accept).status_code == status
+    quiet = annotated.post("/explain", json={"event": REQUEST}, headers=accept).json()
+    assert quiet["tried"] is None
+
+
 def test_an_explanation_without_a_plan_is_a_problem(annotated: httpx.Client) -> None:
     accept = {"Accept": "application/json"}
     lacking = REQUEST.replace("UAV", "Human")
