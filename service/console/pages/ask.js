@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "../vendor/preact.js";
 import { byName, isKnown, may, refresh, requests, templates, vocabulary } from "../state.js";
 import { shown, tick } from "../feed.js";
-import { local, plural, rate, unit, value, words } from "../format.js";
+import { local, plural, rate, stamp, unit, value, words } from "../format.js";
 import { ask, explain } from "../http.js";
 import { eventText, initial, prefixed, sorts, term, usual } from "../terms.js";
 import { PlanTree } from "../plan.js";
@@ -93,6 +93,16 @@ function Started({ made }) {
     <a href=${`#graph/${encodeURIComponent(made.stream)}`}>Where it comes from</a></div>`;
 }
 
+/** What a request would have given on what is kept. */
+function Tried({ of }) {
+  const times = of.results ? plural(of.results, "time") : "not once";
+  const read = `${plural(of.samples, "kept sample")} from ${stamp(of.since)} to ${stamp(of.until)}`;
+  return html`<div class="note" role="status">${of.until
+    ? html`<b>It would have fired ${times}</b>${of.results ? `, last at ${stamp(of.last)}. ` : ". "}
+      Tried on ${read}${of.complete ? "" : ", when its time was over"}.`
+    : `It cannot be tried: ${of.failure ?? "no sample is kept"}.`}</div>`;
+}
+
 function Same({ list }) {
   if (!list.length) return null;
   return html`<div class="same"><h3 class="group">${plural(list.length, "request")} of this kind; an equal one shares its stream</h3>
@@ -107,6 +117,7 @@ export default function Ask() {
   const [options, setOptions] = useState({ strategy: "fast", since: "now" });
   const [plan, setPlan] = useState(null), [trouble, setTrouble] = useState(null);
   const [made, setMade] = useState(null), [isBusy, setBusy] = useState(false);
+  const [tried, setTried] = useState({});
   tick.value;
   const isFeature = chosen === "feature";
   const template = isFeature ? null : templates.value.find((each) => each.name === chosen) ?? templates.value[0];
@@ -146,7 +157,16 @@ export default function Ask() {
       clearTimeout(due);
     };
   }, [key, vocabulary.value.sorts.length]);
-  const canStart = may("admin") && plan?.found && !isBusy;
+  const canTry = !isFeature && plan?.found && !isBusy, canStart = may("admin") && plan?.found && !isBusy;
+  const tryIt = async () => {
+    setBusy(true);
+    try {
+      setTried({ key, found: (await explain({ ...wished, since: "start" })).tried });
+    } catch (error) {
+      setTrouble(error);
+    }
+    setBusy(false);
+  };
   const start = async () => {
     if (!canStart) return;
     setBusy(true);
@@ -186,8 +206,10 @@ export default function Ask() {
         <div class="field"><span class="muted">begin</span><div><div class="tabs" role="group" aria-label="begin">${Object.entries(SINCE).map(([since, label]) =>
           html`<button aria-pressed=${options.since === since} onClick=${() => setOptions({ ...options, since })}>${label}</button>`)}</div></div></div>
         <${Trouble} of=${trouble} />
-        ${may("admin") ? html`<div class="row"><button class="main" disabled=${!canStart} onClick=${start}>Start</button><span class="faint small wide"><kbd>Ctrl ⏎</kbd></span></div>`
-          : html`<div class="note">Your token may read only. Starting a request needs scope admin.</div>`}
+        <div class="row">${may("admin") && html`<button class="main" disabled=${!canStart} onClick=${start}>Start</button><span class="faint small wide"><kbd>Ctrl ⏎</kbd></span>`}
+          ${!isFeature && html`<button disabled=${!canTry} title="how often it would have fired" onClick=${tryIt}>Try it on what is kept</button>`}</div>
+        ${!may("admin") && html`<div class="note">Your token may read only. Starting a request needs scope admin.</div>`}
+        ${tried.key === key && tried.found && html`<${Tried} of=${tried.found} />`}
         ${made && html`<${Started} made=${made} />`}</div>
       <${Same} list=${same} /></section>
     <${Answer} plan=${plan} goal=${goal} window=${template?.window} trouble=${trouble} /></div></main>`;

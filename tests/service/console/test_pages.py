@@ -120,6 +120,8 @@ def test_ask_shows_the_plan_starts_and_ends_a_request(flying: str, open_page: OP
     assert page.run("document.querySelector('button.main').disabled")
     page.choose("#p-type", "Aircraft")
     page.wait("document.querySelector('button.main').disabled === false")
+    page.click("button", "Try it on what is kept")
+    page.wait_text("It would have fired ")
     asked = len(httpx.get(f"{flying}/events", timeout=60).json())
     page.click("button.main", "Start")
     page.wait_text("It runs as ")
