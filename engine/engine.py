@@ -21,6 +21,8 @@ from ..languages.kpl import parse_policy
 from ..languages.specification import Specification, parse_specification
 from ..languages.ssl.annotation import CheckedAnnotation
 from ..matching.gc_pause import gc_paused
+from ..matching.plan import Node
+from ..matching.plan_value import cost_of_node
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.shipped_files import is_shipped
 from ..ontology.texts.reading import TextFormat
@@ -671,6 +673,10 @@ class Engine:
         supplies = self._parts.plans.expand_supplies([found])
         texts = [plan_text(supply, self._parts.known_transformations) for supply in supplies]
         return replace(view, specification=next(iter(texts), None))
+
+    def cost_of_node(self, node: Node) -> float:
+        """What a node of a plan adds to its cost now."""
+        return cost_of_node(node, self._parts.manager.space, self._parts.plans.is_running)
 
     def explain_running(self, id: str) -> str:
         """Return the text of `running_explanation`."""

@@ -36,9 +36,14 @@ def cost_of(
     supply: Supply, space: StreamSpace, is_running: Callable[[Node], bool] = nothing_runs
 ) -> float:
     """The sum of the costs of its distinct units that do not run yet."""
-    return sum(
-        _own_cost(node, space, 0.0) for node in nodes_of_supply(supply) if not is_running(node)
-    )
+    return sum(cost_of_node(node, space, is_running) for node in nodes_of_supply(supply))
+
+
+def cost_of_node(
+    node: Node, space: StreamSpace, is_running: Callable[[Node], bool] = nothing_runs
+) -> float:
+    """What a node adds to the cost of a plan: nothing if it runs."""
+    return 0.0 if is_running(node) else _own_cost(node, space, 0.0)
 
 
 def weight_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias, assert_never
 
@@ -39,6 +39,7 @@ class Step:
     """A line of a match as a value, for interfaces that draw the tree themselves.
 
     ``verdict``: chosen, possible, not tried or failed; empty for what a chosen line rests on.
+    ``cost``: what it adds to the cost of the plan; None of what is not in the plan.
     """
 
     text: str
@@ -47,6 +48,7 @@ class Step:
     stream: str | None = None
     transformation: str | None = None
     parts: tuple[Step, ...] = ()
+    cost: float | None = None
 
 
 class _Use(NamedTuple):
@@ -103,8 +105,8 @@ def render(match: Match) -> str:
     return "\n".join(lines)
 
 
-def steps(match: Match) -> Step:
-    """The tree of `render` as a value: the title with the lines below it.
+def steps(match: Match, cost: Callable[[Node], float]) -> Step:
+    """The tree of `render` as a value: the title with the lines below it. ``cost``: of a node.
 
     At most `MOST_LINES` steps, and at most `DEEPEST` above each other.
     """
@@ -135,7 +137,7 @@ def steps(match: Match) -> Step:
                 text, uses = _node(node, ports)
                 stream = node.stream if isinstance(node, UseStream) else None
                 unit = node.transformation if isinstance(node, Compute) else None
-                return Step(text, verdict, "", stream, unit, made(uses, depth + 1))
+                return Step(text, verdict, "", stream, unit, made(uses, depth + 1), cost(node))
             case _:
                 assert_never(item)
 

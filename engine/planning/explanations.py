@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import assert_never
 
 from ...continuous.estimation.costs import OperatorCost
@@ -26,7 +27,7 @@ from ...languages.ssl.annotation import StreamAnnotation
 from ...languages.templates import AnyTemplate
 from ...matching.match import Match
 from ...matching.plan import Node, streams_of
-from ...matching.plan_value import cost_of, quality_of
+from ...matching.plan_value import cost_of, cost_of_node, quality_of
 from ...matching.render import render, steps
 from ...matching.space import StreamSpace
 from ...matching.tree import Alternative, Outcome
@@ -135,7 +136,7 @@ def match_view(
         cost=cost,
         quality=quality,
         proven=match.proven,
-        tree=steps(match),
+        tree=steps(match, partial(cost_of_node, space=space, is_running=is_running)),
     )
 
 

@@ -142,6 +142,9 @@ class StepModel(BaseModel):
     reason: str = Field(description="why it failed or is only possible; may be empty")
     stream: str | None = Field(description="the existing stream that it reads")
     transformation: str | None = Field(description="the transformation that it needs")
+    cost: float | None = Field(
+        description="what it adds to the cost of the plan, 0 if it runs; null of what is not in it"
+    )
     parts: list[StepModel]
 
     @classmethod
@@ -152,6 +155,7 @@ class StepModel(BaseModel):
             reason=step.reason,
             stream=step.stream,
             transformation=step.transformation,
+            cost=step.cost,
             parts=[cls.of(part) for part in step.parts],
         )
 

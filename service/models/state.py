@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 from pydantic import BaseModel, Field
@@ -10,6 +11,7 @@ from ...continuous.estimation.costs import OperatorCost
 from ...continuous.estimation.estimates import Way
 from ...engine.back_test import Trial
 from ...engine.planning.explanations import Explanation
+from ...matching.plan import Node
 from ...matching.render import steps
 from ...streams.time import format_time
 from .events import StepModel
@@ -288,12 +290,12 @@ class ExplainModel(BaseModel):
     )
 
     @classmethod
-    def of(cls, explanation: Explanation) -> ExplainModel:
+    def of(cls, explanation: Explanation, cost: Callable[[Node], float]) -> ExplainModel:
         return cls(
             text=explanation.text,
             found=explanation.found,
             missing=list(explanation.missing),
             stages=[StageModel(title=title, text=text) for title, text in explanation.stages],
-            plan=[StepModel.of(steps(match)) for match in explanation.matches],
+            plan=[StepModel.of(steps(match, cost)) for match in explanation.matches],
             operators=[OperatorModel.of(cost) for cost in explanation.operators],
         )

@@ -160,7 +160,7 @@ async def _explained(service: Service, wanted: ExplainIn) -> ExplainModel:
             plan=[StepModel.of(view.tree)],
         )
     if wanted.id is not None:
-        model = ExplainModel.of(engine.running_explanation(wanted.id))
+        model = ExplainModel.of(engine.running_explanation(wanted.id), engine.cost_of_node)
         return model.model_copy(update={"text": model.text + "\n"})
     if wanted.query is not None:
         await parse_aside(parse_continuous, wanted.query)
@@ -170,7 +170,8 @@ async def _explained(service: Service, wanted: ExplainIn) -> ExplainModel:
             template=wanted.template,
             query=wanted.query,
             strategy=wanted.strategy,
-        )
+        ),
+        engine.cost_of_node,
     )
 
 

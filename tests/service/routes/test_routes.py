@@ -345,6 +345,19 @@ def test_the_plan_of_an_explanation_is_a_tree(annotated: httpx.Client) -> None:
     assert (speed["parts"][0]["verdict"], speed["parts"][0]["stream"]) == ("chosen", "s5")
     match = {"feature": "dyknow:speed", "sort": "dyknow:UAV"}
     assert annotated.post("/match", json=match).json()["tree"]["parts"][0]["stream"] == "s5"
+    # What each part adds to the cost: nothing that exists, and the computations that it needs.
+    chosen = speed["parts"][0]
+    assert (speed["cost"], chosen["cost"]) == (None, 0.0)
+    computed = "stream s5 contains latitude(UAV) = spd, longitude(UAV) = spd for every UAV = id"
+    annotated.post("/annotations", content=computed, headers=TEXT).raise_for_status()
+    found = annotated.post("/match", json=match).json()
+    parts = [found["tree"]]
+    spent = 0.0
+    while parts:
+        part = parts.pop()
+        spent += part["cost"] or 0.0
+        parts += part["parts"]
+    assert spent == found["cost"] > 0
 
 
 def test_the_operators_of_an_explanation_have_costs(annotated: httpx.Client) -> None:
