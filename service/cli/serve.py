@@ -11,6 +11,14 @@ from ...journal.durability import Durability
 
 
 def serve(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FILE]",
+            help="A recording that `dyknow replay` reads: all of it is played at the start.",
+            exists=True,
+        ),
+    ] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen at.")] = None,
     port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.", min=0)] = None,
     data: Annotated[
@@ -35,12 +43,23 @@ def serve(
     flights: Annotated[
         bool, typer.Option("--flights", help="Play the recorded flights in a loop.")
     ] = False,
+    ssl: Annotated[
+        str | None,
+        typer.Option(help="The annotation of the recording's streams: SSL text or its file."),
+    ] = None,
 ) -> None:
     """Run the service. Every setting can also be given as DYKNOW_<NAME>."""
+    if ssl is not None and recording is None:
+        raise typer.BadParameter("--ssl annotates the streams of a recording: name its file")
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
     given["durability"] = durability
     given["processes"] = processes or None
     given["tokens_file"] = tokens
     from .serving import start
 
-    start({key: value for key, value in given.items() if value is not None}, flights=flights)
+    start(
+        {key: value for key, value in given.items() if value is not None},
+        flights=flights,
+        recording=recording,
+        ssl=ssl,
+    )

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import signal
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import typer
 
+from ...converters.recordings.many_streams import has_many_streams
+from ...converters.recordings.names import valid_name
 from ...engine.durability.durable_engine import RecordedEngine
 from ...engine.engine import Engine
 from ...journal.errors import JournalError, is_full
 from ...ontology.errors import OntologyError
 from ..admission.tokens import Scope, Tokens, TokensError
 from ..app import create_app
+from ..config.defaults import TOKEN
 from ..config.file_limits import raise_limit
 from ..config.logs import configure, log
 from ..config.settings import Settings
@@ -35,8 +41,11 @@ from .recordings.demonstration import STREAM
 from .recordings.demonstration import flights as play_flights
 
 
-def start(given: Mapping[str, Any], *, flights: bool) -> None:
-    """Run the service with these settings and the environment's, until it is stopped."""
+def start(
+    given: Mapping[str, Any], *, flights: bool, recording: Path | None, ssl: str | None
+) -> None:
+    """Run the service with these settings and the environment's, until it is stopped. It plays the
+    ``recording``, of which ``ssl`` says what its streams contain."""
     settings = Settings(**given)
     # Imported objects stay for good. Without freezing, each collection of the start scans them.
     gc.freeze()
@@ -62,11 +71,9 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
     # How long a thread beside the event loop keeps the interpreter before the loop may go on.
     sys.setswitchinterval(0.001)
     watchdog = Watchdog()
-    token = (
-        accepted_tokens.issue("flights", Scope.ADMIN)
-        if flights and accepted_tokens.required
-        else ""
-    )
+    plays = flights or recording is not None
+    needs_token = plays and accepted_tokens.required
+    token = accepted_tokens.issue("player", Scope.ADMIN) if needs_token else ""
     windows = Windows(settings)
     warming = WarmUp()
     warming.loops()
@@ -95,6 +102,11 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
         player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
         say(f"The recorded flights play into stream {STREAM}, at the present time.")
+    replay = (
+        None
+        if recording is None
+        else _replay(recording, ssl, url, token, as_json=settings.log_json)
+    )
     # Through JSON: the log's format has no infinity.
     values = json.loads(settings.model_dump_json(exclude_defaults=True))
     log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
@@ -102,6 +114,9 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
         by_force = run(app, listener)
     finally:
         stopping.set()
+        if replay is not None:
+            replay.terminate()
+            replay.wait()
         watchdog.close()
         for isolated in (windows, service.isolation):
             isolated.close()
@@ -110,6 +125,22 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)
+
+
+def _replay(
+    path: Path, ssl: str | None, url: str, token: str, *, as_json: bool
+) -> subprocess.Popen[bytes]:
+    """Start `dyknow replay`, all of the recording at once: reading it takes a processor."""
+    command = [sys.executable, "-c", "from dyknow.service.cli import main; main()", "replay"]
+    command += [str(path), "--speed", "max", "--url", url]
+    if not has_many_streams(path):
+        command += ["--stream", valid_name(path.name.partition(".")[0], "stream")]
+    if ssl is not None:
+        command += ["--ssl", ssl]
+    if as_json:
+        command.append("--json")
+    # Ctrl-C in the terminal must reach the service only, which ends it.
+    return subprocess.Popen(command, env=os.environ | {TOKEN: token}, start_new_session=True)
 
 
 def _reload_on_hangup(service: Service, settings: Settings) -> None:
