@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
-# uv takes seconds for what takes pip minutes. Where it cannot install, as from an index that only pip is told of, pip does.
+# uv takes seconds for what takes pip minutes. Where uv fails, as with an index that only pip.conf names, pip installs.
 INSTALL = @$(BIN)/uv pip install --quiet --python $(BIN)/python --compile-bytecode --require-hashes -r $(1) 2>/dev/null || \
   $(PIP) install --require-hashes -r $(1)
 PORT ?= 8000

@@ -23,7 +23,8 @@ ROOT = HERE.parent
 sys.path[:0] = [str(ROOT / "tests" / name) for name in ("support", "support/services")]
 
 from chromium import Browser, Page  # noqa: E402
-from serving import COMMAND, Serving  # noqa: E402
+from launching import SERVICE  # noqa: E402
+from serving import Serving  # noqa: E402
 
 FRAMES = 24
 INTERVAL = 0.5
@@ -94,7 +95,7 @@ def robots(browser: Browser, service: Serving) -> None:
         ["ontology", "add-feature", "motorTemperature", "--sort", "Robot", "--unit", "degC"],
         ["replay", "examples/robots.csv", "--stream", "robots", "--speed", "max", "--ssl", ssl],
     ):
-        command = [sys.executable, "-c", COMMAND, *words, "--url", service.url]
+        command = [sys.executable, "-c", SERVICE, *words, "--url", service.url]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     page = opened(browser, service, "graph/robots")
     page.wait_text("stream robots contains")

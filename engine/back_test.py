@@ -2,14 +2,14 @@
 
 An engine of its own has the definitions of this one, and gets the kept samples of the streams that
 clients publish to, in order of available time. So nothing of the running system changes, and the
-answer is that of a service that had the query all the time. Neither user-written processes nor
-queries that run are part of it: processes may have effects, and queries cost as much again.
+answer is that of one that begins there. User-written processes and the queries that run are left
+out, with what they make: processes may have effects, and queries cost as much again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -58,68 +58,68 @@ class Trial:
     failure: str | None
 
 
-class BackTest:
-    """The kept samples of an engine since some moment, to try queries on.
+def back_test(
+    engine: Engine,
+    wanted: str | EventRequest,
+    since: str,
+    *,
+    strategy: str = "fast",
+    budget: Budget = UNLIMITED,
+    is_over: Callable[[], bool] = lambda: False,
+) -> Trial:
+    """Evaluate the text of a query, or a request, on what ``engine`` keeps, until time ``is_over``.
 
-    Make it in the engine's thread, which takes as long as the views of its histories; any thread
-    may `run` it, since batches are immutable and the store has its own lock. ``since``: ``start``,
-    a time, or a duration before the newest sample. Raises `BadArguments` for another text.
+    ``since``: ``start``, a time, or a duration before the newest sample of the streams that are
+    read. Raises `BadArguments` for another text. Cost: an engine with these ontologies, and that of
+    the samples. It leaves cyclic garbage of that size, so a service runs it in a fork.
     """
-
-    def __init__(self, engine: Engine, since: str) -> None:
-        begin = parse_beginning(since)
-        if begin is Since.NOW:
-            raise BadArguments(
-                "a back test reads what is kept", "write since=start, a time, or 10m"
-            )
-        streams = {each.name: each.stream for each in engine.published()}
-        if isinstance(begin, Moment):
-            begin = begin.among(streams.values())
-        found = {name: _kept(stream, begin) for name, stream in streams.items()}
-        self._kept = {name: batch for name, batch in found.items() if len(batch)}
-        self._store = engine.ontology.static_store
-
-    def run(
-        self,
-        wanted: str | EventRequest,
-        strategy: str = "fast",
-        budget: Budget = UNLIMITED,
-        is_over: Callable[[], bool] = lambda: False,
-    ) -> Trial:
-        """Evaluate the text of a query, or a request, on the samples, until time ``is_over``."""
-        ontology = Ontology.from_quads(_definitions(self._store))
-        budget = replace(budget, pauses=_Stops(is_over))
-        engine = Engine(ontology=ontology, processes=Processes(), budget=budget)
-        begun = min((int(each.available[0]) for each in self._kept.values()), default=None)
-        trial = Trial(begun, None, 0, 0, None, None, is_complete=False, failure=None)
-        try:
-            stream, failure = _start(engine, wanted, strategy)
-        except DyknowError as error:
-            return replace(trial, failure=str(error))
-        found = _Results(engine.generator(stream))
-        # A source whose process is not there is no stream.
-        kept = {name: batch for name, batch in self._kept.items() if engine.has_stream(name)}
-        for name in kept:
-            source = engine.accepting(name)
-            source.lateness = 0  # What is kept is in order.
-            source.stream.retention = Retention(samples=1)  # Units keep what they need.
-        for name, batch in _parts(kept):
-            until = int(batch.available[-1])
-            engine.publish(name, _incoming(engine, name, batch), until)
-            trial = replace(
-                trial,
-                until=until,
-                samples=trial.samples + len(batch),
-                results=found.count,
-                first=found.first,
-                last=found.last,
-                failure=failure() if engine.failures else None,
-            )
-            if is_over():
-                return replace(trial, failure=None)
-            if trial.failure is not None:
-                return trial
-        return replace(trial, is_complete=True)
+    begin = parse_beginning(since)
+    if begin is Since.NOW:
+        raise BadArguments("a back test reads what is kept", "write since=start, a time, or 10m")
+    live = {each.name: each for each in engine.published()}
+    ontology = Ontology.from_quads(_definitions(engine.ontology.static_store))
+    trying = Engine(
+        ontology=ontology, processes=Processes(), budget=replace(budget, pauses=_Stops(is_over))
+    )
+    trial = Trial(None, None, 0, 0, None, None, is_complete=False, failure=None)
+    # What left-out queries and processes make is restored as streams without samples.
+    ghosts = [each.name for each in trying.published() if each.name not in live]
+    for name in ghosts:
+        with suppress(DyknowError):
+            trying.remove_stream(name)
+    try:
+        stream, failure = _start(trying, wanted, strategy)
+    except DyknowError as error:
+        return replace(trial, failure=str(error))
+    for name in ghosts:
+        if trying.has_stream(name) and trying.generator(name).subscribers:
+            return replace(trial, failure=f"it reads stream {name!r}, whose maker is left out")
+    found = _Results(trying.generator(stream))
+    read = {
+        name: source
+        for name, source in live.items()
+        if trying.has_stream(name) and trying.generator(name).subscribers
+    }
+    if isinstance(begin, Moment):
+        begin = begin.among(source.stream for source in read.values())
+    kept = {name: _kept(source.stream, begin) for name, source in read.items()}
+    kept = {name: batch for name, batch in kept.items() if len(batch)}
+    begun = min((int(each.available[0]) for each in kept.values()), default=None)
+    trial = replace(trial, since=begun)
+    for name in read:
+        source = trying.accepting(name)
+        source.lateness = 0  # What is kept is in order.
+        source.stream.retention = Retention(samples=1)  # Units keep what they need.
+    for name, batch in _parts(kept):
+        time = int(batch.available[-1])
+        trying.publish(name, _incoming(trying, name, batch), time)
+        until = time if trial.until is None else max(trial.until, time)
+        trial = replace(trial, until=until, samples=trial.samples + len(batch))
+        if is_over() or trying.failures:
+            return found.told(trial, None if is_over() else failure())
+    for name, source in read.items():
+        _pass_state(source, trying, name)
+    return found.told(replace(trial, is_complete=True), failure() if trying.failures else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,18 +142,35 @@ class _Results:
     """Counts the samples of a stream, which keeps some of them only."""
 
     def __init__(self, output: StreamGenerator) -> None:
-        self.count = 0
-        self.first: int | None = None
-        self.last: int | None = None
+        self._count = 0
+        self._times: tuple[int, int] | None = None
         output.listen(self)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self.count += len(batch)
-        times = int(batch.valid[0]), int(batch.valid[-1])
-        self.first, self.last = times[0] if self.first is None else self.first, times[1]
+        self._count += len(batch)
+        first, last = int(batch.valid.min()), int(batch.valid.max())
+        if self._times is not None:
+            first, last = min(first, self._times[0]), max(last, self._times[1])
+        self._times = first, last
 
     def ended(self, source: StreamGenerator) -> None:
         pass
+
+    def told(self, trial: Trial, failure: str | None) -> Trial:
+        first, last = self._times or (None, None)
+        return replace(trial, results=self._count, first=first, last=last, failure=failure)
+
+
+def _pass_state(source: StreamGenerator, engine: Engine, name: str) -> None:
+    """Let the stream of ``engine`` be as far as ``source``, which may have ended or be idle."""
+    own = engine.generator(name)
+    if source.is_ended:
+        engine.end(name)
+        return
+    if source.watermark is not None:
+        own.advance(source.watermark)
+    if source.is_idle:
+        own.fall_idle()
 
 
 def _kept(stream: FluentStream, begin: Moment | Since) -> SampleBatch:

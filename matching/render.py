@@ -116,6 +116,7 @@ def steps(match: Match, cost: Callable[[Node], float]) -> Step:
     if match.supply is None and not rest:
         below += match.missing
     left = MOST_LINES
+    counted: set[Node] = set()
 
     def made(items: Sequence[_Item], depth: int, verdict: str = "") -> tuple[Step, ...]:
         nonlocal left
@@ -137,7 +138,9 @@ def steps(match: Match, cost: Callable[[Node], float]) -> Step:
                 text, uses = _node(node, ports)
                 stream = node.stream if isinstance(node, UseStream) else None
                 unit = node.transformation if isinstance(node, Compute) else None
-                return Step(text, verdict, "", stream, unit, made(uses, depth + 1), cost(node))
+                own = 0.0 if node in counted else cost(node)  # A unit that is read twice runs once.
+                counted.add(node)
+                return Step(text, verdict, "", stream, unit, made(uses, depth + 1), own)
             case _:
                 assert_never(item)
 

@@ -143,7 +143,7 @@ class StepModel(BaseModel):
     stream: str | None = Field(description="the existing stream that it reads")
     transformation: str | None = Field(description="the transformation that it needs")
     cost: float | None = Field(
-        description="what it adds to the cost of the plan, 0 if it runs; null of what is not in it"
+        description="what it adds to the cost of the plan; 0 if it runs, or stands above, too"
     )
     parts: list[StepModel]
 

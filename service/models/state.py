@@ -232,12 +232,12 @@ class TrialModel(BaseModel):
     """What a query or request would have given on the samples that are kept."""
 
     since: str | None = Field(description="available time of the first sample; null without one")
-    until: str | None = Field(description="available time of the last sample that was read")
-    samples: int
+    until: str | None = Field(description="the latest available time that was read")
+    samples: int = Field(description="of the streams that it reads")
     results: int = Field(description="samples of its stream: how often it would have fired")
-    first: str | None = Field(description="valid time of the first result")
+    first: str | None = Field(description="the earliest valid time of a result")
     last: str | None
-    complete: bool = Field(description="false: its time was over before all was read")
+    complete: bool = Field(description="false: the time was over before all was read, or it failed")
     failure: str | None = Field(description="why it could not start, or ended")
 
     @classmethod
@@ -268,7 +268,7 @@ class TrialModel(BaseModel):
             found += "no result"
         if self.failure is not None:
             return f"{found}\nthen it failed: {self.failure}"
-        return found if self.complete else f"{found}\nits time was over there"
+        return found if self.complete else f"{found}\nthen the time was over"
 
 
 class ExplainModel(BaseModel):

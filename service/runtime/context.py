@@ -36,6 +36,7 @@ from .gc_policy import CollectionSchedule
 from .live_ingest import LiveBodies
 from .metrics import Metrics
 from .stream_versions import StreamVersions
+from .trials import Trials
 from .warm_up import WarmUp
 
 LATE = 5.0
@@ -81,14 +82,16 @@ class Service:
     client_key: ClientKey = address_of
     """The key under which the event streams of a client count (`Settings.sse_clients_each`)."""
     histories: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(BEGUN))
-    trials: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
     """Held while a history is looked up and its first pieces are encoded."""
 
     stream_versions: StreamVersions = field(init=False)
     """The versions of streams, for pages that poll."""
+    trials: Trials = field(init=False)
+    """The back tests."""
 
     def __post_init__(self) -> None:
         self.stream_versions = StreamVersions(self.engine.epoch)
+        self.trials = Trials(self.settings)
 
     def reasons(self) -> list[str]:
         """The reasons why the service is not ready; none if it is."""

@@ -48,7 +48,7 @@ class Position:
     @classmethod
     def parse(cls, text: str, names: Sequence[str]) -> Position:
         """Parse an id, and keep the positions in those of the streams ``names`` that it has. Raises
-        a 400 `Problem` for a malformed id, or one of none of these streams."""
+        a 400 `Problem` for a malformed id, or if it has none of these streams."""
         epoch, _, rest = text.rpartition("-")
         pairs = [pair.partition(":") for pair in rest.split(".")]
         if not all(is_number(number) for *_, number in pairs):

@@ -73,11 +73,6 @@ class Isolation:
             settings.sparql_rows,
             settings.sparql_bytes,
         )
-        asking = IsolatedAsking(
-            self._sparql, settings.query_deadline, settings.query_results, WINDOW_BYTES
-        )
-        self.budget = Budget(settings.query_rows, settings.query_results, WINDOW_BYTES, asking)
-        """Of queries that are tried."""
         self._documents = Pool(1, settings.worker_memory)
         self.documents = IsolatedReasoning(
             self._documents, settings.ontology_deadline, settings.ontology_triples

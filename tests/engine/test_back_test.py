@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import count
+from typing import Any
 
 import pytest
 from feeding import feed, flight, samples
 
-from dyknow.engine.back_test import BackTest, Trial
+from dyknow.engine.back_test import Trial, back_test
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import BadArguments
 from dyknow.engine.model.views import StreamDeclaration
@@ -36,7 +37,15 @@ def kept(engine: Engine, high_speed: str) -> Engine:
 
 def tried(engine: Engine, wanted: str, since: str = "start") -> Trial:
     asked = engine.parse_request(wanted) if wanted == REQUEST else wanted
-    return BackTest(engine, since).run(asked)
+    return back_test(engine, asked, since)
+
+
+def given(engine: Engine, wanted: str, since: str = "start") -> list[tuple[float, dict[str, Any]]]:
+    """What one gives that begins there."""
+    if wanted == REQUEST:
+        request = engine.parse_request(wanted)
+        return samples(engine, engine.request_event(request, since=since).stream)
+    return samples(engine, engine.queries.register(wanted, since=since).name)
 
 
 @pytest.mark.parametrize("since", ["start", "1970-01-01T00:00:20Z", "15s"])
@@ -45,11 +54,7 @@ def test_it_gives_what_one_that_begins_there_gives(kept: Engine, wanted: str, si
     found = tried(kept, wanted, since)
     assert not kept.events()
     assert not kept.queries.views()
-    if wanted == REQUEST:
-        stream = kept.request_event(kept.parse_request(wanted), since=since).stream
-    else:
-        stream = kept.queries.register(wanted, since=since).name
-    expected = samples(kept, stream)
+    expected = given(kept, wanted, since)
     assert found.results == len(expected) > 5
     assert found.first == expected[0][0] * SECOND
     assert found.last == expected[-1][0] * SECOND
@@ -64,16 +69,54 @@ def test_of_streams_together(engine: Engine, high_speed: str) -> None:
     """The speed is computed from two streams, whose samples come in order of available time."""
     for name in ("latitude", "longitude"):
         fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
-        engine.declare(StreamDeclaration(name, fields, retention=Retention(samples=1000)))
+        retention = Retention(samples=1000)
+        engine.declare(StreamDeclaration(name, fields, retention=retention, idle=5 * SECOND))
         engine.annotate(f"stream {name} contains {name}(UAV) = v [deg] for every UAV = id")
     engine.register_template(high_speed)
     for name, place in (("latitude", 1), ("longitude", 2)):
-        rows = [(each[0], {"id": "a", "v": each[place]}) for each in flight(0, 60, 150)]
-        feed(engine, name, rows)
+        flown = flight(0, 60 if place == 1 else 40, 150)
+        feed(engine, name, [(each[0], {"id": "a", "v": each[place]}) for each in flown])
+    engine.tick(60 * SECOND)
+    # Longitudes end early: their stream is idle from then on.
     found = tried(engine, REQUEST)
-    stream = engine.request_event(engine.parse_request(REQUEST), since="start").stream
-    assert found.results == len(samples(engine, stream)) > 40
-    assert found.samples == 120
+    assert found.results == len(given(engine, REQUEST)) > 20
+    assert found.samples == 100
+    assert found.until == 59 * SECOND
+
+
+@pytest.mark.parametrize("wanted", [REQUEST, QUERY, MONITOR], ids=["event", "query", "monitor"])
+def test_a_stream_that_has_ended_ends(kept: Engine, wanted: str) -> None:
+    kept.end("s")
+    assert tried(kept, wanted).results == len(given(kept, wanted))
+
+
+def test_streams_that_it_does_not_read_do_not_count(kept: Engine) -> None:
+    kept.declare(StreamDeclaration("other", (Field("v", FieldType.FLOAT),)))
+    feed(kept, "other", [(2000, {"v": 1.0})])
+    found = tried(kept, QUERY, "15s")
+    assert (found.samples, found.until) == (16, 39 * SECOND)
+    assert found.results == len(given(kept, QUERY, "15s"))
+
+
+def test_what_queries_make_is_left_out(kept: Engine) -> None:
+    """Their streams would have no samples."""
+    kept.remove_stream("s")
+    feed_stream = StreamDeclaration("raw", (Field("v", FieldType.FLOAT),))
+    kept.declare(feed_stream)
+    kept.annotate("stream raw contains heading(uav1) = v")
+    kept.queries.register(
+        "REGISTER STREAM made AS CONSTRUCT { ?o dyknow:speed ?v } "
+        "FROM STREAM <http://www.ida.liu.se/dyknow/raw.trdf> [RANGE 1s STEP 1s] "
+        "WHERE { ?o dyknow:heading ?v }"
+    )
+    kept.annotate("stream made contains speed(UAV) = speed for every UAV = id")
+    feed(kept, "raw", [(i, {"v": 200.0}) for i in range(20)])
+    found = tried(kept, REQUEST)
+    assert found.results == 0
+    assert found.failure is not None
+    # Nor is its name taken.
+    again = QUERY.replace("QUERY fast", "QUERY made").replace("/s.trdf", "/raw.trdf")
+    assert tried(kept, again).failure is None
 
 
 def test_nothing_of_the_engine_changes(kept: Engine) -> None:
@@ -90,7 +133,7 @@ def test_nothing_of_the_engine_changes(kept: Engine) -> None:
 
 def test_what_is_over_tells_how_far_it_came(kept: Engine) -> None:
     looks = count()
-    found = BackTest(kept, "start").run(QUERY, is_over=lambda: next(looks) > 3)
+    found = back_test(kept, QUERY, "start", is_over=lambda: next(looks) > 3)
     assert not found.is_complete
     assert found.failure is None
     assert found.until is not None
@@ -102,8 +145,8 @@ def test_what_cannot_be_tried_says_why(kept: Engine) -> None:
     assert "other" in found.failure
     assert (found.samples, found.results, found.is_complete) == (0, 0, False)
     empty = Engine()
-    found = BackTest(empty, "start").run(MONITOR)
+    found = back_test(empty, MONITOR, "start")
     assert (found.since, found.until, found.results) == (None, None, 0)
     for text in ("now", "whenever"):
         with pytest.raises(BadArguments):
-            BackTest(kept, text)
+            back_test(kept, QUERY, text)

@@ -21,8 +21,12 @@ LINE = {"Content-Type": "application/x-ndjson"}
 def ready(**environment: str) -> Serving:
     """A service that is ready, with a stream `s`."""
     service = Serving(None, **environment)
-    service.until(lambda: service.http.get("/readyz").status_code == 200)
-    service.http.put("/streams/s", json={"fields": {"n": "integer"}}).raise_for_status()
+    try:
+        service.until(lambda: service.http.get("/readyz").status_code == 200)
+        service.http.put("/streams/s", json={"fields": {"n": "integer"}}).raise_for_status()
+    except BaseException:
+        service.kill()
+        raise
     return service
 
 

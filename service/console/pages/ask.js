@@ -97,9 +97,10 @@ function Started({ made }) {
 function Tried({ of }) {
   const times = of.results ? plural(of.results, "time") : "not once";
   const read = `${plural(of.samples, "kept sample")} from ${stamp(of.since)} to ${stamp(of.until)}`;
+  const end = of.failure ? `, where it failed: ${of.failure}` : of.complete ? "" : ", when the time was over";
   return html`<div class="note" role="status">${of.until
     ? html`<b>It would have fired ${times}</b>${of.results ? `, last at ${stamp(of.last)}. ` : ". "}
-      Tried on ${read}${of.complete ? "" : ", when its time was over"}.`
+      Tried on ${read}${end}.`
     : `It cannot be tried: ${of.failure ?? "no sample is kept"}.`}</div>`;
 }
 
@@ -162,6 +163,7 @@ export default function Ask() {
     setBusy(true);
     try {
       setTried({ key, found: (await explain({ ...wished, since: "start" })).tried });
+      setTrouble(null);
     } catch (error) {
       setTrouble(error);
     }

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-import time
-from functools import partial
 from typing import Any
 
-import anyio
 from fastapi import Depends, Query, Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field, model_validator
 
-from ....engine.back_test import BackTest
 from ....engine.model.errors import NoPlan
 from ....engine.model.views import MatchView
 from ....engine.planning.stream_binding import REMEDY
@@ -30,8 +26,6 @@ from ..streams import json_only
 router = resource_router("explain", route_class=JsonRoute)
 
 LIMIT = 8192
-TRIAL_SECONDS = 5.0
-"""The time of a back test."""
 SINCE = (
     "try a request or a query on what is kept: from the `start`, a time, or a duration before the "
     "newest sample (`10m`)"
@@ -41,7 +35,7 @@ LONGEST = 1 << 18
 KINDS = ("event", "template", "query", "id", "feature")
 ANSWER: dict[int | str, dict[str, Any]] = {
     200: {"content": {TEXT: {"schema": {"type": "string"}}}},
-    **responses(404, 406, 422),
+    **responses(404, 406, 422, 503),
 }
 
 
@@ -104,7 +98,8 @@ async def explain(
     """Explain exactly one of `event`, `template`, `query`, `id` and `feature`.
 
     As JSON `plan` is a tree of what was considered. With `since` a request or a query is tried on
-    the samples that are kept, for a few seconds: `tried` says how often it would have fired.
+    the samples that are kept, for some five seconds: `tried` says how often it would have fired.
+    User-written processes and running queries are left out there, with what they make.
 
     422: as JSON, where there is no plan; the
     problem has `missing`, and the members of the explanation.
@@ -126,7 +121,7 @@ async def explain(
     "/explain",
     response_model=ExplainModel,
     dependencies=[Depends(json_only)],
-    responses={**ANSWER, **responses(404, 406, 413, 415, 422)},
+    responses={**ANSWER, **responses(404, 406, 413, 415, 422, 503)},
 )
 async def explain_long(request: Request, service: Context, wanted: ExplainIn) -> Response:
     """Explain as `GET /explain` does, for texts that are longer than an address may be."""
@@ -182,18 +177,8 @@ async def _tried(
     engine = service.engine
     asked = wanted.query if wanted.event is None else engine.parse_request(wanted.event)
     assert asked is not None
-    # One at a time: each keeps a thread busy, and copies the samples.
-    async with service.trials:
-        test = BackTest(engine, since)
-        end = time.monotonic() + TRIAL_SECONDS
-        run = partial(
-            test.run,
-            asked,
-            wanted.strategy,
-            service.isolation.budget,
-            lambda: time.monotonic() >= end,
-        )
-        trial = TrialModel.of(await anyio.to_thread.run_sync(run))
+    found = await service.trials.run(engine, asked, since, wanted.strategy)
+    trial = TrialModel.of(found)
     stage = StageModel(title="on what is kept", text=str(trial))
     text = f"{model.text.rstrip()}\n\n{stage.title}\n{textwrap.indent(stage.text, '  ')}\n"
     stages = [*model.stages, stage]

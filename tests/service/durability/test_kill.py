@@ -50,7 +50,8 @@ class Mortal:
     def start(self, die: tuple[str, int, float] | None) -> str:
         reading, writing = os.pipe()
         arguments = (str(self._data), json.dumps(die))
-        self._process = launch(*arguments, program=DYING, stdout=writing, stderr=writing)
+        with (self._data.parent / "stderr").open("ab") as log:
+            self._process = launch(*arguments, program=DYING, stdout=writing, stderr=log.fileno())
         os.close(writing)
         with open(reading) as told:
             port = int(told.readline())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import socket
 from typing import Any
 from urllib.parse import quote, urlencode
@@ -20,6 +21,7 @@ from dyknow.service.client.client import Client
 from dyknow.service.config.settings import Settings
 from dyknow.service.http.body_limit import BodyLimit
 from dyknow.service.http.problems import LONGEST
+from dyknow.service.runtime import trials
 from dyknow.service.server import bind
 
 PREFIX = "PREFIX dyknow: <http://www.ida.liu.se/dyknow/>"
@@ -411,6 +413,26 @@ def test_a_request_and_a_query_are_tried_on_what_is_kept(annotated: httpx.Client
         assert annotated.post("/explain", json=body, headers=accept).status_code == status
     quiet = annotated.post("/explain", json={"event": REQUEST}, headers=accept).json()
     assert quiet["tried"] is None
+
+
+def test_only_some_wait_for_a_back_test(
+    annotated: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = {"event": REQUEST, "since": "start"}
+    monkeypatch.setattr(trials, "_MOST", 0)
+    refused = annotated.post("/explain", json=body)
+    assert (refused.status_code, refused.headers["retry-after"]) == (503, "5")
+    monkeypatch.setattr(trials, "_MOST", 1)
+    assert annotated.post("/explain", json=body).status_code == 200
+
+
+def test_a_back_test_whose_process_dies_is_a_problem(
+    annotated: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "back_test", lambda *_, **__: os.kill(os.getpid(), 9))
+    answer = annotated.post("/explain", json={"event": REQUEST, "since": "start"})
+    assert answer.status_code == 503
+    assert "died" in answer.json()["detail"]
 
 
 def test_an_explanation_without_a_plan_is_a_problem(annotated: httpx.Client) -> None:

@@ -97,8 +97,9 @@ def fork_watched(client: socket.socket, descriptors: list[int]) -> None:
         return
     for descriptor in (0, 1, 2, *descriptors):
         os.close(descriptor)
-    client.send(b"%d" % pid)
     ended = os.pidfd_open(pid)
+    with suppress(BrokenPipeError):
+        client.send(b"%d" % pid)
     if ended not in select.select([ended, client], [], [])[0]:
         os.kill(pid, signal.SIGKILL)  # Whoever asked for it is gone.
     _, status = os.waitpid(pid, 0)

@@ -108,7 +108,7 @@ class Serving:
                 self.url = found[0]
                 break
         assert self.url, self.lines
-        self._reader = threading.Thread(target=self._read)
+        self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         self.http = asking(self.url)
 

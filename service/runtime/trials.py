@@ -1,0 +1,86 @@
+"""Back tests (`engine.back_test`), one at a time, each in a fork of the process.
+
+The fork reads the histories as they are, without a copy, and its memory goes with it. So does
+whatever it does for too long: it is killed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+import anyio
+
+from ...continuous.columns.budget import Budget
+from ...engine.back_test import Trial, back_test
+from ...engine.engine import Engine
+from ...languages.csparql.ast import EventRequest
+from ..config.settings import Settings
+from ..durability.fork_snapshot import IS_SUPPORTED, SnapshotError, Snapshots
+from ..http.problems import Problem
+
+SECONDS: Final = 5.0
+"""The time of a back test; then it tells how far it came."""
+_KILLED: Final = 20.0
+"""Seconds after which its process is killed, on a busy machine."""
+_MOST: Final = 5
+"""Back tests that wait, with the one that runs; further ones are refused."""
+_TEXT: Final = 1 << 24
+"""Characters that one aggregate concatenates."""
+
+
+class Trials:
+    """The back tests of a service. ``settings`` limit the rows and the memory of each."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._budget = Budget(settings.query_rows, settings.query_results, _TEXT)
+        self._memory = settings.worker_memory
+        self._snapshots = Snapshots(_KILLED)
+        self._turn = asyncio.Semaphore(1)
+        self._under_way = 0
+
+    async def run(
+        self, engine: Engine, wanted: str | EventRequest, since: str, strategy: str
+    ) -> Trial:
+        """Try a query or a request on what ``engine`` keeps. Raises the errors of `back_test`, and
+        a 503 `Problem` if too many wait, or if the process died."""
+        if self._under_way >= _MOST:
+            raise Problem(
+                503,
+                "too many back tests",
+                f"{_MOST} are under way",
+                hint="try again after the seconds in Retry-After",
+                headers={"Retry-After": f"{SECONDS:g}"},
+            )
+        self._under_way += 1
+        try:
+            async with self._turn:
+                return await self._run(engine, partial(back_test, engine, wanted, since), strategy)
+        finally:
+            self._under_way -= 1
+
+    async def _run(self, engine: Engine, test: Callable[..., Trial], strategy: str) -> Trial:
+        end = time.monotonic() + SECONDS
+        work = partial(
+            test, strategy=strategy, budget=self._budget, is_over=lambda: time.monotonic() >= end
+        )
+        if not IS_SUPPORTED:
+            return await anyio.to_thread.run_sync(work)
+        try:
+            found = self._snapshots.take(partial(self._limited, work), engine.ontology.lock)
+            return await anyio.to_thread.run_sync(found)
+        except SnapshotError as error:
+            raise Problem(
+                503, "no back test", str(error), hint="try a later moment, or a simpler query"
+            ) from error
+
+    def _limited(self, work: Callable[[], Trial]) -> Trial:
+        """Do it with so much more memory at most: the fork's own."""
+        with open("/proc/self/statm", "rb") as file:
+            most = int(file.read().split()[0]) * resource.getpagesize() + self._memory
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        return work()
