@@ -104,6 +104,7 @@ class CommandQueue:
         self._checkpoint_thread = ThreadPoolExecutor(1, "dyknow-checkpoints")
         self._committed_bytes = 0
         """Bytes of the log that the last commit covers."""
+        self._journal_failures = 0
         self._last_commit = float("-inf")
         self._unsaved: set[Unkept] = set()
         """User-written processes whose state checkpoints lack, and that were reported."""
@@ -264,7 +265,7 @@ class CommandQueue:
         assert self._recorded is not None
         output = self._output
         pending = None if output is None else output.take_pending()
-        size = self._recorded.log.written
+        size, failures = self._recorded.log.written, self._journal_failures
         try:
             await self._in_journal_thread(self._write_and_sync)
         except JournalError as error:
@@ -277,7 +278,8 @@ class CommandQueue:
             self._commit = None
         self.metrics.written_bytes.inc(size - self._committed_bytes)
         self._committed_bytes = size
-        self._recover(JOURNAL)
+        if self._journal_failures == failures:  # Else it says nothing about what was refused since.
+            self._recover(JOURNAL)
         if output is not None:
             output.release(pending)
 
@@ -405,6 +407,7 @@ class CommandQueue:
         self._failures.report(part, reason)
 
     def _fail(self, part: str, error: Exception) -> None:
+        self._journal_failures += part == JOURNAL
         self._set_trouble(part, str(error))
 
     def _recover(self, part: str) -> None:

@@ -18,6 +18,7 @@ from waiting import until
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.service.app import create_app
 from dyknow.service.durability import failure_log
+from dyknow.service.durability.command_queue import JOURNAL, CommandQueue
 from dyknow.service.routes import ontologies
 from dyknow.service.runtime.openapi import ASKING
 from dyknow.service.server import running
@@ -194,6 +195,33 @@ def test_reading_goes_on_and_all_goes_on_when_there_is_room(http, disk, fill):
         assert post(http, 3).status_code == 202
         assert [next(events).json()["values"]["n"] for _ in range(2)] == [2, 3]
     assert kept(http) == [1, 2, 3]
+
+
+def test_a_commit_that_began_before_does_not_end_the_trouble(
+    http, fill, recorded, settings, monkeypatch
+):
+    declare(http)
+    began, goes_on, commit = threading.Event(), threading.Event(), recorded.log.commit
+
+    def held():
+        began.set()
+        goes_on.wait(60)
+        return commit()
+
+    monkeypatch.setattr(recorded.log, "commit", held)
+    began.wait(60)
+    fill()
+    # It is refused while the commit of what came before is under way.
+    assert post(http, 1).status_code == 507
+    assert "no room" in http.get("/readyz").json()["reason"]
+    recovered, recover = [], CommandQueue._recover
+    monkeypatch.setattr(
+        CommandQueue, "_recover", lambda self, part: recovered.append(part) or recover(self, part)
+    )
+    goes_on.set()
+    until(lambda: len(recovered) > 5)  # What else there is recovers with each tick.
+    assert http.get("/readyz").status_code == 503
+    assert JOURNAL not in recovered
 
 
 def test_after_a_full_disk_and_a_kill_nothing_is_lost_and_nothing_doubled(
