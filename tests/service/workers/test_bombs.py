@@ -186,13 +186,11 @@ def test_a_query_whose_windows_explode_is_stopped_alone(served: Served, name: st
     beside = http.get(f"/queries/beside_{name}").json()
     assert beside["state"] == "ended"
     assert beside["windows"] == 11
+    history = http.get("/streams/status/samples", params={"limit": 10_000})
+    told = [json.loads(line) for line in history.text.splitlines()]
+    failed = [one for one in told if one["change"] == "unit failed"]
+    failures = [one["specification"] for one in failed if one["stream"] == name]
+    assert sum(" has no result: " in each for each in failures) == 3
+    assert any("Quarantined" in each for each in failures)
     for each in (name, f"beside_{name}"):
         assert http.delete(f"/queries/{each}").status_code == 204
-
-
-def test_what_was_stopped_was_told(served: Served) -> None:
-    history = served.http.get("/streams/status/samples", params={"limit": 10_000})
-    told = [json.loads(line) for line in history.text.splitlines()]
-    failures = [each["specification"] for each in told if each["change"] == "unit failed"]
-    assert any("has no result: a join" in each for each in failures)
-    assert any("Quarantined" in each for each in failures)
