@@ -115,8 +115,10 @@ def back_test(
         trying.publish(name, _incoming(trying, name, batch), time)
         until = time if trial.until is None else max(trial.until, time)
         trial = replace(trial, until=until, samples=trial.samples + len(batch))
-        if is_over() or trying.failures:
-            return found.told(trial, None if is_over() else failure())
+        # Others may have failed, too, such as a unit of a specification.
+        failed = failure() if trying.failures else None
+        if is_over() or failed is not None:
+            return found.told(trial, None if is_over() else failed)
     for name, source in read.items():
         _pass_state(source, trying, name)
     return found.told(replace(trial, is_complete=True), failure() if trying.failures else None)
