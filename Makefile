@@ -21,7 +21,7 @@ demo: $(VENV)/installed ## replay five minutes of recorded flights and find even
 serve: $(VENV)/installed ## leave the service running with the same flights replaying
 	@$(BIN)/dyknow serve --port $(PORT) --flights
 
-# Two more at work than there are cores: many tests wait. Whoever is done takes tests from the others.
+# Two more at work than there are cores: many tests wait. A worker that is done takes tests from the others.
 PYTEST := $(BIN)/pytest -n $$(( $$(nproc) + 2 )) --dist worksteal
 
 # How much of each law's examples: CI has a quarter of an hour. `make soak` draws all, several times.

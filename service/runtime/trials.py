@@ -7,7 +7,6 @@ whatever it does for too long: it is killed.
 from __future__ import annotations
 
 import asyncio
-import resource
 import time
 from collections.abc import Callable
 from functools import partial
@@ -19,9 +18,11 @@ from ...continuous.columns.budget import Budget
 from ...engine.back_test import Trial, back_test
 from ...engine.engine import Engine
 from ...languages.csparql.ast import EventRequest
+from ..config.address_space import limit_address_space
 from ..config.settings import Settings
 from ..durability.fork_snapshot import IS_SUPPORTED, SnapshotError, Snapshots
 from ..http.problems import Problem
+from ..workers.services import WINDOW_BYTES
 
 SECONDS: Final = 5.0
 """The time of a back test; then it tells how far it came."""
@@ -29,15 +30,13 @@ _KILLED: Final = 20.0
 """Seconds after which its process is killed, on a busy machine."""
 _MOST: Final = 5
 """Back tests that wait, with the one that runs; further ones are refused."""
-_TEXT: Final = 1 << 24
-"""Characters that one aggregate concatenates."""
 
 
 class Trials:
     """The back tests of a service. ``settings`` limit the rows and the memory of each."""
 
     def __init__(self, settings: Settings) -> None:
-        self._budget = Budget(settings.query_rows, settings.query_results, _TEXT)
+        self._budget = Budget(settings.query_rows, settings.query_results, WINDOW_BYTES)
         self._memory = settings.worker_memory
         self._snapshots = Snapshots(_KILLED)
         self._turn = asyncio.Semaphore(1)
@@ -59,28 +58,32 @@ class Trials:
         self._under_way += 1
         try:
             async with self._turn:
-                return await self._run(engine, partial(back_test, engine, wanted, since), strategy)
+                end = time.monotonic() + SECONDS
+                work = partial(
+                    back_test,
+                    engine,
+                    wanted,
+                    since,
+                    strategy=strategy,
+                    budget=self._budget,
+                    is_over=lambda: time.monotonic() >= end,
+                )
+                return await self._in_fork(engine, work)
         finally:
             self._under_way -= 1
 
-    async def _run(self, engine: Engine, test: Callable[..., Trial], strategy: str) -> Trial:
-        end = time.monotonic() + SECONDS
-        work = partial(
-            test, strategy=strategy, budget=self._budget, is_over=lambda: time.monotonic() >= end
-        )
+    async def _in_fork(self, engine: Engine, work: Callable[[], Trial]) -> Trial:
         if not IS_SUPPORTED:
             return await anyio.to_thread.run_sync(work)
+
+        def limited() -> Trial:
+            limit_address_space(self._memory)
+            return work()
+
         try:
-            found = self._snapshots.take(partial(self._limited, work), engine.ontology.lock)
-            return await anyio.to_thread.run_sync(found)
+            result = self._snapshots.take(limited, engine.ontology.lock)
+            return await anyio.to_thread.run_sync(result)
         except SnapshotError as error:
             raise Problem(
                 503, "no back test", str(error), hint="try a later moment, or a simpler query"
             ) from error
-
-    def _limited(self, work: Callable[[], Trial]) -> Trial:
-        """Do it with so much more memory at most: the fork's own."""
-        with open("/proc/self/statm", "rb") as file:
-            most = int(file.read().split()[0]) * resource.getpagesize() + self._memory
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-        return work()

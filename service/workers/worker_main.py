@@ -22,6 +22,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import NoReturn
 
+from ..config.address_space import limit_address_space
 from ..config.oom_priority import be_dispensable
 from .fork_server import STATUS_BYTES
 from .jobs import Worker
@@ -135,14 +136,8 @@ def _serve(worker: Worker) -> None:
 def restrict(memory: int) -> None:
     """Limit the process to ``memory`` more bytes, no new descriptors and no core dumps."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    most = _address_space() + memory
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    limit_address_space(memory)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
-
-
-def _address_space() -> int:
-    with open("/proc/self/statm", "rb") as file:
-        return int(file.read().split()[0]) * resource.getpagesize()
 
 
 def _limit_processor_time(seconds: float) -> None:

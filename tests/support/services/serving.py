@@ -128,16 +128,15 @@ class Serving:
         return until(found, seconds, self.lines)
 
     def kill(self) -> None:
-        self.end(signal.SIGKILL)
+        self._end(signal.SIGKILL)
 
     def stop(self) -> int:
-        return self.end(signal.SIGTERM)
+        return self._end(signal.SIGTERM)
 
-    def end(self, sign: signal.Signals | None = None) -> int:
-        """Send a signal, if any, wait for the end, and return the exit code."""
+    def _end(self, sign: signal.Signals) -> int:
+        """Send a signal, wait for the end, and return the exit code."""
         self.http.close()
-        if sign is not None:
-            self.process.send_signal(sign)
+        self.process.send_signal(sign)
         code = self.process.wait()
         self._reader.join()
         self._stderr.close()
