@@ -20,6 +20,9 @@ FIRST = {
   OPTIONAL { ?s :isOutput/:hasName ?unit }
   OPTIONAL { ?s :hasAnnotation/:hasOutputAnnotation/:describesFeature ?feature }
 } ORDER BY ?stream ?feature""",
+    "Which streams have a feature? It is a field": """SELECT ?stream ?feature {
+  ?s a :Stream ; :hasName ?stream ; :hasAnnotation/:hasOutputAnnotation/:describesFeature $feature
+} ORDER BY ?stream ?feature""",
     "How are streams and units connected, as a graph?": """CONSTRUCT {
   ?unit :hasInput ?in . ?unit :hasOutput ?out
 } WHERE {

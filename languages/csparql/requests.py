@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pyoxigraph import Variable
 
@@ -61,21 +61,21 @@ def request_of(event: str, texts: Sequence[str]) -> EventRequest:
     return EventRequest(event, tuple(arguments), source, tuple(named))
 
 
-def parse_argument(text: str) -> Argument:
+def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Argument:
     """Parse one argument: ``?o``, ``dyknow:UAV``, ``100``, ``"x"@en``, ``<iri>``, ``true``,
     ``1.5e3``.
 
     Raises `LanguageError` if the text is anything else.
     """
-    at = _begun(text)
+    at = _begun(text, prefixes)
     argument = at.term()
     _check_end(at)
     return argument
 
 
-def _begun(text: str) -> Cursor:
+def _begun(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Cursor:
     check_length(text)
-    at = Cursor(text, PREFIXES)
+    at = Cursor(text, prefixes)
     if at.at_end:
         raise at.error("expected an argument", None, "write a term, or a variable: `?o`")
     return at

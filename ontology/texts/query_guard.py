@@ -8,7 +8,6 @@ it evaluates it; in the service that is a worker process with a deadline.
 from __future__ import annotations
 
 from typing import Final, TypeAlias
-from typing import Literal as OneOf
 
 from pyoxigraph import NamedNode
 
@@ -25,7 +24,6 @@ LIMITS: Final = Limits(patterns=64, operators=128)
 """At most 64 triple patterns, where each step of a path counts as one, and brackets at most 64
 deep."""
 
-QueryForm: TypeAlias = OneOf["select", "construct", "describe", "ask"]
 Dataset: TypeAlias = tuple[tuple[NamedNode, ...], tuple[NamedNode, ...]]
 """The graphs of FROM, and those of FROM NAMED."""
 
@@ -87,11 +85,6 @@ def check_user_query(text: str, base: str = "") -> None:
     they are errors. Cost: linear in the text.
     """
     read_query(text, base)
-
-
-def query_form(text: str, base: str = "") -> QueryForm:
-    """Check ``text`` like `check_user_query` and return its query form."""
-    return read_query(text, base)[0].form.lower()  # type: ignore[return-value]
 
 
 def read_query(text: str, base: str = "") -> tuple[Query, Dataset | None]:

@@ -19,7 +19,7 @@ from .output import (
     show_table,
     show_text,
 )
-from .parameters import MEDIA_TYPES, ResultFormat
+from .parameters import MEDIA_TYPES, ResultFormat, parameters_of
 from .streams import text_or_file
 
 
@@ -33,13 +33,24 @@ def sparql(
         list[str] | None,
         typer.Option(help="A graph that GRAPH reads, instead of FROM NAMED. May be repeated."),
     ] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A term for a variable: limit=100, sort=dyknow:UAV. May be repeated.",
+            metavar="NAME=TERM",
+        ),
+    ] = None,
     format: ResultFormat = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
     """Query the ontology and the live stream space."""
     text = text_or_file(query)
-    chosen = {"default_graphs": default_graph or (), "named_graphs": named_graph or ()}
+    chosen: dict[str, Any] = {
+        "default_graphs": default_graph or (),
+        "named_graphs": named_graph or (),
+        "parameters": parameters_of(parameter or ()),
+    }
     with connect(url) as client:
         if format is not None:
             print(client.sparql_text(text, MEDIA_TYPES[format], **chosen), end="")

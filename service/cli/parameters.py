@@ -218,3 +218,14 @@ def origin_of(text: str) -> int:
         return read_time(text)
     except ValueError as error:
         raise typer.BadParameter(f"--origin: {error}") from error
+
+
+def parameters_of(pairs: Iterable[str]) -> dict[str, str]:
+    """Return the values of ``--parameter NAME=VALUE`` by their names."""
+    found = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not (name and equals):
+            raise typer.BadParameter(f"--parameter is NAME=VALUE, not {pair!r}")
+        found[name] = value
+    return found

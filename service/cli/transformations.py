@@ -19,6 +19,7 @@ from .output import (
     show_text,
     show_values,
 )
+from .parameters import parameters_of
 from .streams import text_or_file
 
 transformation = typer.Typer(help="Transformations: add, list, show, remove.", no_args_is_help=True)
@@ -58,7 +59,7 @@ def add(
     options = {"implementation": implementation, "cost": cost, "quality": quality}
     more: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if parameter:
-        more["parameters"] = _parameters(parameter)
+        more["parameters"] = parameters_of(parameter)
     with connect(url) as client:
         found = client.register_transformation(_description(text, more), replace=replace)
     if as_json:
@@ -145,14 +146,4 @@ def _description(text: str, more: dict[str, Any]) -> dict[str, Any] | str:
         found: dict[str, Any] = json.loads(text)
     except ValueError as error:
         raise fail(f"malformed JSON: {error}") from error
-    return found
-
-
-def _parameters(pairs: list[str]) -> dict[str, str]:
-    found = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not (name and equals):
-            raise typer.BadParameter(f"--parameter is NAME=VALUE, not {pair!r}")
-        found[name] = value
     return found

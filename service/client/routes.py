@@ -730,11 +730,13 @@ class Routes:
         *,
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
+        parameters: Mapping[str, str] | None = None,
     ) -> Flow[SparqlResult | str]:
         """Return a SPARQL query's answer: SPARQL JSON for SELECT and ASK, Turtle for graphs.
-        The graphs, by their IRIs, are read instead of those of FROM and FROM NAMED."""
+        The graphs, by their IRIs, are read instead of those of FROM and FROM NAMED. A parameter
+        stands for a variable: ``{"name": '"gps"', "sort": "dyknow:UAV", "limit": "100"}``."""
         accept = f"{SPARQL_JSON}, {TURTLE};q=0.9"
-        return _result(_sparql(query, accept, default_graphs, named_graphs))
+        return _result(_sparql(query, accept, default_graphs, named_graphs, parameters or {}))
 
     @verb
     def sparql_text(
@@ -744,9 +746,13 @@ class Routes:
         *,
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
+        parameters: Mapping[str, str] | None = None,
     ) -> Flow[str]:
         """Return the same as text: ``text/csv``, ``application/rdf+xml`` and so on."""
-        return (yield from _sparql(query, media_type, default_graphs, named_graphs)).text
+        found = yield from _sparql(
+            query, media_type, default_graphs, named_graphs, parameters or {}
+        )
+        return found.text
 
     @verb
     def describe_sparql(self) -> Flow[str]:
@@ -802,9 +808,14 @@ class Routes:
 
 
 def _sparql(
-    query: str, accept: str, default_graphs: Sequence[str], named_graphs: Sequence[str]
+    query: str,
+    accept: str,
+    default_graphs: Sequence[str],
+    named_graphs: Sequence[str],
+    parameters: Mapping[str, str],
 ) -> Flow[httpx.Response]:
-    chosen = {"default-graph-uri": list(default_graphs), "named-graph-uri": list(named_graphs)}
+    chosen: dict[str, str | list[str]] = {f"${name}": term for name, term in parameters.items()}
+    chosen |= {"default-graph-uri": list(default_graphs), "named-graph-uri": list(named_graphs)}
     headers = {"Content-Type": SPARQL_QUERY, "Accept": accept}
     return send("POST", "/sparql", params=chosen, content=query, headers=headers)
 

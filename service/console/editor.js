@@ -27,6 +27,37 @@ function token(stream) {
   return FUNCTIONS.has(word.toUpperCase()) ? "function" : null;
 }
 
+/** A line of a text: what `token` needs of CodeMirror's streams. */
+class Line {
+  at = 0;
+
+  constructor(text) {
+    this.text = text;
+  }
+
+  match(pattern) {
+    const found = this.text.slice(this.at).match(pattern);
+    this.at += found?.[0].length ?? 0;
+    return found;
+  }
+
+  eatSpace() { return this.match(/^\s+/); }
+  next() { return this.text[this.at++]; }
+}
+
+/** The names that a text writes as `$name`, each once: parameters, to which a form gives terms. */
+export function parametersOf(text) {
+  const found = new Set();
+  for (const each of text.split("\n")) {
+    const line = new Line(each);
+    while (line.at < each.length) {
+      const from = line.at;
+      if (token(line) === "variableName" && each[from] === "$") found.add(each.slice(from + 1, line.at));
+    }
+  }
+  return [...found];
+}
+
 const { tags } = cm;
 const language = cm.StreamLanguage.define({
   token, languageData: { commentTokens: { line: "#" } },

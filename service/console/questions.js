@@ -10,6 +10,14 @@ export const QUESTIONS = [
   ],
   [
     [
+      "Which streams have a feature? It is a field"
+    ],
+    [
+      "SELECT ?stream ?feature {\n  ?s a :Stream ; :hasName ?stream ; :hasAnnotation/:hasOutputAnnotation/:describesFeature $feature\n} ORDER BY ?stream ?feature"
+    ]
+  ],
+  [
+    [
       "How are streams and units connected, as a graph?"
     ],
     [

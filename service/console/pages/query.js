@@ -2,10 +2,10 @@
 // address holds the text, so that a question can be linked.
 import { computed, html, useEffect, useMemo, useState } from "../vendor/preact.js";
 import { PATTERN, asked, byName, makers, may, refresh, requests, units, vocabulary } from "../state.js";
-import { ask, explain } from "../http.js";
+import { address, ask, explain } from "../http.js";
 import { end } from "../ending.js";
 import { clock, duration, plural, shorten } from "../format.js";
-import { Editor } from "../editor.js";
+import { Editor, parametersOf } from "../editor.js";
 import { curve, layout } from "../layout.js";
 import { PlanTree } from "../plan.js";
 import { Empty, Trouble, download, say } from "../widgets.js";
@@ -149,6 +149,18 @@ function Questions({ isContinuous, text, pick, watched, watch }) {
       ${isContinuous && html`<div class="body small muted">Without FROM STREAM a query names features only, and streams are found or built for them. Formulas and patterns run here, too.</div>`}</div></section>`;
 }
 
+const TERM = /^(<.*>|".*"\S*|'.*'\S*|[+-]?[\d.]+([eE][+-]?\d+)?|true|false|([A-Za-z]\w*)?:\S*)$/;
+/** What a field holds as a term: numbers, IRIs and names in short stay as they are, all else is a text. */
+const term = (text) => (TERM.test(text) ? text : JSON.stringify(text));
+
+/** A field for each parameter of the question. An empty one leaves its variable free. */
+function Parameters({ of, given, give, run }) {
+  return html`<div class="parameters">${of.map((name) => html`<label key=${name}><span class="mono">$${name}</span>
+    <input type="text" placeholder="any" title="a text, 100, dyknow:UAV, <iri>" value=${given[name] ?? ""}
+      onInput=${(event) => give({ ...given, [name]: event.target.value })}
+      onKeyDown=${(event) => event.key === "Enter" && run()} /></label>`)}</div>`;
+}
+
 /** What completes in the editor: the names of the ontology. */
 const names = () => [
   ...vocabulary.value.features.map((each) => ({ label: each.name, detail: each.unit ?? "feature" })),
@@ -156,10 +168,14 @@ const names = () => [
 ];
 
 export default function Query({ rest }) {
-  const isContinuous = rest.startsWith("continuous"), given = rest.slice(rest.indexOf("/") + 1 || rest.length);
-  const first = given || (isContinuous ? CONTINUOUS[0][1] : FIRST);
+  const isContinuous = rest.startsWith("continuous"), kept = rest.slice(rest.indexOf("/") + 1 || rest.length);
+  const first = kept || (isContinuous ? CONTINUOUS[0][1] : FIRST);
+  const terms = rest.startsWith("once?") ? rest.slice("once?".length, rest.indexOf("/")) : "";
   const [text, write] = useState(first), [result, show] = useState(null), [trouble, fail] = useState(null);
   const [isBusy, setBusy] = useState(false), [view, setView] = useState("graph"), [watched, watch] = useState(null);
+  const [given, give] = useState({});
+  const parameters = isContinuous ? [] : parametersOf(text);
+  const filled = Object.fromEntries(parameters.filter((name) => given[name]).map((name) => [name, given[name]]));
   const reset = (code, query) => {
     write(code);
     show(null);
@@ -169,7 +185,15 @@ export default function Query({ rest }) {
   useEffect(() => {
     if (text !== first) reset(first);
   }, [first]);
-  const keep = () => history.replaceState(null, "", `#query/${isContinuous ? "continuous" : "once"}/${encodeURIComponent(text)}`);
+  useEffect(() => give(Object.fromEntries(new URLSearchParams(terms))), [terms]);
+  const keep = () => {
+    const kind = isContinuous ? "continuous" : address("once", filled);
+    history.replaceState(null, "", `#query/${encodeURIComponent(kind)}/${encodeURIComponent(text)}`);
+  };
+  const once = (accept) => {
+    const terms = Object.fromEntries(Object.entries(filled).map(([name, each]) => [`$${name}`, term(each.trim())]));
+    return ask(address("/sparql", terms), { method: "POST", type: "application/sparql-query", body: text, accept });
+  };
   const attempt = async (work) => {
     setBusy(true);
     try {
@@ -186,7 +210,7 @@ export default function Query({ rest }) {
     keep();
     watch(null);
     const found = isContinuous ? await explain({ query: text })
-      : shaped(await ask("/sparql", { method: "POST", type: "application/sparql-query", body: text, accept: ANSWERS }));
+      : shaped(await once(ANSWERS));
     show({ ...found, took: (performance.now() - begun) / 1000 });
   });
   const register = () => attempt(async () => {
@@ -199,8 +223,7 @@ export default function Query({ rest }) {
   });
   const save = () => attempt(async () => {
     const [accept, ending] = result.triples ? ["application/n-triples", "nt"] : ["text/csv", "csv"];
-    const content = watched ? await ask(resultsOf(watched), { accept })
-      : await ask("/sparql", { method: "POST", type: "application/sparql-query", body: text, accept });
+    const content = watched ? await ask(resultsOf(watched), { accept }) : await once(accept);
     download(`${watched ?? "result"}.${ending}`, content);
   });
   const stop = () => attempt(async () => {
@@ -237,7 +260,8 @@ export default function Query({ rest }) {
       ${isContinuous ? html`<button onClick=${run} disabled=${isBusy}>Explain</button>
         ${may("admin") && html`<button class="main" onClick=${register} disabled=${isBusy}>Register</button>`}`
       : html`<button class="main" onClick=${run} disabled=${isBusy}>Run</button>`}</header>
-      <${Editor} text=${text} change=${write} run=${run} complete=${names()} problem=${trouble} label=${isContinuous ? "continuous query" : "SPARQL query"} /></section>
+      <${Editor} text=${text} change=${write} run=${run} complete=${names()} problem=${trouble} label=${isContinuous ? "continuous query" : "SPARQL query"} />
+      ${parameters.length > 0 && html`<${Parameters} of=${parameters} given=${given} give=${give} run=${run} />`}</section>
     <section class="panel result" aria-label="result"><header><h2 class="grow cut">${heading}</h2>
       ${number != null && html`<span class="small faint num">${plural(number, result.triples ? "triple" : "row")}${result.took ? `, ${duration(result.took)}` : `, ${clock(Date.now())}`}</span>`}
       ${result?.triples && html`<div class="tabs" role="group" aria-label="view">${["graph", "triples"].map((each) =>

@@ -1,10 +1,11 @@
 """SPARQL 1.1 Protocol queries over the ontology and the live stream space.
 
 The dataset of a query is the one that the request chooses (``default-graph-uri``,
-``named-graph-uri``), else that of its FROM clauses, else all graphs and their merge. The service
-checks a query (no SERVICE, no updates, bounded size). Worker processes then evaluate it, a few at a
-time, with limits of time, memory, rows and bytes (`service/workers`). Without a query the answer is
-the Service Description.
+``named-graph-uri``), else that of its FROM clauses, else all graphs and their merge. A parameter
+``$name`` is a term for the variable of that name (`sparql/parameters`). The service checks a query
+(no SERVICE, no updates, bounded size). Worker processes then evaluate it, a few at a time, with
+limits of time, memory, rows and bytes (`service/workers`). Without a query the answer is the
+Service Description.
 """
 
 from __future__ import annotations
@@ -13,10 +14,16 @@ from typing import Annotated, Any, Final
 from urllib.parse import parse_qsl
 
 from fastapi import Query, Request, Response
-from pyoxigraph import NamedNode
+from pyoxigraph import Literal, NamedNode
 
+from ....languages.csparql.requests import parse_argument
+from ....languages.errors import LanguageError
 from ....ontology.errors import QueryRefused
-from ....ontology.texts.query_guard import LONGEST_TEXT, query_form
+from ....ontology.texts.query_guard import LONGEST_TEXT, read_query
+from ....ontology.texts.turtle import ALL_PREFIXES
+from ....sparql.ast import Form
+from ....sparql.parameters import with_terms
+from ....sparql.printer import print_query
 from ...admission.gate import client_key
 from ...config.media_types import FORM, SPARQL_QUERY
 from ...http.encodings.service_description import KINDS, PREFIXES, describe
@@ -104,7 +111,9 @@ async def query_by_get(
     """Answer a query. JSON, XML, CSV, TSV for SELECT; JSON, XML for ASK; Turtle, N-Triples,
     JSON-LD, RDF/XML, TriG, N-Quads for CONSTRUCT and DESCRIBE.
 
-    Without parameters it answers the Service Description, in Turtle, N-Triples, JSON-LD or RDF/XML.
+    A parameter ``$name`` is a term that stands for the variable ``?name``: ``$name="gps"``,
+    ``$sort=dyknow:UAV``, ``$limit=100``. Without parameters the answer is the Service Description,
+    in Turtle, N-Triples, JSON-LD or RDF/XML.
     """
     if not request.query_params:
         kind = accepted(request, KINDS)
@@ -126,7 +135,7 @@ async def query_by_post(
     default_graphs: DefaultGraphs = None,
     named_graphs: NamedGraphs = None,
 ) -> Response:
-    """Answer a query in the body or in a form."""
+    """Answer a query in the body or in a form; parameters ``$name`` as in the other route."""
     kind = content_type(request, (SPARQL_QUERY, FORM), is_required=True)
     parameters = list(request.query_params.multi_items())
     sent = await request.body()
@@ -189,6 +198,29 @@ def _dataset(parameters: list[tuple[str, str]]) -> GraphNames | None:
     return chosen if any(chosen) else None
 
 
+def _terms(parameters: list[tuple[str, str]]) -> dict[str, NamedNode | Literal]:
+    """Return the terms that the request gives to variables. Raises a `Problem`."""
+    found: dict[str, NamedNode | Literal] = {}
+    for key, value in parameters:
+        if not key.startswith("$"):
+            continue
+        try:
+            term = parse_argument(value, ALL_PREFIXES)
+        except LanguageError as error:
+            raise _wrong_parameter(f"{key} is no term: {error.message}", error.hint) from error
+        if not isinstance(term, NamedNode | Literal):
+            raise _wrong_parameter(f"{key} is no IRI and no literal: {value}")
+        if key[1:] in found:
+            raise _wrong_parameter(f"{key} is given twice")
+        found[key[1:]] = term
+    return found
+
+
+def _wrong_parameter(detail: str, hint: str = "") -> Problem:
+    example = '$name="gps", $sort=dyknow:UAV, $limit=100'
+    return Problem(400, "wrong arguments", detail, hint=hint or f"write for example {example}")
+
+
 def _endpoint(request: Request) -> str:
     """Return the address of the endpoint: the base of a query's relative IRIs (RFC 3986 §5.1.3)."""
     return str(request.url.replace(query="", fragment=""))
@@ -198,8 +230,17 @@ async def _answer(
     service: Service, request: Request, parameters: list[tuple[str, str]]
 ) -> Response:
     text, dataset, base = _text(parameters), _dataset(parameters), _endpoint(request)
-    form = query_form(text, base)
-    offered = {"select": RESULTS, "ask": BOOLEANS}.get(form, GRAPHS)
+    query, stated = read_query(text, base)
+    if terms := _terms(parameters):
+        try:
+            text = print_query(with_terms(query, terms))
+        except ValueError as error:
+            raise _wrong_parameter(str(error)) from error
+        if dataset is None and stated is not None:
+            # The text of a tree has no FROM clauses.
+            default, named = stated
+            dataset = [graph.value for graph in default], [graph.value for graph in named]
+    offered = {Form.SELECT: RESULTS, Form.ASK: BOOLEANS}.get(query.form, GRAPHS)
     try:
         kind, not_acceptable = accepted(request, tuple(offered)), None
     except Problem as problem:

@@ -315,6 +315,10 @@ def test_sparql(dyknow: Any, client: Client, tmp_path: Path) -> None:
     assert dyknow("sparql", "ASK { ?s ?p ?o }").stdout.strip() == "yes"
     assert dyknow("sparql", "CONSTRUCT { ?s ?p ?o } { ?s ?p ?o } LIMIT 1").stdout.strip()
     assert "line 1" in dyknow("sparql", "SELECT", status=1).stderr
+    ask = "ASK { ?s a :Stream ; :hasName ?n }"
+    assert dyknow("sparql", ask, "--parameter", 'n="s5"').stdout.strip() == "yes"
+    assert dyknow("sparql", ask, "--parameter", 'n="s6"').stdout.strip() == "no"
+    assert "NAME=VALUE" in dyknow("sparql", ask, "--parameter", "n", status=2).stderr
 
 
 def test_sparql_over_chosen_graphs_in_a_format(dyknow: Any) -> None:

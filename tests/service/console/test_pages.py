@@ -198,6 +198,38 @@ def test_a_query_is_run_kept_in_the_address_and_marked_where_it_is_wrong(
     page.wait("location.hash === '#graph/adsb'")
 
 
+def test_parameters_of_a_query_are_fields_and_in_the_address(flying: str, open_page: OPEN) -> None:
+    page = open_page(f"{flying}/#query")
+    page.click("button.item", "Which streams have a feature")
+    page.wait("document.querySelectorAll('.parameters input').length === 1")
+    page.click("button.main", "Run")
+    page.wait_text("dyknow:altitude")
+    page.choose(".parameters input", "dyknow:speed")
+    page.run("document.querySelector('.parameters input').focus()")
+    page.press("Enter")
+    cells = "[...document.querySelectorAll('.result td')].map((each) => each.textContent)"
+    page.wait(f"!{cells}.includes('dyknow:altitude')")
+    page.wait_text("dyknow:speed")
+    page.wait("location.hash.startsWith('#query/once%3Ffeature%3Ddyknow%253Aspeed/SELECT')")
+    address = page.run("location.href")
+    # A dollar in a comment or a text is no parameter; a value that is no term is a text.
+    typed(page, 'ASK { ?s :hasName $name FILTER(?name != "$no") } # $none')
+    page.wait("document.querySelector('.parameters label').textContent.includes('$name')")
+    assert page.run("document.querySelectorAll('.parameters input').length") == 1
+    page.choose(".parameters input", 'ads"b')
+    page.click("button.main", "Run")
+    page.wait("document.querySelector('.result h3')?.textContent === 'No'")
+    page.choose(".parameters input", "adsb")
+    page.click("button.main", "Run")
+    page.wait("document.querySelector('.result h3')?.textContent === 'Yes'")
+    page.choose(".parameters input", "nope:name")
+    page.click("button.main", "Run")
+    page.wait_text("$name is no term")
+    page.open("about:blank")
+    page.open(address)
+    page.wait("document.querySelector('.parameters input')?.value === 'dyknow:speed'")
+
+
 def test_a_graph_is_drawn(flying: str, open_page: OPEN) -> None:
     page = open_page(f"{flying}/#query")
     page.click(".item", "as a graph")

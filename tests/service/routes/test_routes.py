@@ -620,6 +620,41 @@ def test_the_client_chooses_graphs_and_formats(annotated: httpx.Client, client: 
     assert f"sd:name <{one[0]}>" in client.describe_sparql()
 
 
+def test_parameters_of_a_query(annotated: httpx.Client, client: Client) -> None:
+    """``$name`` in the address, in a form, and of the client: a term for a variable."""
+    text = "SELECT ?s FROM <{0}annotations> {{ ?s :hasText ?text FILTER(STRLEN(?text) > ?least) }}"
+    text = text.format(OWN)
+
+    def asked(**more: str) -> list[httpx.Response]:
+        parameters = {"query": text} | {f"${name}": term for name, term in more.items()}
+        by_get = annotated.get("/sparql", params=parameters)
+        return [by_get, annotated.post("/sparql", data=parameters)]
+
+    for least, number in (("5", 1), ("5000", 0)):
+        for answer in asked(least=least):
+            assert len(answer.json()["results"]["bindings"]) == number, answer.text
+        assert (
+            len(client.sparql(text, parameters={"least": least})["results"]["bindings"]) == number
+        )
+    of_sort = "ASK { ?stream a ?kind ; :hasName ?name }"
+    chosen = {"kind": ":Stream", "name": '"s5"'}
+    assert client.sparql(of_sort, parameters=chosen) == {"head": {}, "boolean": True}
+    assert client.sparql(of_sort, parameters=chosen | {"name": '"s6"'})["boolean"] is False
+
+    for more, said in (
+        ({"most": "5"}, "does not use $most"),
+        ({"least": "two words"}, "$least is no term"),
+        ({"least": ""}, "$least is no term"),
+        ({"least": "?o"}, "$least is no IRI and no literal"),
+        ({"s": "5"}, "$s needs an IRI"),
+    ):
+        for answer in asked(**more):
+            assert answer.status_code == 400
+            assert said in answer.json()["detail"]
+    twice = annotated.get("/sparql", params=[("query", text), ("$least", "1"), ("$least", "2")])
+    assert "$least is given twice" in twice.json()["detail"]
+
+
 def test_sparql_protocol_forms(http: httpx.Client) -> None:
     ask = "ASK { ?s ?p ?o }"
     by_get = http.get("/sparql", params={"query": ask})
