@@ -5,8 +5,9 @@ import { address, ask, follow } from "./http.js";
 import { byName, held, moment, objectField, place, requests, streams } from "./state.js";
 
 const EVENTS = 2_000, POINTS = 600, OBJECTS = 200, TRACKS = 5_000, TRACK_POINTS = 120;
-const TICK = 250, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
+const TICK = 250, NEWEST = `${TICK}ms`, MOST_STREAMS = 50, PAST_EVENTS = 60, PAST_POSITIONS = 3_000;
 const MOST_PLOTTED = 10_000, INTERVALS = 300;
+const SLOW = 50, SLOW_FOR = 3_000;
 const PLAYED_PAST = 120_000, FAST = 5_000, LEAST = 0.05;
 
 /** The newest samples in the shapes that pages draw. */
@@ -69,6 +70,8 @@ export const shown = signal(live);
 export const tick = signal(0);
 /** connecting; open, waiting or failed; ended, as the followed streams have. */
 export const feedState = signal("connecting");
+/** Whether of events only the newest of each object come, as the page cannot read all. */
+export const isThinned = signal(false);
 /** Samples a second that have arrived, and all so far. */
 export const arrivals = signal({ rate: 0, total: 0 });
 
@@ -171,6 +174,8 @@ class Connection {
   state = null;
   #number = 0;
   #stop = null;
+  /** Since when each chunk has taken the page long; null: the last one has not. */
+  #slowSince = null;
 
   constructor(parameters) {
     this.parameters = { ...parameters, rdf: "no" };
@@ -178,7 +183,10 @@ class Connection {
 
   follow(names) {
     const goesOn = this.state === "ended" && names.some((name) => !byName.value.get(name).ended);
-    if (names.join() === this.names.join() && !goesOn) return;
+    if (names.join() !== this.names.join() || goesOn) this.#connect(names);
+  }
+
+  #connect(names) {
     this.names = names;
     this.#stop?.();
     this.#stop = null;
@@ -187,7 +195,10 @@ class Connection {
     this.#tell(names.length ? "connecting" : null);
     if (!names.length) return;
     const path = address("/follow", { stream: names, ...this.parameters });
-    this.#stop = follow(path, take, (state, position) => {
+    this.#stop = follow(path, (messages, begun) => {
+      take(messages);
+      this.#measure(begun);
+    }, (state, position) => {
       this.#tell(state);
       if (!position) return;
       noteEpoch(position);
@@ -202,6 +213,17 @@ class Connection {
     }, names.length);
   }
 
+  /** Ask for the newest of each object only, once the page has been too slow for all for a while. */
+  #measure(begun) {
+    const now = performance.now();
+    if (now - begun < SLOW) this.#slowSince = null;
+    else this.#slowSince ??= begun;
+    if (this.parameters.every || this.#slowSince === null || now - this.#slowSince < SLOW_FOR) return;
+    this.parameters.every = NEWEST;
+    isThinned.value = true;
+    this.#connect(this.names);
+  }
+
   /** Show the state that most needs attention. */
   #tell(state) {
     this.state = state;
@@ -211,7 +233,7 @@ class Connection {
 }
 
 /** Pages list all events. Of positions the map draws the newest of each object, at each tick. */
-const events = new Connection({}), positions = new Connection({ every: `${TICK}ms` });
+const events = new Connection({}), positions = new Connection({ every: NEWEST });
 const hasObjects = (stream) => stream.ports.some((port) => port.of.some((each) => each.id));
 effect(() => {
   if (!streams.value.length) return;

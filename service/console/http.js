@@ -62,7 +62,7 @@ const FIRST_WAIT = 500, LONGEST_WAIT = 15_000;
 
 /** Follow an event stream until the returned function is called; resume it after a lost connection.
 
-    `take` gets an array of messages for each chunk that arrives. `state` gets open, waiting, failed,
+    `take` gets an array of messages for each chunk that arrives, and when the page began to read it. `state` gets open, waiting, failed,
     or ended: all `number` streams of the address have ended, and nothing follows. Not EventSource:
     that hides status and problem, cannot send Last-Event-ID first, and calls once a message. */
 export function follow(path, take, state = () => {}, number = 1) {
@@ -87,7 +87,7 @@ export function follow(path, take, state = () => {}, number = 1) {
       rest += value;
       const end = rest.lastIndexOf("\n\n");
       if (end < 0) continue;
-      const [found, id] = messages(rest.slice(0, end));
+      const begun = performance.now(), [found, id] = messages(rest.slice(0, end));
       rest = rest.slice(end + 2);
       last = id ?? last;
       for (const { event, stream, reason } of found) {
@@ -95,7 +95,7 @@ export function follow(path, take, state = () => {}, number = 1) {
         if (event === "end" && reason !== "removed") ended.add(stream);
         else ended.delete(stream);
       }
-      if (found.length) take(found);
+      if (found.length) take(found, begun);
     }
   }
 
@@ -109,7 +109,7 @@ export function follow(path, take, state = () => {}, number = 1) {
           if (last === null) return state("failed", error);
           // The service has begun a new epoch, or has forgotten these samples: begin anew.
           last = null;
-          take([{ event: "gap", detail: error.message }]);
+          take([{ event: "gap", detail: error.message }], performance.now());
         }
       }
       if (stop.signal.aborted) return;

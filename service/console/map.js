@@ -2,7 +2,7 @@
 // are in the accent colour.
 import { html, useEffect, useRef } from "./vendor/preact.js";
 import { shown, tick } from "./feed.js";
-import { style, theme } from "./widgets.js";
+import { penOf, style, theme } from "./widgets.js";
 
 const HOT = 10_000, GONE = 120_000, TRAIL = 90_000, JUMP = 0.05, NEAR = 14, DEGREE_KM = 111.2;
 
@@ -19,21 +19,16 @@ class Drawing {
 
   constructor(canvas) {
     this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
   }
 
   x = (longitude) => this.width / 2 + (longitude - this.view.x) * this.view.narrow * this.view.scale;
   y = (latitude) => this.height / 2 - (latitude - this.view.y) * this.view.scale;
 
   draw(rings, selected, isWanted) {
-    const { canvas, pen } = this;
+    const { canvas } = this;
     if (!canvas.clientWidth) return;
     [this.width, this.height] = [canvas.clientWidth, canvas.clientHeight];
-    const ratio = devicePixelRatio;
-    if (canvas.width !== Math.round(this.width * ratio)) canvas.width = Math.round(this.width * ratio);
-    if (canvas.height !== Math.round(this.height * ratio)) canvas.height = Math.round(this.height * ratio);
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, this.width, this.height);
+    this.pen = penOf(canvas);
     this.colours = Object.fromEntries(
       ["line", "faint", "ghost", "muted", "accent", "surface", "text"].map((name) => [name, style(`--${name}`)]));
     this.font = style("--sans");

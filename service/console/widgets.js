@@ -7,6 +7,17 @@ const dark = matchMedia("(prefers-color-scheme: dark)").matches;
 export const theme = signal(localStorage.theme ?? (dark ? "dark" : "light"));
 export const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
+/** The pen of a canvas, which becomes as large as its element, and empty. */
+export function penOf(canvas) {
+  const pen = canvas.getContext("2d"), { clientWidth: width, clientHeight: height } = canvas;
+  const [wide, high] = [width, height].map((size) => Math.round(size * devicePixelRatio));
+  if (canvas.width !== wide) canvas.width = wide;
+  if (canvas.height !== high) canvas.height = high;
+  pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  return pen;
+}
+
 /** A message that disappears: {text, undo}. */
 export const toast = signal(null);
 const SHOWN = 5_000;

@@ -4,12 +4,13 @@ import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js"
 import { byName, held, numbers, objectField, problems, requests, silence, status, streams, title, transformations, unitOf, units } from "../state.js";
 import { chain, model, reached } from "../graph.js";
 import { curve, layout } from "../layout.js";
+import { drawShape, nodeAt } from "../shape.js";
 import { address, ask, follow } from "../http.js";
 import { ago, clock, count, duration, rate, value } from "../format.js";
 import { Partial } from "../partial.js";
 import { Chips, Empty, Plot, Trouble, aligned, theme } from "../widgets.js";
 
-const MANY = 150, SILENT = 15, FIELDS = 6, LINES = 12, KEPT = 600, TAIL = 30, FAR = 0.45;
+const MANY = 150, MOST_BOXES = 3_000, SILENT = 15, FIELDS = 6, LINES = 12, KEPT = 600, TAIL = 30, FAR = 0.45;
 const path = (name) => `#graph/${encodeURIComponent(name)}`;
 const pen = new OffscreenCanvas(1, 1).getContext("2d");
 
@@ -35,26 +36,22 @@ function lines(node, apart) {
   return [asked ? asked.name + more : title(stream), `${state} · ${by}`];
 }
 
-/** The drawing: panning and zooming move one group, so that nothing is drawn again. */
+/** What of a drawing an element shows; `apply` is called when that has changed. */
 class View {
   auto = true;
   x = 20; y = 20; scale = 1;
 
-  constructor(svg) {
-    this.svg = svg;
-  }
-
-  apply() {
-    this.svg.firstElementChild.setAttribute("transform", `translate(${this.x} ${this.y}) scale(${this.scale})`);
-    this.svg.classList.toggle("far", this.scale < FAR);
+  constructor(element, apply) {
+    this.element = element;
+    this.apply = () => apply(this);
   }
 
   fit(drawn, number, chosen) {
-    const { clientWidth: width, clientHeight: height } = this.svg;
+    const { clientWidth: width, clientHeight: height } = this.element;
     if (!width || !number) return;
     const whole = Math.min(1.1, (width - 40) / drawn.width, (height - 40) / drawn.height);
-    // A graph stays legible: a larger one begins at its top and left.
-    this.scale = Math.max(number < 120 ? 0.72 : 0.5, whole);
+    // Texts stay legible: a larger graph begins at its top and left.
+    this.scale = number > MOST_BOXES ? whole : Math.max(number < 120 ? 0.72 : 0.5, whole);
     this.x = Math.max(16, (width - drawn.width * this.scale) / 2);
     this.y = Math.max(16, (height - drawn.height * this.scale) / 2);
     const at = drawn.places.get(chosen);
@@ -67,7 +64,7 @@ class View {
   }
 
   zoom(factor, x, y) {
-    const scale = Math.min(3, Math.max(0.03, this.scale * factor));
+    const scale = Math.min(3, Math.max(0.003, this.scale * factor));
     this.x = x - ((x - this.x) * scale) / this.scale;
     this.y = y - ((y - this.y) * scale) / this.scale;
     this.scale = scale;
@@ -77,17 +74,21 @@ class View {
 
   listen() {
     let from = null;
-    this.svg.addEventListener("wheel", (event) => {
+    this.element.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
     }, { passive: false });
-    this.svg.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; });
-    this.svg.addEventListener("pointermove", (event) => {
+    this.element.addEventListener("pointerdown", (event) => {
+      from = [event.clientX, event.clientY];
+      this.isDragged = false;
+    });
+    this.element.addEventListener("pointermove", (event) => {
       if (!from || !event.buttons) return;
       this.x += event.clientX - from[0];
       this.y += event.clientY - from[1];
       from = [event.clientX, event.clientY];
       this.auto = false;
+      this.isDragged = true;
       this.apply();
     });
   }
@@ -106,21 +107,31 @@ function Node({ node, at, isChosen, isDim, level, apart, pick, keys }) {
     ${two && html`<text class="second" x="12" y="34">${fit(two, node.w - 20, "11px Inter")}</text>`}</g>`;
 }
 
+/** Panning and zooming move one group, so that nothing is drawn again. */
+function moveGroup({ element, x, y, scale }) {
+  element.firstElementChild.setAttribute("transform", `translate(${x} ${y}) scale(${scale})`);
+  element.classList.toggle("far", scale < FAR);
+}
+
 function Sheet({ graph, chosen, pick, hits, apart }) {
-  const svg = useRef(), view = useRef();
+  const sheet = useRef(), view = useRef(), draw = useRef();
   const drawn = useMemo(() => layout(graph.nodes, graph.edges), [graph]);
+  const isShape = graph.nodes.length > MOST_BOXES;
+  draw.current = isShape ? (of) => drawShape(of.element, of, graph, drawn, hits) : moveGroup;
   const lit = useMemo(() => (graph.nodes.some((node) => node.id === chosen) ? chain(chosen, graph.edges) : null), [graph, chosen]);
   const whole = () => view.current.fit(drawn, graph.nodes.length, chosen);
   useEffect(() => {
-    view.current = new View(svg.current);
+    view.current = new View(sheet.current, (of) => draw.current(of));
     view.current.listen();
-  }, []);
+  }, [isShape]);
   useEffect(() => {
-    if (view.current.auto) whole();
-    const watch = new ResizeObserver(() => { if (view.current.auto) whole(); });
-    watch.observe(svg.current);
+    const show = () => (view.current.auto ? whole() : view.current.apply());
+    show();
+    const watch = new ResizeObserver(show);
+    watch.observe(sheet.current);
     return () => watch.disconnect();
   }, [drawn]);
+  useEffect(() => view.current.apply(), [hits, theme.value]);
   const keys = (event, node) => {
     const side = { ArrowRight: 1, ArrowLeft: 0 }[event.key];
     const edge = side === undefined ? null : graph.edges.find((each) => each[1 - side] === node.id);
@@ -128,7 +139,7 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
     if (event.key === "Enter" || event.key === " ") pick(node);
     else if (next) {
       pick(next);
-      svg.current.querySelector(`[data-id="${CSS.escape(next.id)}"]`)?.focus();
+      sheet.current.querySelector(`[data-id="${CSS.escape(next.id)}"]`)?.focus();
     } else return;
     event.preventDefault();
   };
@@ -136,12 +147,21 @@ function Sheet({ graph, chosen, pick, hits, apart }) {
   const levels = new Map(problems.value.map((each) => [each.stream, each.level]));
   const edgeClass = ([from, to]) => (lit?.has(from) && lit.has(to) ? "edge on" : isDim(from) || isDim(to) ? "edge dim" : "edge");
   const thick = (stream) => 1 + Math.min(4, Math.log10(1 + (byName.value.get(stream)?.rate ?? 0)));
-  return html`<div class="sheet"><svg class="net" ref=${svg} role="group" aria-label="stream graph"><g>
+  const empty = status.value && !graph.nodes.length && html`<${Empty} title="No streams yet."><span>Publish one:</span><code>dyknow replay flights.csv --stream flights</code><//>`;
+  const over = html`<div class="over"><button onClick=${() => { view.current.auto = true; whole(); }}>Fit</button></div>`;
+  if (isShape) {
+    const choose = (event) => {
+      const node = nodeAt(view.current, graph, drawn, event.offsetX, event.offsetY);
+      if (node && !view.current.isDragged) pick(node);
+    };
+    return html`<div class="sheet"><canvas key="shape" class="net" ref=${sheet} role="img" onClick=${choose}
+      aria-label=${`${graph.nodes.length} streams, too many for boxes: find one by its name, or choose a request`}></canvas>${over}</div>`;
+  }
+  return html`<div class="sheet"><svg key="boxes" class="net" ref=${sheet} role="group" aria-label="stream graph"><g>
     ${graph.edges.map((edge, i) => drawn.paths[i].length > 1 && html`<path key=${edge.join()} class=${edgeClass(edge)} d=${curve(drawn.paths[i])} stroke-width=${thick(edge[2])} />`)}
     ${graph.nodes.map((node) => html`<${Node} key=${node.id} node=${node} at=${drawn.places.get(node.id)} isChosen=${node.id === chosen}
       isDim=${isDim(node.id)} level=${levels.get(node.stream)} apart=${apart} pick=${pick} keys=${keys} />`)}</g></svg>
-    ${status.value && !graph.nodes.length && html`<${Empty} title="No streams yet."><span>Publish one:</span><code>dyknow replay flights.csv --stream flights</code><//>`}
-    <div class="over"><button onClick=${() => { view.current.auto = true; whole(); }}>Fit</button></div></div>`;
+    ${empty}${over}</div>`;
 }
 
 /** The last samples of a stream, and those that arrive. */

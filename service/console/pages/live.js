@@ -2,7 +2,7 @@
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
 import { byName, held, isKnown, may, moment, numbers, place, requests, status, streams, templates, unitOf } from "../state.js";
-import { arrivals, feedState, newest, oldest, past, play, shown, tick } from "../feed.js";
+import { arrivals, feedState, newest, oldest, past, play, shown, tick, isThinned } from "../feed.js";
 import { ago, clock, count, rate, stamp, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
@@ -101,6 +101,7 @@ function Feed({ chosen, object, select, all, setAll, isWanted }) {
     ${object && html`<button class="chip on" onClick=${() => select(null)} title="show all objects">${object} ✕</button>`}
     <span class="grow"></span>
     ${held.value && html`<span class="small accent num">held, +${count(arrivals.value.total - frozen.current.total)}</span>`}
+    ${isThinned.value && html`<span class="small faint" title="This page cannot read all samples as fast as they come. It shows the newest of each object, four times a second, until it is loaded again.">newest only</span>`}
     ${feedState.value === "waiting" && html`<span class="small warn">reconnecting</span>`}
     ${feedState.value === "ended" && html`<span class="small faint" title="all streams of the requests have ended">ended</span>`}
     <span class="small faint num wide">${rate(arrivals.value.rate)}</span>

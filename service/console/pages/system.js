@@ -135,6 +135,14 @@ function Log() {
         html`<dt class="mono">${each.name}</dt><dd class="mono">${each.value}</dd>`)}</dl>` : html`<span class="muted">All are the defaults.</span>`}</div></div></section>`;
 }
 
+/** What has been declared in KPL; nothing where nothing has. */
+function Declarations() {
+  const [text, setText] = useState("");
+  useEffect(() => { ask("/kpl", { accept: "text/plain" }).then(setText).catch(() => {}); }, [changes.value.at(-1)?.sequence]);
+  return text.trim() && html`<section class="panel w12" aria-label="declarations"><header><h2 class="grow">Declarations</h2>
+    <span class="small faint">KPL</span></header><div class="scroll cap" tabindex="0"><pre class="wide-code">${text}</pre></div></section>`;
+}
+
 function Rate() {
   const past = history.value;
   const data = () => [past.map((each) => each.time), past.map((each) => each.in), past.map((each) => each.out)];
@@ -156,5 +164,5 @@ function Foot() {
 
 export default function System() {
   theme.value;
-  return html`<main class="page"><div class="system"><${Tiles} /><${Problems} /><${Rate} /><${Streams} /><${Changes} /><${Journal} />${may("admin") && html`<${Requests} /><${Log} />`}<${Foot} /></div></main>`;
+  return html`<main class="page"><div class="system"><${Tiles} /><${Problems} /><${Rate} /><${Streams} /><${Changes} /><${Journal} />${may("admin") && html`<${Requests} /><${Log} />`}<${Declarations} /><${Foot} /></div></main>`;
 }

@@ -14,6 +14,7 @@ import pytest
 from asking import asking
 from chromium import Browser, Page
 from pydantic import SecretStr
+from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -360,3 +361,36 @@ def test_many_events_a_second_leave_the_page_smooth(open_page: OPEN, rate: int) 
         stopped.set()
         sender.join()
         assert frames > 1  # 60 on an idle machine; beside others it is as slow as they make it
+
+
+SLOW_CLOCK = """(() => { const own = performance.now.bind(performance); let ahead = 0;
+  performance.now = () => own() + (ahead += 100); })()"""
+"""A page for which each look at the clock takes 100 ms longer: it seems to read slowly."""
+
+
+def test_a_page_that_reads_too_slowly_asks_for_the_newest_of_each_object(browser: Browser) -> None:
+    with service() as url, asking(url) as http:
+        declare(http)
+        page = browser.page()
+        page.call("Page.addScriptToEvaluateOnNewDocument", source=SLOW_CLOCK)
+        page.open(f"{url}/#live")
+        page.wait(OPEN_FEED)
+        sent = 0
+
+        def is_thinned() -> bool:
+            nonlocal sent
+            publish(http, sent, 40)
+            sent += 40
+            return page.run("document.body.innerText.includes('newest only')")
+
+        until(is_thinned)
+        page.wait(OPEN_FEED)
+        # What came in between is read from what is kept. The stream has no annotation: of it comes
+        # the newest sample, whatever its object.
+        page.wait(f"{SEEN}.then((seen) => seen.includes({sent - 1}))")
+        publish(http, sent, 400)
+        page.wait(f"{SEEN}.then((seen) => seen.includes({sent + 399}))")
+        seen = page.run(SEEN)
+        assert seen == sorted(set(seen))
+        assert [each for each in seen if each >= sent] == [sent + 399]
+        page.close()

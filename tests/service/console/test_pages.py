@@ -12,7 +12,7 @@ from urllib.parse import quote
 import httpx
 import pytest
 from asking import asking
-from chromium import Page
+from chromium import Browser, Page
 from waiting import until
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
@@ -163,6 +163,42 @@ def test_the_graph_has_each_stream_and_its_chain(flying: str, open_page: OPEN) -
     page.wait("location.hash !== '#graph/adsb' && location.hash.startsWith('#graph/')")
     page.press("ArrowLeft")
     page.wait("location.hash === '#graph/adsb'")
+
+
+MANY_STREAMS = """(() => { const own = window.fetch;
+  window.fetch = async (path, ...rest) => {
+    const answer = await own(path, ...rest);
+    if (path !== '/streams') return answer;
+    const [first, ...others] = await answer.json();
+    const copies = Array.from({length: 3200}, (_, i) => ({...first, name: `copy${i}`}));
+    return new Response(JSON.stringify([first, ...others, ...copies]),
+      {headers: {'content-type': 'application/json'}});
+  }; })()"""
+"""A page to which the service seems to have 3,200 streams more."""
+DRAWN = """(() => { const net = document.querySelector('canvas.net');
+  const { left, top } = net.getBoundingClientRect();
+  const { data } = net.getContext('2d').getImageData(0, 0, net.width, net.height);
+  const pixel = data.findIndex((value, i) => i % 4 === 3 && value === 255) >> 2;
+  const [x, y] = [pixel % net.width, Math.floor(pixel / net.width)];
+  return pixel < 0 ? [] : [left + x / devicePixelRatio, top + y / devicePixelRatio]; })()"""
+"""The place of a pixel that something covers, [] without one."""
+
+
+def test_a_graph_of_thousands_is_a_shape_on_a_canvas(
+    service: httpx.Client, browser: Browser
+) -> None:
+    assert service.put("/streams/gps", json={"fields": {"v": "float"}}).status_code == 201
+    page = browser.page(width=1400, height=900)
+    page.call("Page.addScriptToEvaluateOnNewDocument", source=MANY_STREAMS)
+    page.open(f"{service.base_url}/#graph")
+    page.wait("document.querySelector('canvas.net')?.ariaLabel.startsWith('3201 streams')")
+    # A click on a box shows the chain of its stream.
+    x, y = page.wait(f"{DRAWN}.length && {DRAWN}")
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    page.wait("document.querySelectorAll('svg.net .node').length === 1")
+    page.wait("location.hash.startsWith('#graph/')")
+    page.close()
 
 
 EDITOR = "document.querySelector('.editor .text').editor"
@@ -416,6 +452,16 @@ def test_system_shows_refused_requests_and_the_data_directory(flying: str, open_
     page.wait_text("/streams/no_such_stream")
     page.wait_text("unknown stream")
     page.wait_text("All is in memory")
+
+
+def test_system_shows_what_is_declared_in_kpl(service: httpx.Client, open_page: OPEN) -> None:
+    page = open_page(f"{service.base_url}/#system")
+    page.wait_text("HTTP interface")
+    assert not page.run("document.body.innerText.includes('Declarations')")
+    kpl = "source float baro\nstrmgen pressure = baro"
+    text = {"Content-Type": "text/plain"}
+    assert service.post("/kpl", content=kpl, headers=text).status_code == 201
+    page.wait_text("strmgen pressure = baro")
 
 
 def test_system_shows_what_the_data_directory_holds(tmp_path: Path, open_page: OPEN) -> None:
