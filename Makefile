@@ -41,6 +41,7 @@ soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand 
 	$(BIN)/python bench/service/soak.py $(SECONDS)
 	$(BIN)/python tests/laws/reasoning/mutants.py
 	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/durability/test_kill.py
+	DYKNOW_BOUNDS=1 $(PYTEST) tests/service/test_openapi_fuzz.py
 	DYKNOW_QUERY_WINDOWS=200000 DYKNOW_QUERY_SEED=$$(date +%s) $(PYTEST) tests/laws/continuous/test_differential.py
 	for round in $$(seq $(ROUNDS)); do $(PYTEST) tests/laws --hypothesis-profile=default || exit 1; done
 	$(MAKE) --no-print-directory soak-patterns

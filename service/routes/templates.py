@@ -98,7 +98,7 @@ async def read_template(
     "/templates/{name:path}",
     response_model=TemplateModel,
     openapi_extra=BODY,
-    responses={201: {"model": TemplateModel}, **responses(409, 412, 413, 415)},
+    responses={201: {"model": TemplateModel}, **responses(404, 409, 412, 413, 415)},
 )
 async def put_template(
     name: Name,

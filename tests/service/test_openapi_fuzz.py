@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from copy import deepcopy
 from typing import Any
 
@@ -39,12 +40,15 @@ app = create_app(Engine(epoch="e1"), Settings(body_limit=1 << 16), lambda: 10**1
 # Not `from_asgi`: it gives up after ten seconds, which a busy machine needs.
 document = schemathesis.openapi.from_dict(deepcopy(app.openapi()))
 document.app, document.location = app, "/openapi.json"
+# Every bound of every parameter, in turn: it takes a minute and a half, a tenth of it in each worker
+# before the first test. `make soak` has it.
+document.config.phases.coverage.enabled = "DYKNOW_BOUNDS" in os.environ
 schema = document.exclude(path_regex="/events$")
 
 
 @schema.parametrize()
 @settings(
-    max_examples=8,
+    max_examples=20,
     deadline=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),
