@@ -40,8 +40,8 @@ app = create_app(Engine(epoch="e1"), Settings(body_limit=1 << 16), lambda: 10**1
 # Not `from_asgi`: it gives up after ten seconds, which a busy machine needs.
 document = schemathesis.openapi.from_dict(deepcopy(app.openapi()))
 document.app, document.location = app, "/openapi.json"
-# Every bound of every parameter, in turn: it takes a minute and a half, a tenth of it in each worker
-# before the first test. `make soak` has it.
+# Every bound of every parameter takes a minute, some of it in each worker before the first test:
+# `make soak` has that.
 document.config.phases.coverage.enabled = "DYKNOW_BOUNDS" in os.environ
 schema = document.exclude(path_regex="/events$")
 

@@ -48,6 +48,8 @@ EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""
 _LONGEST_FORM: Final = 4 * LONGEST_TEXT
 """Bytes of a form: percent-encoding makes a query at most three times as long."""
+_LONGEST_TERM: Final = 1024
+"""Characters of a parameter, which a query may repeat some thousand times."""
 _DEFAULT_GRAPHS: Final = "default-graph-uri"
 _NAMED_GRAPHS: Final = "named-graph-uri"
 DefaultGraphs = Annotated[
@@ -204,6 +206,8 @@ def _terms(parameters: list[tuple[str, str]]) -> dict[str, NamedNode | Literal]:
     for key, value in parameters:
         if not key.startswith("$"):
             continue
+        if len(value) > _LONGEST_TERM:
+            raise _wrong_parameter(f"{key} has more than {_LONGEST_TERM} characters")
         try:
             term = parse_argument(value, ALL_PREFIXES)
         except LanguageError as error:

@@ -646,6 +646,7 @@ def test_parameters_of_a_query(annotated: httpx.Client, client: Client) -> None:
         ({"least": "two words"}, "$least is no term"),
         ({"least": ""}, "$least is no term"),
         ({"least": "?o"}, "$least is no IRI and no literal"),
+        ({"least": "1" * 1025}, "$least has more than 1024 characters"),
         ({"s": "5"}, "$s needs an IRI"),
     ):
         for answer in asked(**more):

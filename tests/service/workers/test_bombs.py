@@ -20,6 +20,7 @@ from asking import asking
 from bombs import NDJSON, SPARQL, SSL, TEXT, WINDOWS, Bomb, documents, evaluations, query, texts
 from launching import Forked
 from serving import Serving
+from waiting import HANGS, until
 
 PATIENCE = 5.0
 """Seconds within which others are answered while a bomb is dealt with: of a machine that does other
@@ -158,6 +159,10 @@ def samples(second: int) -> str:
     return "\n".join(map(json.dumps, rows))
 
 
+def evaluated(http: httpx.Client, query: str) -> bool:
+    return http.get(f"/queries/{query}").json()["state"] in ("failed", "ended")
+
+
 @pytest.mark.parametrize("name", WINDOWS)
 def test_a_query_whose_windows_explode_is_stopped_alone(served: Served, name: str) -> None:
     http = served.http
@@ -178,8 +183,12 @@ def test_a_query_whose_windows_explode_is_stopped_alone(served: Served, name: st
     assert http.post("/queries", content=other, headers={"Content-Type": TEXT}).status_code == 201
     for second in range(1, 7):
         path = f"/streams/{stream}/samples"
-        served.shoot(Bomb(name, "POST", path, NDJSON, samples(second), (202,)))
+        batch = Bomb(name, "POST", path, NDJSON, samples(second), (202, 429))
+        # 429: its queries are behind, and it is to be sent again.
+        until(lambda batch=batch: served.shoot(batch).status_code == 202, HANGS)
     assert http.post(f"/streams/{stream}/end").status_code == 204
+    # The windows of what has been accepted are evaluated as soon as their turn comes.
+    until(lambda: evaluated(http, name) and evaluated(http, f"beside_{name}"), HANGS)
     found = http.get(f"/queries/{name}").json()
     assert found["state"] == "failed"
     assert "Quarantined: 3 windows in a row" in found["failure"]
