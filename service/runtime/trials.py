@@ -25,9 +25,9 @@ from ..http.problems import Problem
 from ..workers.services import WINDOW_BYTES
 
 SECONDS: Final = 5.0
-"""The time of a back test; then it tells how far it came."""
-_KILLED: Final = 20.0
-"""Seconds after which its process is killed, on a busy machine."""
+"""The processor time of a back test; then it tells how far it came."""
+_KILLED: Final = 60.0
+"""Seconds by the clock after which its process is killed."""
 _MOST: Final = 5
 """Back tests that wait, with the one that runs; further ones are refused."""
 
@@ -58,17 +58,10 @@ class Trials:
         self._under_way += 1
         try:
             async with self._turn:
-                end = time.monotonic() + SECONDS
                 work = partial(
-                    back_test,
-                    engine,
-                    wanted,
-                    since,
-                    strategy=strategy,
-                    budget=self._budget,
-                    is_over=lambda: time.monotonic() >= end,
+                    back_test, engine, wanted, since, strategy=strategy, budget=self._budget
                 )
-                return await self._in_fork(engine, work)
+                return await self._in_fork(engine, lambda: _within(work))
         finally:
             self._under_way -= 1
 
@@ -87,3 +80,9 @@ class Trials:
             raise Problem(
                 503, "no back test", str(error), hint="try a later moment, or a simpler query"
             ) from error
+
+
+def _within(work: Callable[..., Trial]) -> Trial:
+    """Do the work in the time of a back test; it asks ``is_over``."""
+    end = time.thread_time() + SECONDS
+    return work(is_over=lambda: time.thread_time() >= end)

@@ -420,7 +420,7 @@ def test_every_question_of_the_list_is_right(flying: str, open_page: OPEN) -> No
           }
           return found; })"""
     )
-    assert len(asked) == 22
+    assert len(asked) == 23
     assert set(asked.values()) == {200}, asked
 
 
