@@ -814,7 +814,9 @@ def _sparql(
     named_graphs: Sequence[str],
     parameters: Mapping[str, str],
 ) -> Flow[httpx.Response]:
-    chosen: dict[str, str | list[str]] = {f"${name}": term for name, term in parameters.items()}
+    chosen: dict[str, str | list[str]] = {
+        f"${name.lstrip('$?')}": term for name, term in parameters.items()
+    }
     chosen |= {"default-graph-uri": list(default_graphs), "named-graph-uri": list(named_graphs)}
     headers = {"Content-Type": SPARQL_QUERY, "Accept": accept}
     return send("POST", "/sparql", params=chosen, content=query, headers=headers)

@@ -158,7 +158,8 @@ function Parameters({ of, given, give, run }) {
   return html`<div class="parameters">${of.map((name) => html`<label key=${name}><span class="mono">$${name}</span>
     <input type="text" placeholder="any" title="a text, 100, dyknow:UAV, <iri>" value=${given[name] ?? ""}
       onInput=${(event) => give({ ...given, [name]: event.target.value })}
-      onKeyDown=${(event) => event.key === "Enter" && run()} /></label>`)}</div>`;
+      onKeyDown=${(event) => event.key === "Enter" && run()} />
+    ${given[name] && !TERM.test(given[name].trim()) && html`<span class="faint">a text; a name has its prefix, as dyknow:speed</span>`}</label>`)}</div>`;
 }
 
 /** What completes in the editor: the names of the ontology. */

@@ -21,7 +21,7 @@ from ....languages.errors import LanguageError
 from ....ontology.errors import QueryRefused
 from ....ontology.texts.query_guard import LONGEST_TEXT, read_query
 from ....ontology.texts.turtle import ALL_PREFIXES
-from ....sparql.ast import Form
+from ....sparql import ast
 from ....sparql.parameters import with_terms
 from ....sparql.printer import print_query
 from ...admission.gate import client_key
@@ -52,6 +52,8 @@ _LONGEST_TERM: Final = 1024
 """Characters of a parameter, which a query may repeat some thousand times."""
 _DEFAULT_GRAPHS: Final = "default-graph-uri"
 _NAMED_GRAPHS: Final = "named-graph-uri"
+_OF_OTHERS: Final = ("query", "format", "output", "results")
+"""What the protocol and its clients send beside the parameters of a query."""
 DefaultGraphs = Annotated[
     list[str] | None,
     Query(
@@ -200,11 +202,16 @@ def _dataset(parameters: list[tuple[str, str]]) -> GraphNames | None:
     return chosen if any(chosen) else None
 
 
-def _terms(parameters: list[tuple[str, str]]) -> dict[str, NamedNode | Literal]:
+def _terms(query: ast.Query, parameters: list[tuple[str, str]]) -> dict[str, NamedNode | Literal]:
     """Return the terms that the request gives to variables. Raises a `Problem`."""
     found: dict[str, NamedNode | Literal] = {}
     for key, value in parameters:
         if not key.startswith("$"):
+            if key not in _OF_OTHERS and key in ast.variables_of(query):
+                raise _wrong_parameter(
+                    f"{key} is a variable of the query, and no parameter of the request",
+                    f"write ${key}={value} to give it a term",
+                )
             continue
         if len(value) > _LONGEST_TERM:
             raise _wrong_parameter(f"{key} has more than {_LONGEST_TERM} characters")
@@ -235,7 +242,7 @@ async def _answer(
 ) -> Response:
     text, dataset, base = _text(parameters), _dataset(parameters), _endpoint(request)
     query, stated = read_query(text, base)
-    if terms := _terms(parameters):
+    if terms := _terms(query, parameters):
         try:
             text = print_query(with_terms(query, terms))
         except ValueError as error:
@@ -244,7 +251,7 @@ async def _answer(
             # The text of a tree has no FROM clauses.
             default, named = stated
             dataset = [graph.value for graph in default], [graph.value for graph in named]
-    offered = {Form.SELECT: RESULTS, Form.ASK: BOOLEANS}.get(query.form, GRAPHS)
+    offered = {ast.Form.SELECT: RESULTS, ast.Form.ASK: BOOLEANS}.get(query.form, GRAPHS)
     try:
         kind, not_acceptable = accepted(request, tuple(offered)), None
     except Problem as problem:

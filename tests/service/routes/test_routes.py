@@ -652,6 +652,9 @@ def test_parameters_of_a_query(annotated: httpx.Client, client: Client) -> None:
         for answer in asked(**more):
             assert answer.status_code == 400
             assert said in answer.json()["detail"]
+    forgotten = annotated.get("/sparql", params={"query": text, "least": "5", "format": "json"})
+    assert "write $least=5" in forgotten.json()["hint"]
+    assert client.sparql(of_sort, parameters={"$kind": ":Stream", "?name": '"s5"'})["boolean"]
     twice = annotated.get("/sparql", params=[("query", text), ("$least", "1"), ("$least", "2")])
     assert "$least is given twice" in twice.json()["detail"]
 
