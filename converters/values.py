@@ -117,10 +117,12 @@ def object_column(
     if local is None and not range.startswith(RDF) and field.type in _NAMING:
         # A class: the values are names of objects.
         return lambda column: ObjectColumn(Kind.TERM, names.ids(column)[0], column.null)
+    fitting = "double" if field.type is FieldType.FLOAT else field.type
     raise ConversionError(
         f"field {field.name!r} holds {field.type} values, the feature's are {_short(range)}",
         field=field.name,
-        hint="declare the field with a fitting type, or correct the feature's rdfs:range",
+        hint="declare the field with a fitting type, or correct the feature's rdfs:range: "
+        f"dyknow ontology add-feature NAME --range xsd:{fitting}",
     )
 
 

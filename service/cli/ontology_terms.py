@@ -22,6 +22,10 @@ Name = Annotated[
 Comment = Annotated[str | None, typer.Option(help="What the term means, in a sentence.")]
 
 
+_DATATYPES = ("string", "boolean", "integer", "decimal", "float", "double", "dateTime")
+"""Datatypes that need no prefix, as no sort begins with a small letter."""
+
+
 def add_feature(
     name: Name,
     sort: Annotated[
@@ -31,7 +35,11 @@ def add_feature(
         str | None, typer.Option(help="The unit of its numbers, such as degC or m.s-1.")
     ] = None,
     range: Annotated[
-        str, typer.Option(help="The datatype of its values, or the sort of the objects it names.")
+        str,
+        typer.Option(
+            help="The datatype of its values (string, boolean, integer, double), or the sort "
+            "of the objects that it names."
+        ),
     ] = "xsd:double",
     comment: Comment = None,
     url: Url = DEFAULT_URL,
@@ -46,7 +54,8 @@ def add_feature(
         unit = None if unit is None else format_unit(parse_unit(unit))
     except UnitError as error:
         raise fail(str(error)) from error
-    iri, domain, values = iri_of(name), iri_of(sort), iri_of(range)
+    iri, domain = iri_of(name), iri_of(sort)
+    values = f"{XSD}{range}" if range in _DATATYPES else iri_of(range)
     is_datatype = values.startswith(XSD)
     kind = "DatatypeProperty" if is_datatype else "ObjectProperty"
     parts = [
@@ -74,7 +83,8 @@ def add_feature(
         _check_free(known, iri, "feature")
         found = _load(client, iri, "feature", parts, comment)
     unit_text = "" if unit is None else f" [{unit}]"
-    _report(found, f"added {shorten(iri)}{unit_text} of {shorten(domain)}", as_json)
+    of = "" if values == f"{XSD}double" else f", whose values are {shorten(values)}"
+    _report(found, f"added {shorten(iri)}{unit_text} of {shorten(domain)}{of}", as_json)
 
 
 def add_sort(

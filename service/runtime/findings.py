@@ -70,7 +70,7 @@ def _of_service(level: str, what: str, detail: str, hint: str) -> FindingModel:
 
 def _units(service: Service) -> Iterator[FindingModel]:
     for failure in service.engine.failed():
-        users = f" It answers {', '.join(failure.asked)}." if failure.asked else ""
+        users = f". It answers {', '.join(failure.asked)}." if failure.asked else ""
         yield FindingModel(
             level="bad",
             what=f"Unit {failure.unit} has stopped",

@@ -47,10 +47,9 @@ def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
         lines = [f"# Put the sort of the objects in place of {SORT}, and check the units."]
         after = [f"for every {SORT} = {field_words(overview.id_field)}"]
     if others:
-        lines += [
-            "# To use a field that is a comment, add its feature to the ontology:",
-            f"#   dyknow ontology add-feature NAME --unit UNIT --sort {SORT}",
-        ]
+        add = "#   dyknow ontology add-feature NAME"
+        lines += ["# To use a field that is a comment, add its feature to the ontology:"]
+        lines += [f"{add} {option} --sort {SORT}" for option in _options(others)]
     unknown = [f"{_new_name(field)}({whose}) = {field_words(field.name)}" for field in others]
     features = [_declared(field, iri, whose, vocabulary) for field, iri in known.items()]
     if features:
@@ -61,6 +60,14 @@ def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
     lines += [f"# stream {name} contains"]
     lines += [f"#   {mark} {each}" for mark, each in zip(marks, unknown, strict=False)]
     return "\n".join([*lines, *(f"# {line}" for line in after)])
+
+
+def _options(fields: list[Field]) -> list[str]:
+    """The options of new features: numbers have a unit, texts and truth values a range."""
+    kinds = {field.type for field in fields}
+    ranges = [f"--range xsd:{local_name(each)}" for each, types in _RANGES.items() if kinds & types]
+    are_all_ranges = kinds <= frozenset().union(*_RANGES.values())
+    return ranges if are_all_ranges else ["--unit UNIT", *ranges]
 
 
 def _new_name(field: Field) -> str:

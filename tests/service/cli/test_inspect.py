@@ -99,6 +99,20 @@ def test_a_field_of_another_type_is_no_feature(tmp_path: Path) -> None:
     assert features(text) == [("onGround", "onGround")]  # and distance is one of two objects
 
 
+def test_a_text_is_a_feature_with_a_range(tmp_path: Path) -> None:
+    of_text, of_number = "NAME --range xsd:string ", "NAME --unit UNIT "
+    file = tmp_path / "robots.csv"
+    file.write_text("time,robot,carrying\n1,r1,box\n2,r1,none\n")
+    text = skeleton(file)
+    assert of_text in text
+    assert of_number not in text
+    file = tmp_path / "loads.csv"
+    file.write_text("time,robot,carrying,load\n1,r1,box,2.5\n2,r1,none,0.5\n")
+    text = skeleton(file)
+    assert of_text in text
+    assert of_number in text
+
+
 def test_features_of_a_domain_ontology(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text(GERMAN.replace("pos.x", "pos_x"))
     (tmp_path / "domain.ttl").write_text(DOMAIN)

@@ -67,7 +67,13 @@ def test_a_term_of_another_namespace_and_one_without_unit(dyknow: Any, client: C
     assert mode is not None
     assert (mode["unit"], mode["domain"]) == (None, "dyknow:Thing")
     carrier = ("ontology", "add-feature", "carrier", "--range", "Vehicle", "--sort", "UAV")
-    assert dyknow(*carrier).stdout.strip() == "added dyknow:carrier of dyknow:UAV"
+    assert dyknow(*carrier).stdout.strip() == (
+        "added dyknow:carrier of dyknow:UAV, whose values are dyknow:Vehicle"
+    )
+    is_on = ("ontology", "add-feature", "isOn", "--range", "boolean")
+    assert dyknow(*is_on).stdout.strip() == (
+        "added dyknow:isOn of dyknow:Thing, whose values are xsd:boolean"
+    )
     assert dyknow("ontology", "add-sort", "Rover", "--under", "Vehicle").stdout.strip() == (
         "added dyknow:Rover, a dyknow:Vehicle"
     )
