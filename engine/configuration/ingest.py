@@ -83,14 +83,18 @@ class Intake:
                 )
             return accepted
         if len(incoming.batch) and generator.stamped not in (None, incoming.stamped):
-            earlier, these = (
-                ("were stamped on arrival", "have available times")
+            earlier, these, remedy = (
+                ("were stamped on arrival", "have available times", "leave `available` out")
                 if generator.stamped
-                else ("have available times", "have none")
+                else (
+                    "have available times, as those of a recording",
+                    "have none",
+                    "give each sample `available`, the time when you had it",
+                )
             )
             raise Conflict(
                 f"the earlier samples of stream {name!r} {earlier}; these {these}",
-                "the first sample decides for the whole stream: send all like it",
+                f"the first sample decides for the whole stream: {remedy}, or take another stream",
             )
         batch = incoming.batch
         if incoming.has_nodes:

@@ -2,8 +2,8 @@
 // chosen object follows through all three.
 import { html, useEffect, useRef, useState } from "../vendor/preact.js";
 import { byName, held, isKnown, may, moment, numbers, place, requests, status, streams, templates, unitOf } from "../state.js";
-import { arrivals, feedState, newest, oldest, past, play, shown, tick, isThinned } from "../feed.js";
-import { ago, clock, count, rate, stamp, words } from "../format.js";
+import { arrivals, feedState, isThinned, newest, oldest, past, play, shown, tick } from "../feed.js";
+import { ago, clock, count, plural, rate, stamp, words } from "../format.js";
 import { ask } from "../http.js";
 import { TrackMap } from "../map.js";
 import { eventText } from "../terms.js";
@@ -14,7 +14,7 @@ import { Why, question } from "../why.js";
 import { Chips, Empty, Plot, Rows, Trouble, aligned, theme } from "../widgets.js";
 
 const STATES = ["failed", "running", "ended"];
-const LINES = 24, PLOTTED = 90, RECENT = 10;
+const LINES = 24, PLOTTED = 90, RECENT = 10, LISTED = 3;
 const PLAYED_FIRST = 30_000, SECOND = 1_000;
 /** A line goes on over a gap of this part of what is plotted. */
 const GAPS = 20;
@@ -49,6 +49,13 @@ function Proposal() {
     <code>dyknow template add --library high_speed</code>`;
 }
 
+/** Streams whose samples can be seen although nothing asks for them. */
+function Played() {
+  const played = streams.value.filter((each) => !each.producer && each.name !== "status" && each.counters.accepted);
+  return played.slice(0, LISTED).map((each) => html`<a key=${each.name} href=${`#graph/${encodeURIComponent(each.name)}`}>
+    See the ${plural(each.counters.accepted, "sample")} of ${each.name}</a>`);
+}
+
 function Requests({ chosen, object }) {
   const [trouble, setTrouble] = useState(null);
   const go = (request) => {
@@ -63,6 +70,7 @@ function Requests({ chosen, object }) {
       ${isKnown.value && !requests.value.length && html`<${Empty} title="No requests run.">
         <span>Say what you want to know; DyKnow finds or builds the streams that answer it.</span>
         <a href="#ask">Ask for an event</a>
+        <${Played} />
         <${Proposal} /><//>`}</div>
     <${Trouble} of=${trouble} />
     ${chosen && html`<footer class="row"><a class="grow small" href=${`#graph/${encodeURIComponent(chosen.stream)}`}>Where it comes from</a>

@@ -208,8 +208,18 @@ def test_axe_finds_nothing_after_a_recording(
 def test_an_empty_page_proposes_what_works(service: httpx.Client, open_page: OPEN) -> None:
     page = opened(open_page, service, "live")
     page.wait_text("dyknow template add --library high_speed")
+    assert not page.run("document.body.innerText.includes('See the ')")
     declare(service)
     page.wait_text("dyknow events 'dyknow:")
     command = page.run("document.querySelector('.asks code').innerText")
     event = command.removeprefix("dyknow events '").removesuffix("' --since start --keep")
     assert service.post("/events", content=event, headers=TEXT).status_code == 201
+
+
+def test_samples_that_nothing_asks_for_are_linked(service: httpx.Client, open_page: OPEN) -> None:
+    declare(service)
+    page = opened(open_page, service, "live")
+    page.wait_text("No requests run.")
+    play(service)
+    page.click(".asks a", "See the ")
+    page.wait("location.hash.startsWith('#graph/')")
