@@ -24,13 +24,19 @@ export function question(event) {
 const TONES = { true: "accent", false: "bad", unknown: "warn" };
 const Cell = ({ of }) => html`<td class=${typeof of === "number" ? "num" : TONES[String(of)] ?? "faint"}>${value(of)}</td>`;
 
+/** The states around the start of the verdict, which is in view, whatever came long before it. */
 function Table({ of }) {
-  const rows = [...of.features, ...of.formulas], states = of.states.slice(0, STATES);
-  return html`<div class="whytable" tabindex="0"><table>
-    <thead><tr><th>part</th>${states.map((state) => html`<th class="num">${clock(state)}</th>`)}</tr></thead>
+  const box = useRef(), start = of.states.indexOf(of.start);
+  const from = Math.max(0, Math.min(start - STATES / 2, of.states.length - STATES));
+  const rows = [...of.features, ...of.formulas], states = of.states.slice(from, from + STATES);
+  useEffect(() => {
+    box.current.querySelector("th.accent")?.scrollIntoView({ block: "nearest", inline: "center" });
+  }, [of]);
+  return html`<div class="whytable" ref=${box} tabindex="0"><table>
+    <thead><tr><th>part</th>${states.map((state, i) => html`<th class=${from + i === start ? "num accent" : "num"}>${clock(state)}</th>`)}</tr></thead>
     <tbody>${rows.map((row) => html`<tr><td class="mono" style=${{ paddingLeft: `${12 + 16 * row.depth}px` }}>${row.text}</td>
-      ${states.map((_, i) => html`<${Cell} of=${row.values[i]} />`)}</tr>`)}</tbody></table></div>
-    ${of.states.length > STATES && html`<p class="small faint">The first ${STATES} of ${of.states.length} states.</p>`}`;
+      ${states.map((_, i) => html`<${Cell} of=${row.values[from + i]} />`)}</tr>`)}</tbody></table></div>
+    ${of.states.length > STATES && html`<p class="small faint">${STATES} of ${of.states.length} states, around the start.</p>`}`;
 }
 
 const said = (values) => Object.entries(values).map(([name, each]) => `${name} ${value(each)}`).join(", ");

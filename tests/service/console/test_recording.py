@@ -223,3 +223,24 @@ def test_samples_that_nothing_asks_for_are_linked(service: httpx.Client, open_pa
     play(service)
     page.click(".asks a", "See the ")
     page.wait("location.hash.startsWith('#graph/')")
+
+
+LONG = """monitor calm(?x in Car) = not historically [0s, 80s] speed(?x) > 20 [km.h-1]
+with sample every 1s, max delay 0s"""
+SEEN = """(() => { const [box, part, start] = ['.whytable', 'th', 'th.accent']
+    .map((each) => document.querySelector(`dialog.why ${each}`).getBoundingClientRect());
+  return box.left <= part.left && part.right <= start.left && start.right <= box.right + 1; })()"""
+
+
+def test_why_begins_at_the_start_of_the_verdict_after_a_long_past(
+    service: httpx.Client, open_page: OPEN
+) -> None:
+    declare(service)
+    assert service.post("/queries", content=LONG, headers=TEXT).status_code == 201
+    times = (BEGIN + second * SECOND for second in range(100))
+    publish(service, "cars", *({"valid": at, "available": at, "id": "c1", "v": 30} for at in times))
+    assert service.post("/streams/cars/end").is_success
+    page = opened(open_page, service, "live/calm")
+    page.click(".line button.chip", "why?")
+    page.wait_text("60 of 81 states, around the start")
+    page.wait(SEEN)
