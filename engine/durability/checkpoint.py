@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
 from typing import Any, Final, TypeVar
@@ -131,9 +132,9 @@ def _program() -> str:
     for package in _PICKLED:
         digest.update(f"{package} {version(package)}\0".encode())
     # Not all of the folder: in a checkout, people keep programs of their own beside the packages.
-    for package in _PACKAGES:
-        for path in sorted((_ROOT / package).rglob("*.py")):
-            digest.update(str(path.relative_to(_ROOT)).encode() + b"\0" + path.read_bytes())
+    modules = (sorted((_ROOT / package).rglob("*.py")) for package in _PACKAGES)
+    for path in (_ROOT / "__init__.py", *chain.from_iterable(modules)):
+        digest.update(str(path.relative_to(_ROOT)).encode() + b"\0" + path.read_bytes())
     python = ".".join(map(str, sys.version_info[:3]))
     return f"dyknow {version('dyknow')}, Python {python}, {digest.hexdigest()[:16]}"
 

@@ -29,8 +29,12 @@ def test_files_beside_the_packages_are_no_other_program(
         path.write_text(text)
         return checkpoint._program.__wrapped__()
 
+    (tmp_path / "__init__.py").touch()
     before = write("engine/units/unit.py", "x = 1")
     for name in ("robot.py", "robots/__init__.py", "tests/test_robot.py", ".venv/lib/module.py"):
         assert write(name, "y = 1") == before
     assert write("engine/units/unit.py", "x = 2") != before
+    (tmp_path / "engine/units/unit.py").write_text("x = 1")
+    assert write("__init__.py", "y = 1") != before
+    (tmp_path / "__init__.py").write_text("")
     assert write("service/new.py", "") != before
