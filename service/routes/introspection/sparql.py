@@ -205,9 +205,10 @@ def _dataset(parameters: list[tuple[str, str]]) -> GraphNames | None:
 def _terms(query: ast.Query, parameters: list[tuple[str, str]]) -> dict[str, NamedNode | Literal]:
     """Return the terms that the request gives to variables. Raises a `Problem`."""
     found: dict[str, NamedNode | Literal] = {}
+    used = ast.variables_of(query)
     for key, value in parameters:
         if not key.startswith("$"):
-            if key not in _OF_OTHERS and key in ast.variables_of(query):
+            if key in used and key not in _OF_OTHERS:
                 raise _wrong_parameter(
                     f"{key} is a variable of the query, and no parameter of the request",
                     f"write ${key}={value} to give it a term",
