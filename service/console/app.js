@@ -61,8 +61,9 @@ function Help() {
 function Connection() {
   const isStarting = connection.value === "open" && status.value.starting.length > 0;
   const state = isStarting ? "starting" : connection.value, dot = { open: "on", waiting: "bad" }[state] ?? "";
-  return html`<span class="row small muted" role="status" title=${isStarting ? status.value.starting.join("; ") : null}><i class=${`dot ${dot}`}></i>
-    <span class="wide">${state === "open" ? "connected" : state}</span></span>`;
+  const words = isStarting ? html`<a href="#system" title=${status.value.starting.join("; ")}>starting</a>`
+    : state === "open" ? "connected" : state;
+  return html`<span class="row small muted" role="status"><i class=${`dot ${dot}`}></i><span class="wide">${words}</span></span>`;
 }
 
 function Counts() {

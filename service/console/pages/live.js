@@ -155,8 +155,9 @@ function LivePlot({ request, object }) {
   const field = stream && numbers(stream)[0], kept = usePast(stream, field);
   if (kept?.length) return html`<${PastPlot} request=${request} stream=${stream} field=${field} object=${object} lines=${kept} />`;
   if (!field || !series) {
-    return html`<section class="panel plot"><header><h2>Plot</h2></header>
-      <${Empty}><span>The first number of the chosen request, a line for each object.</span><//></section>`;
+    const words = !stream ? "The first number of the chosen request, a line for each object."
+      : field ? `${request.name} has no values yet.` : `${request.name} has no numbers to plot.`;
+    return html`<section class="panel plot" aria-label="plot"><header><h2>Plot</h2></header><${Empty}><span>${words}</span><//></section>`;
   }
   const from = (moment.value ?? Date.now()) - PLOTTED * 1000;
   const lines = [...series].filter(([, events]) => events.at(-1).time > from)

@@ -278,7 +278,7 @@ def test_a_start_is_no_problem(open_page: OPEN) -> None:
     app.state.service.warming.begin("loops", "being compiled", lambda: go_on.wait(60) and None)
     with running(app, settings) as url:
         page = open_page(f"{url}/#system")
-        page.wait_text("starting")
+        page.wait("document.querySelector('[role=status] a')?.innerText === 'starting'")
         page.wait_text("loops: being compiled")
         page.wait_text("Nothing is wrong")
         assert page.run("document.querySelector('.badge')") is None

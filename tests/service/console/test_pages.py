@@ -375,6 +375,7 @@ def test_a_verdict_is_explained(flying: str, open_page: OPEN) -> None:
     text = "monitor high(?x in Aircraft) = altitude(?x) > 100000 [ft]"
     assert httpx.post(f"{flying}/queries", content=text, timeout=60).status_code == 201
     page = open_page(f"{flying}/#live/high")
+    page.wait_text("high has no numbers to plot")
     page.click(".line button.chip", "why?")
     page.wait("document.querySelector('dialog.why tbody') !== null")
     shown = page.run("document.querySelector('dialog.why').innerText")
