@@ -117,6 +117,7 @@ def come_and_go(recorded: RecordedEngine, number: int) -> None:
     recorded.log.commit()
 
 
+@pytest.mark.long
 def test_what_comes_and_goes_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -277,6 +277,7 @@ def specification(insertions: str = "", removals: str = "") -> str:
     )
 
 
+@pytest.mark.long
 def test_what_comes_and_goes_leaves_nothing(
     settings: Settings, clock: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

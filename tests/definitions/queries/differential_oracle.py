@@ -146,8 +146,10 @@ def expected_answer(case: Case) -> Answer:
     unknown: set[int] = set()
     before: Rows = Counter()
     open_before = False
+    oracle = oracle_of(case)
+    text = oracle_text(case, oracle)
     for end, contents in evaluations(case, kept):
-        rows, is_open = solutions(case, contents)
+        rows, is_open = solutions(case, oracle, text, contents)
         if case.operator == "RSTREAM":
             windows[end] = rows
         else:
@@ -223,12 +225,10 @@ def content(case: Case, window: WindowOf, elements: list[Element], now: int) -> 
     return [element for element in mine if start <= element.time < end]
 
 
-def solutions(case: Case, contents: Contents) -> tuple[Rows, bool]:
+def solutions(case: Case, oracle: Oracle, text: str, contents: Contents) -> tuple[Rows, bool]:
     """What Oxigraph says of the windows' content, and if the standard leaves it open."""
     store = Store()
     store.extend(timed_quads(case, contents) if case.timed else quads(case, contents))
-    oracle = oracle_of(case)
-    text = oracle_text(case, oracle)
 
     def exists(place: int, *values: Term) -> Literal:
         found = store.query(

@@ -166,6 +166,8 @@ class Progression:
         """``f`` at state j, progressed through j..i."""
         f = self.closed(self.at(f, j, upper), j)
         for k in range(j + 1, i + 1):
+            if isinstance(f, Truth):  # stays as it is
+                break
             f = self.next(f, k, upper)
         return f
 

@@ -196,6 +196,7 @@ def test_also_where_terms_are_mixed(body, size, elements, cuts, some, opts) -> N
     check(body, size, elements, cuts, some, opts)
 
 
+@pytest.mark.long
 @law
 @given(
     st.sampled_from(BODIES[:4]),

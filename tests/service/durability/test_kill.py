@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import httpx
+import pytest
 from asking import asking
 from commanding import FAST
 from dying import OPERATIONS
@@ -163,6 +164,7 @@ def point(pick: random.Random) -> tuple[str, int, float] | None:
     return operation, pick.randrange(1, 9), pick.choice((0, 0.3, 0.99, 1))
 
 
+@pytest.mark.long
 def test_kill_9_at_any_moment(tmp_path: Path) -> None:
     pick = random.Random(1)
     service = Mortal(tmp_path / "data")

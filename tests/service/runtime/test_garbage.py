@@ -64,6 +64,7 @@ def test_what_outlives_a_collection_is_left_alone(policy: Policy) -> None:
     assert count() == 0
 
 
+@pytest.mark.long
 def test_everything_is_looked_at_more_and_more_rarely(policy: Policy) -> None:
     gc.collect()
     assert not policy.looks_after(LEAST - 1)

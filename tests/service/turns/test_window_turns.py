@@ -420,6 +420,7 @@ def test_what_fails_while_the_unit_is_changed_is_told_in_its_turn() -> None:
     pausing.close()
 
 
+@pytest.mark.long
 def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_path: Path) -> None:
     def opened() -> RecordedEngine:
         return RecordedEngine(tmp_path, now=0, durability=Durability.WRITE, turns=patient())

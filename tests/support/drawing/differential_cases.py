@@ -1,6 +1,7 @@
 """Cases of the differential test: a query, its windows and options, and all triples."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from differential_queries import TIMESTAMP, Call, Query, parts_of
 from pyoxigraph import Literal, NamedNode
@@ -73,7 +74,7 @@ class Case:
     report: str = "non-empty"
     exact: bool = True
 
-    @property
+    @cached_property
     def timed(self) -> bool:
         return any(
             isinstance(part, Call) and part.name == TIMESTAMP for part in parts_of(self.query)

@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 
+ATOMS = frozenset({type(None), bool, int, float, str, bytes})
+"""They lead to nothing. Most of what there is is one."""
 PROGRAM = (type, ModuleType, FunctionType, CodeType)
 _NAMES = 6
 """A place is told by so many names, from its end."""
@@ -43,10 +46,15 @@ def _parts(each: object) -> Iterator[tuple[str, object]]:
         texts = [(key, value) for key, value in pairs if isinstance(key, str)]
         named = {id(value): key for key, value in texts if key.isidentifier()}
     else:
-        slots = [name for kind in type(each).__mro__ for name in getattr(kind, "__slots__", ())]
-        named = {id(getattr(each, name, None)): name for name in slots}
+        named = {id(getattr(each, name, None)): name for name in _slots(type(each))}
     for one in gc.get_referents(each):
-        yield named.get(id(one), type(one).__name__), one
+        if type(one) not in ATOMS:
+            yield named.get(id(one), type(one).__name__), one
+
+
+@cache
+def _slots(kind: type) -> tuple[str, ...]:
+    return tuple(name for each in kind.__mro__ for name in getattr(each, "__slots__", ()))
 
 
 def grown(before: Sequence[Counter[str]], after: Sequence[Counter[str]]) -> int:
