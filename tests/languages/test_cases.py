@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from places import TESTS
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.chronicle import (
     check_chronicle,
@@ -68,8 +68,7 @@ from dyknow.languages.ssl import (
     parse_ssl,
 )
 from dyknow.ontology.units import format_unit
-from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES, shorten
+from dyknow.rdf.namespaces import DYKNOW, shorten
 from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
 from dyknow.reasoning.patterns.compilation.sase_sources import sase_sources
 from dyknow.reasoning.patterns.plans.printer import print_plan
@@ -99,15 +98,9 @@ dyknow:HighSpeedEvent a dyknow-o:Event .
 """
 
 
-def vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
-
-
 def print_ssl(text: str) -> str:
     declarations = parse_ssl(text)
-    annotations = check_ssl(declarations, text, vocabulary())
+    annotations = check_ssl(declarations, text, vocabulary_of(ONTOLOGY))
     lines = []
     for declaration, annotation in zip(declarations, annotations, strict=True):
         lines += [format_declaration(declaration), *print_annotation(annotation)]
@@ -160,10 +153,10 @@ def print_query(query: ContinuousQuery) -> str:
 
 def print_kpl(text: str) -> str:
     """The declarations, each with the sort that it gives."""
-    new, _ = check_kpl(parse_kpl(text), text, vocabulary())
+    new, _ = check_kpl(parse_kpl(text), text, vocabulary_of(ONTOLOGY))
     printed = format_kpl(new)
     # What is printed says the same.
-    assert check_kpl(parse_kpl(printed), printed, vocabulary())[0] == new
+    assert check_kpl(parse_kpl(printed), printed, vocabulary_of(ONTOLOGY))[0] == new
     sorts = [print_sort(declaration.sort) for declaration in new]
     return "\n".join(f"{format_kpl(d)}\n  {sort}" for d, sort in zip(new, sorts, strict=True))
 
@@ -199,7 +192,7 @@ def print_mtl(text: str) -> str:
         template = parse_formula_template(text)
         printed = format_formula_template(template)
         assert parse_formula_template(printed) == template
-        found = check_formula_template(template, vocabulary())
+        found = check_formula_template(template, vocabulary_of(ONTOLOGY))
         lines = [
             f"  ?{slot.name}: {slot.kind}"
             if isinstance(slot, Parameter)
@@ -211,7 +204,7 @@ def print_mtl(text: str) -> str:
         monitor = parse_monitor(text)
         printed = format_monitor(monitor)
         assert parse_monitor(printed) == monitor
-        checked = check_mtl(monitor, text, vocabulary())
+        checked = check_mtl(monitor, text, vocabulary_of(ONTOLOGY))
         lines = [f"  ?{variable} in {shorten(sort)}" for variable, sort in checked.parameters]
     for each in dict.fromkeys(readings(checked.formula)):
         names = ", ".join(
@@ -231,14 +224,14 @@ def print_chronicle(text: str) -> str:
         template = parse_chronicle_template(text)
         printed = format_chronicle_template(template)
         assert parse_chronicle_template(printed) == template
-        found = check_chronicle_template(template, vocabulary())
+        found = check_chronicle_template(template, vocabulary_of(ONTOLOGY))
         checked = found.chronicle
         lines += [f"  ?{s.name}: {s.kind}" for s in found.slots if isinstance(s, Parameter)]
     else:
         chronicle = parse_chronicle(text)
         printed = format_chronicle(chronicle)
         assert parse_chronicle(printed) == chronicle
-        checked = check_chronicle(chronicle, text, vocabulary())
+        checked = check_chronicle(chronicle, text, vocabulary_of(ONTOLOGY))
     for name, meaning in checked.variables.items():
         unit = "" if meaning.unit is None else f" [{format_unit(meaning.unit)}]"
         sort = "" if meaning.sort is None else f" in {shorten(meaning.sort)}"
@@ -284,7 +277,7 @@ def print_sase(text: str) -> str:
         template = parse_sase_template(text)
         printed = format_sase_template(template)
         assert parse_sase_template(printed) == template
-        found = check_sase_template(template, vocabulary())
+        found = check_sase_template(template, vocabulary_of(ONTOLOGY))
         lines = [
             f"?{s.name}: {s.kind or 'any'}"
             if isinstance(s, ValueSlot)
@@ -306,7 +299,7 @@ def print_sase(text: str) -> str:
         pattern = parse_sase(text)
         printed = format_sase(pattern)
         assert parse_sase(printed) == pattern
-        checked, lines = check_sase(pattern, text, vocabulary()), []
+        checked, lines = check_sase(pattern, text, vocabulary_of(ONTOLOGY)), []
     kinds = {(s.kind, field): FIELDS[field] for s in sase_sources(checked) for field in FIELDS}
     query = sase_query(checked, kinds)
     lines += [print_source(source) for source in query.sources]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import ROOT
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.engine.engine import Engine
 from dyknow.languages.errors import LanguageError
@@ -22,7 +22,7 @@ from dyknow.languages.mtl.ast import Report
 from dyknow.languages.mtl.normal_form import normal_form
 from dyknow.languages.mtl.parser import parse_formula
 from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
 from dyknow.reasoning.states.states import States, Values
 
@@ -38,12 +38,6 @@ dyknow:UAV a owl:Class .
 dyknow:p a dyknow-o:Feature ; rdfs:range xsd:boolean .
 dyknow:q a dyknow-o:Feature ; rdfs:range xsd:boolean .
 """
-
-
-def vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
 
 
 def table(timeline: str) -> list[tuple[str, list[str]]]:
@@ -74,7 +68,7 @@ def states_of(rows: dict[str, list[str]]) -> States:
 def verdicts(formula: str, states: States) -> tuple[list[str], list[str]]:
     """The verdict of each start, and the time (s) of the state that decides it; the states end."""
     text = f"monitor m = {formula} with report verdicts"
-    evaluator = MonitorEvaluator(check_mtl(parse_monitor(text), text, vocabulary()))
+    evaluator = MonitorEvaluator(check_mtl(parse_monitor(text), text, vocabulary_of(ONTOLOGY)))
     needed = {term: states.values[term] for term in evaluator.terms}
     given = States(states.valid, states.valid, states.objects, states.present, needed)
     found = [evaluator.push(given), evaluator.end()]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from places import TESTS
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import (
@@ -35,8 +35,7 @@ from dyknow.languages.kpl import (
     parse_label,
     parse_policy,
 )
-from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.streams.policies.policy import (
     AnyChange,
     AnyUpdate,
@@ -176,9 +175,7 @@ def test_sorts_are_declared_or_features_or_open() -> None:
       rdfs:range xsd:double .
     dyknow:course a dyknow-o:Feature .
     """
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ontology, format=RdfFormat.TURTLE)
-    vocabulary = Vocabulary.from_triples(quad.triple for quad in quads)
+    vocabulary = vocabulary_of(ontology)
     text = """
     sort altitude = float
     source speed a  source dyknow:course b  source altitude c  source mood d

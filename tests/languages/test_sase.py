@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from ending_soon import ends_within
+from sase_papers import PRINTED
 
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.sase import (
@@ -13,49 +14,8 @@ from dyknow.languages.sase import (
 )
 from dyknow.languages.sase.ast import Attribute, Index, Strategy
 
-PUBLISHED = {
-    # Wu, Diao and Rizvi, SIGMOD 2006, Q1, where EVENT is what PATTERN is since.
-    "shoplifting": """
-        PATTERN SEQ(SHELF_READING x, !(COUNTER_READING y), EXIT_READING z)
-        WHERE x.id = y.id ∧ x.id = z.id /* all of one item */
-        WITHIN 12 hours""".replace("/* all of one item */", "// all of one item"),
-    "misplaced inventory": """
-        PATTERN SEQ(SHELF_READING x, SHELF_READING y, ~(ANY(COUNTER_READING, SHELF_READING) z))
-        WHERE [id] ∧ x.shelf_id != y.shelf_id ∧ x.shelf_id = z.shelf_id
-        WITHIN 1 hour""",
-    # Gyllstrom, Agrawal, Diao and Immerman, ICDE 2008; Agrawal, Diao, Gyllstrom and Immerman,
-    # SIGMOD 2008: queries 1 to 3.
-    "contamination": """
-        PATTERN SEQ(Alert a, Shipment+ b[ ])
-        WHERE skip_till_any_match(a, b[ ]) {
-            a.type = 'contaminated' and
-            b[1].from = a.site and
-            b[i].from = b[i-1].to }
-        WITHIN 3 hours""",
-    "volume": """
-        PATTERN SEQ(Stock+ a[ ], Stock b)
-        WHERE skip_till_next_match(a[ ], b) {
-            [symbol] and
-            a[1].volume > 1000 and
-            a[i].price > avg(a[..i-1].price) and
-            b.volume < 80%*a[a.LEN].volume }
-        WITHIN 1 hour""",
-    "rising": """
-        PATTERN SEQ(Stock+ a[ ], Stock b)
-        WHERE partition_contiguity(a[ ], b) {
-            [symbol] and a[i].price > a[i-1].price and b.price < a[a.LEN].price }
-        WITHIN 500 seconds
-        HAVING avg(a[].volume) > 100
-        RETURN a[1].symbol, a[].price AS prices, count(a[]) AS n""",
-    # Poppe, Lei, Rundensteiner and Maier, PVLDB 2017 (GRETA), Q1 in the clauses of this grammar.
-    "trends": """
-        PATTERN Stock+ s[]
-        WHERE skip_till_any_match { [company] and s[i].price < s[i-1].price }
-        WITHIN 10 minutes RETURN COUNT(*), AVG(s.price)""",
-}
 
-
-@pytest.mark.parametrize("text", PUBLISHED.values(), ids=PUBLISHED)
+@pytest.mark.parametrize("text", [each.text for each in PRINTED.values()], ids=PRINTED)
 def test_published_queries(text: str) -> None:
     assert is_sase(text)
     pattern = parse_sase(text)

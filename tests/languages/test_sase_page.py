@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from places import ROOT
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.engine.engine import Engine
 from dyknow.languages.errors import LanguageError
@@ -21,8 +21,6 @@ from dyknow.languages.sase import (
     parse_sase_template,
 )
 from dyknow.languages.sase.ast import Index, Strategy
-from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import PREFIXES
 from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
 from dyknow.reasoning.patterns.plans.query import Keys, text_key, value_keys, with_numbers
 from dyknow.reasoning.patterns.plans.rows import Rows
@@ -41,12 +39,6 @@ KINDS = {(type_, field): kind for type_ in TYPES for field, kind in
 ONTOLOGY = "".join(f"dyknow:{each} a owl:Class .\n" for each in TYPES)
 
 
-def vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
-
-
 def found(body: str, table: dict[str, list[str]]) -> list[str]:
     """The matches of a pattern over the events of a table: the times of their events. Of a pattern
     that returns something: the time of each event at the end, and the first result."""
@@ -60,7 +52,10 @@ def found(body: str, table: dict[str, list[str]]) -> list[str]:
     if not is_over_matches:
         items = [f"{p.name}{'[]' * p.is_kleene}.t AS {p.name}" for p in parts]
         text += f" RETURN {', '.join(items)}{clause}{limit}"
-    query, keys = sase_query(check_sase(parse_sase(text), text, vocabulary()), KINDS), Keys()
+    query, keys = (
+        sase_query(check_sase(parse_sase(text), text, vocabulary_of(ONTOLOGY)), KINDS),
+        Keys(),
+    )
     plan = with_numbers(query.plans[0], keys)
     running = evaluator_of(plan)
     kinds = tuple(source.kind for source in query.sources)

@@ -1,7 +1,7 @@
 """SSL against the ontology: what an annotation says in IRIs ([Events14 §IV.A], SPEC §3)."""
 
 import pytest
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.ssl import (
@@ -13,7 +13,7 @@ from dyknow.languages.ssl import (
 )
 from dyknow.ontology.units import parse_unit
 from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 
 ONTOLOGY = """
 dyknow:UAV a owl:Class .
@@ -26,9 +26,7 @@ FLEET = "http://example.org/fleet/"
 
 @pytest.fixture
 def vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
+    return vocabulary_of(ONTOLOGY)
 
 
 def test_s6_is_a_condition_on_both_features(vocabulary: Vocabulary) -> None:

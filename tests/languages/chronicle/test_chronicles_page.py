@@ -8,7 +8,7 @@ import pytest
 from chronicle_definition import Sample
 from chronicle_worlds import Evaluation
 from places import ROOT
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.chronicle import (
     check_chronicle,
@@ -22,8 +22,7 @@ from dyknow.languages.chronicle import (
 from dyknow.languages.chronicle.parser import MOST_ARGUMENTS, MOST_CLAUSES
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind
-from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.compilation.chronicle_plans import chronicle_query
 from dyknow.reasoning.patterns.plans.plan import MOST_ELEMENTS, MOST_PROBES
 from dyknow.reasoning.patterns.plans.query import PatternQuery
@@ -50,13 +49,7 @@ dyknow:p a dyknow-o:Feature ; rdfs:range xsd:boolean .
 S = 10**9
 
 
-def _vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
-
-
-VOCABULARY = _vocabulary()
+VOCABULARY = vocabulary_of(ONTOLOGY)
 
 
 def compiled(text: str) -> PatternQuery:

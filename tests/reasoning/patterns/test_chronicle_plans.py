@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from chronicle_definition import Sample, Value
 from chronicle_worlds import SORTS, Evaluation
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.chronicle import (
     check_chronicle,
@@ -16,8 +16,7 @@ from dyknow.languages.chronicle import (
 )
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind
-from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.compilation.chronicle_plans import chronicle_query
 from dyknow.reasoning.patterns.compilation.chronicle_sources import chronicle_sources
 from dyknow.reasoning.patterns.plans.query import Argument, PatternQuery
@@ -44,13 +43,7 @@ OVERTAKE = """chronicle RecklessOvertake(?a, ?b) {
 }"""
 
 
-def _vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
-
-
-VOCABULARY = _vocabulary()
+VOCABULARY = vocabulary_of(ONTOLOGY)
 S = 10**9
 
 

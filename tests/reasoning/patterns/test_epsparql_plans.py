@@ -11,13 +11,13 @@ from ending_soon import ends_within
 from epsparql_definition import Sample, Value
 from epsparql_drawing import vocabulary
 from epsparql_running import Running
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.epsparql import check_epsparql, parse_epsparql
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.mtl.checked import Constant, Kind, ObjectConstant
-from dyknow.ontology.vocabulary import THING, Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.ontology.vocabulary import THING
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.compilation.epsparql_plans import epsparql_query
 from dyknow.reasoning.patterns.plans.printer import print_plan
 from dyknow.reasoning.patterns.plans.query import Argument, PatternQuery, Result
@@ -34,12 +34,6 @@ dyknow:score a dyknow-o:Feature ; rdfs:range xsd:double .
 """
 
 
-def stocks() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + STOCKS, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
-
-
 def days(*rows: tuple[int, str, str, str | float]) -> list[Sample]:
     """Samples of (day, object, feature, value); a text is an object."""
     found = []
@@ -52,7 +46,7 @@ def days(*rows: tuple[int, str, str, str | float]) -> list[Sample]:
 
 def results(text: str, samples: Sequence[Sample]) -> list[tuple[int, dict[str, object]]]:
     """The day on which each result is decided, and its fields, objects by their local names."""
-    running = Running(epsparql_query(check_epsparql(parse_epsparql(text), stocks())))
+    running = Running(epsparql_query(check_epsparql(parse_epsparql(text), vocabulary_of(STOCKS))))
     found = []
     for sample in samples:
         found += running.push([sample])
@@ -158,7 +152,7 @@ def test_query_5_that_feeds_itself_is_refused() -> None:
     text = """CONSTRUCT { ?a dyknow:hasAcquired ?c } WHERE { ?a dyknow:hasAcquired ?b }
     SEQ { ?b dyknow:hasAcquired ?c } WITHIN 10d"""
     with pytest.raises(LanguageError, match="feeds itself: it reads dyknow:hasAcquired"):
-        check_epsparql(parse_epsparql(text), stocks())
+        check_epsparql(parse_epsparql(text), vocabulary_of(STOCKS))
 
 
 # -- what is refused -------------------------------------------------------------------------

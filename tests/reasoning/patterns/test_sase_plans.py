@@ -8,12 +8,12 @@ import pytest
 from ending_soon import ends_within
 from pattern_data import ANY_MATCHES as ANY
 from pattern_data import KINDS, NEXT_MATCHES, WITHOUT_D, data
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.mtl.checked import Kind
 from dyknow.languages.sase import check_sase, parse_sase
 from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.compilation.sase_plans import sase_query
 from dyknow.reasoning.patterns.compilation.sase_sources import sase_sources
 from dyknow.reasoning.patterns.plans.query import Argument, Keys, Part, with_numbers
@@ -24,9 +24,7 @@ NEXT = "skip_till_next_match"
 
 
 def vocabulary(more: str = "") -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY + more, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
+    return vocabulary_of(ONTOLOGY + more)
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,13 @@ from random import Random
 
 import numpy as np
 from epsparql_definition import Fact, Sample, Value
-from pyoxigraph import Literal, NamedNode, Quad, RdfFormat, Store, parse
+from pyoxigraph import Literal, NamedNode, Quad, Store
+from vocabularies import vocabulary_of
 
 from dyknow.continuous.operators.background import Background
 from dyknow.languages.mtl.checked import Kind
 from dyknow.ontology.vocabulary import Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.plans.plan import NO_VALUE, ColumnType
 from dyknow.reasoning.patterns.plans.query import (
     Keys,
@@ -85,9 +86,7 @@ OPERATORS = ("SEQ", "SEQ", "SEQ", "EQUALS", "OPTIONALSEQ", "EQUALSOPTIONAL", "UN
 
 
 def vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
+    return vocabulary_of(ONTOLOGY)
 
 
 class QueryDrawing:

@@ -7,11 +7,11 @@ from random import Random
 
 import numpy as np
 from chronicle_definition import Match, Sample, Value
-from pyoxigraph import RdfFormat, parse
+from vocabularies import vocabulary_of
 
 from dyknow.languages.mtl.checked import Kind
 from dyknow.ontology.vocabulary import THING, Vocabulary
-from dyknow.rdf.namespaces import DYKNOW, PREFIXES
+from dyknow.rdf.namespaces import DYKNOW
 from dyknow.reasoning.patterns.evaluation.all_rows import AllRows
 from dyknow.reasoning.patterns.plans.query import (
     Argument,
@@ -66,9 +66,7 @@ VALUES: Mapping[str, Sequence[Value]] = {
 
 
 def vocabulary() -> Vocabulary:
-    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
-    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
-    return Vocabulary.from_triples(quad.triple for quad in quads)
+    return vocabulary_of(ONTOLOGY)
 
 
 class ChronicleWorld:
