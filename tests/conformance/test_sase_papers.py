@@ -24,7 +24,8 @@ MOST = 9
 
 def checked(printed: Printed) -> CheckedPattern:
     types = vocabulary_of("".join(f"dyknow:{each} a owl:Class .\n" for each in printed.fields))
-    return check_sase(parse_sase(printed.text), printed.text, types)
+    text = printed.text + printed.limit
+    return check_sase(parse_sase(text), text, types)
 
 
 @pytest.mark.parametrize("name", PRINTED)

@@ -96,11 +96,12 @@ dyknow:inFront a dyknow-o:Feature ; dyknow-o:hasArity 2 ; rdfs:range xsd:boolean
 dyknow:stopped a dyknow-o:Event .
 dyknow:HighSpeedEvent a dyknow-o:Event .
 """
+VOCABULARY = vocabulary_of(ONTOLOGY)
 
 
 def print_ssl(text: str) -> str:
     declarations = parse_ssl(text)
-    annotations = check_ssl(declarations, text, vocabulary_of(ONTOLOGY))
+    annotations = check_ssl(declarations, text, VOCABULARY)
     lines = []
     for declaration, annotation in zip(declarations, annotations, strict=True):
         lines += [format_declaration(declaration), *print_annotation(annotation)]
@@ -153,10 +154,10 @@ def print_query(query: ContinuousQuery) -> str:
 
 def print_kpl(text: str) -> str:
     """The declarations, each with the sort that it gives."""
-    new, _ = check_kpl(parse_kpl(text), text, vocabulary_of(ONTOLOGY))
+    new, _ = check_kpl(parse_kpl(text), text, VOCABULARY)
     printed = format_kpl(new)
     # What is printed says the same.
-    assert check_kpl(parse_kpl(printed), printed, vocabulary_of(ONTOLOGY))[0] == new
+    assert check_kpl(parse_kpl(printed), printed, VOCABULARY)[0] == new
     sorts = [print_sort(declaration.sort) for declaration in new]
     return "\n".join(f"{format_kpl(d)}\n  {sort}" for d, sort in zip(new, sorts, strict=True))
 
@@ -192,7 +193,7 @@ def print_mtl(text: str) -> str:
         template = parse_formula_template(text)
         printed = format_formula_template(template)
         assert parse_formula_template(printed) == template
-        found = check_formula_template(template, vocabulary_of(ONTOLOGY))
+        found = check_formula_template(template, VOCABULARY)
         lines = [
             f"  ?{slot.name}: {slot.kind}"
             if isinstance(slot, Parameter)
@@ -204,7 +205,7 @@ def print_mtl(text: str) -> str:
         monitor = parse_monitor(text)
         printed = format_monitor(monitor)
         assert parse_monitor(printed) == monitor
-        checked = check_mtl(monitor, text, vocabulary_of(ONTOLOGY))
+        checked = check_mtl(monitor, text, VOCABULARY)
         lines = [f"  ?{variable} in {shorten(sort)}" for variable, sort in checked.parameters]
     for each in dict.fromkeys(readings(checked.formula)):
         names = ", ".join(
@@ -224,14 +225,14 @@ def print_chronicle(text: str) -> str:
         template = parse_chronicle_template(text)
         printed = format_chronicle_template(template)
         assert parse_chronicle_template(printed) == template
-        found = check_chronicle_template(template, vocabulary_of(ONTOLOGY))
+        found = check_chronicle_template(template, VOCABULARY)
         checked = found.chronicle
         lines += [f"  ?{s.name}: {s.kind}" for s in found.slots if isinstance(s, Parameter)]
     else:
         chronicle = parse_chronicle(text)
         printed = format_chronicle(chronicle)
         assert parse_chronicle(printed) == chronicle
-        checked = check_chronicle(chronicle, text, vocabulary_of(ONTOLOGY))
+        checked = check_chronicle(chronicle, text, VOCABULARY)
     for name, meaning in checked.variables.items():
         unit = "" if meaning.unit is None else f" [{format_unit(meaning.unit)}]"
         sort = "" if meaning.sort is None else f" in {shorten(meaning.sort)}"
@@ -277,7 +278,7 @@ def print_sase(text: str) -> str:
         template = parse_sase_template(text)
         printed = format_sase_template(template)
         assert parse_sase_template(printed) == template
-        found = check_sase_template(template, vocabulary_of(ONTOLOGY))
+        found = check_sase_template(template, VOCABULARY)
         lines = [
             f"?{s.name}: {s.kind or 'any'}"
             if isinstance(s, ValueSlot)
@@ -299,7 +300,7 @@ def print_sase(text: str) -> str:
         pattern = parse_sase(text)
         printed = format_sase(pattern)
         assert parse_sase(printed) == pattern
-        checked, lines = check_sase(pattern, text, vocabulary_of(ONTOLOGY)), []
+        checked, lines = check_sase(pattern, text, VOCABULARY), []
     kinds = {(s.kind, field): FIELDS[field] for s in sase_sources(checked) for field in FIELDS}
     query = sase_query(checked, kinds)
     lines += [print_source(source) for source in query.sources]

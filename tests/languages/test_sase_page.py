@@ -52,10 +52,8 @@ def found(body: str, table: dict[str, list[str]]) -> list[str]:
     if not is_over_matches:
         items = [f"{p.name}{'[]' * p.is_kleene}.t AS {p.name}" for p in parts]
         text += f" RETURN {', '.join(items)}{clause}{limit}"
-    query, keys = (
-        sase_query(check_sase(parse_sase(text), text, vocabulary_of(ONTOLOGY)), KINDS),
-        Keys(),
-    )
+    checked = check_sase(parse_sase(text), text, vocabulary_of(ONTOLOGY))
+    query, keys = sase_query(checked, KINDS), Keys()
     plan = with_numbers(query.plans[0], keys)
     running = evaluator_of(plan)
     kinds = tuple(source.kind for source in query.sources)

@@ -18,11 +18,12 @@ Values = tuple[str, ...] | tuple[float, ...]
 @dataclass(frozen=True)
 class Printed:
     """A text; by type the fields of its events with the values that are drawn; and ``step`` (ns):
-    the times of events are multiples of it."""
+    the times of events are multiples of it. ``limit``: what DyKnow wants at the end of the text."""
 
     text: str
     fields: Mapping[str, Mapping[str, Values]]
     step: int
+    limit: str = ""
 
     @property
     def kinds(self) -> dict[tuple[str, str], Kind]:
@@ -73,7 +74,7 @@ PRINTED = {
         10 * MINUTE,
     ),
     # Gyllstrom, Agrawal, Diao and Immerman, ICDE 2008; Agrawal, Diao, Gyllstrom and Immerman,
-    # SIGMOD 2008: queries 1 to 3; the first has a limit here, as it needs one.
+    # SIGMOD 2008: queries 1 to 3.
     "contamination": Printed(
         """
         PATTERN SEQ(Alert a, Shipment+ b[ ])
@@ -81,12 +82,13 @@ PRINTED = {
             a.type = 'contaminated' and
             b[1].from = a.site and
             b[i].from = b[i-1].to }
-        WITHIN 3 hours LIMIT 1000""",
+        WITHIN 3 hours""",
         {
             "Alert": {"type": ("contaminated", "late"), "site": ("x", "y")},
             "Shipment": {"from": ("x", "y", "z"), "to": ("x", "y", "z")},
         },
         20 * MINUTE,
+        " LIMIT 1000",
     ),
     "volume": Printed(
         """
