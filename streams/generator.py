@@ -333,10 +333,10 @@ class StreamGenerator:
             self._adopt_from(batch)
         batch = self._stream.encoded(batch)
         self.stamped = stamps is not None
-        self.resume()
         self.wake()
         self._counters.accepted += len(batch)
         if stamps is not None:
+            self.resume()
             valid = stamps if stamps_valid else batch.valid
             self._release(SampleBatch(stamps, valid, batch.columns))
             if not self.rules.gap:
@@ -344,6 +344,7 @@ class StreamGenerator:
             return len(batch)
         kept, due = self._admit(batch, distinct=distinct), self._due()
         if len(kept):
+            self.resume()
             if self._pending is None and kept.available[-1] <= due:
                 self._release(kept)
             elif self._pending is None:

@@ -15,6 +15,7 @@ from ..model.errors import BadArguments, NoResult, Refused
 from ..units.base import ComputationalUnit
 from ..units.reasoning.monitor import MonitorUnit, RecalledSamples
 from ..units.reasoning.pattern import PatternUnit, RecalledEvents
+from ..units.reasoning.sample_reasoner import SampleReasoner
 from ..units.sharing.shared_monitor import MonitorInstance
 from ..units.sharing.shared_pattern import PatternInstance
 from ..units.sharing.shared_reasoner import ReasoningInstance
@@ -36,8 +37,8 @@ def why(
                 f"{len(objects)} objects are given, and the matches of {name!r} have {len(names)}",
                 f"give `object` for {', '.join(names)}" if names else "give none",
             )
-        recalled_events = unit.recall()
-        return lambda: _matches(name, stream, recalled_events, objects, start)
+        recalled_events, past = unit.recall(), _past_of(unit)
+        return lambda: _matches(name, stream, recalled_events, objects, start, past)
     if not isinstance(unit, MonitorUnit | MonitorInstance):
         raise BadArguments(
             f"{name!r} is a query, and only verdicts of monitors and matches of patterns are "
@@ -50,8 +51,8 @@ def why(
             f"{len(objects)} objects are given for a monitor of {len(names)} parameters",
             f"give `object` once for each of {', '.join(names)}" if names else "give none",
         )
-    recalled = unit.recall()
-    return lambda: _verdict(name, stream, recalled, objects, start)
+    recalled, past = unit.recall(), _past_of(unit)
+    return lambda: _verdict(name, stream, recalled, objects, start, past)
 
 
 def partial(
@@ -72,35 +73,53 @@ def partial(
 
 
 def _check_is_evaluated(name: str, unit: ComputationalUnit) -> None:
-    """Raise `BadArguments` for a request that shared an evaluation, and failed."""
+    """Raise `BadArguments` for a request that shared an evaluation, and has left it."""
     if isinstance(unit, ReasoningInstance) and unit.number is None:
+        reason = unit.failure or "its single start is decided, and its streams went on"
         raise BadArguments(
-            f"{name!r} is evaluated no more: {unit.failure}", "remove it, and request it again"
+            f"{name!r} is evaluated no more: {reason}", "remove it, and request it again"
         )
 
 
+def _past_of(unit: SampleReasoner | ReasoningInstance) -> str:
+    """What to add where nothing is found, since it may have been before an end."""
+    return "; its streams went on after their end, and only what came since is explained" * (
+        unit.went_on
+    )
+
+
 def _matches(
-    name: str, stream: str, recalled: RecalledEvents, objects: Sequence[str], start: int
+    name: str,
+    stream: str,
+    recalled: RecalledEvents,
+    objects: Sequence[str],
+    start: int,
+    past: str,
 ) -> tuple[ExplainedMatch, ...]:
     found = recalled.explain(objects, start)
     if not found:
         raise NoResult(
             f"{name!r} has no match of these objects that starts at {format_time(start)}, or is "
-            "valid then",
+            f"valid then{past}",
             f"GET /streams/{stream}/samples lists the matches",
         )
     return found
 
 
 def _verdict(
-    name: str, stream: str, recalled: RecalledSamples, objects: Sequence[str], start: int
+    name: str,
+    stream: str,
+    recalled: RecalledSamples,
+    objects: Sequence[str],
+    start: int,
+    past: str,
 ) -> Explanation:
     try:
         return recalled.explain(objects, start)
     except NoStart as error:
         around = " and ".join(map(format_time, error.near))
         raise NoResult(
-            f"{name!r} has no verdict that starts at {format_time(start)}: {error}",
+            f"{name!r} has no verdict that starts at {format_time(start)}: {error}{past}",
             f"there are states at {around}"
             if around
             else f"GET /streams/{stream}/samples lists the verdicts that it reported",

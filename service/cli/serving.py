@@ -98,10 +98,14 @@ def start(
     _reload_on_hangup(service, settings)
     stopping = threading.Event()
     if flights:
-        playing = (url, stopping.is_set, token)
-        player = threading.Thread(target=play_flights, args=playing, daemon=True)
+        plays_into = f"The recorded flights play into stream {STREAM}, at the present time."
+        player = threading.Thread(
+            target=play_flights,
+            args=(url, stopping.is_set, token),
+            kwargs={"begins": lambda: say(plays_into)},
+            daemon=True,
+        )
         player.start()
-        say(f"The recorded flights play into stream {STREAM}, at the present time.")
     replay = (
         None
         if recording is None

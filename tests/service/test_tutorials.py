@@ -42,7 +42,9 @@ class Reader:
         if "--data" in options:
             place = options.index("--data") + 1
             options[place] = str(self._folder / options[place])
-        self._service = Serving(None, *options)
+        service = self._service = Serving(None, *options)
+        if "--flights" in options:
+            service.until(lambda: "The recorded flights play" in service.log)
         return True
 
     def does(self, commands: str) -> str:

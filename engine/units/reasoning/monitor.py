@@ -34,8 +34,6 @@ class MonitorUnit(SampleReasoner):
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: see `Monitoring`.
     """
 
-    results = "verdicts"
-
     def __init__(
         self,
         *args: Any,
@@ -48,18 +46,18 @@ class MonitorUnit(SampleReasoner):
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
     ) -> None:
         super().__init__(*args, newest=newest)
+        self.monitor = monitor
         self.text = text
-        self.monitoring = Monitoring(monitor, len(self.sources), wider)
         self._explanation = explanation
         self._wider = wider
         self._terms = terms
-        self._readers = term_readers(terms, dictionary)
+        self._dictionary = dictionary
         self._writer = VerdictWriter(monitor)
+        self._begin()
 
-    @property
-    def monitor(self) -> CheckedMonitor:
-        """The checked monitor."""
-        return self.monitoring.monitor
+    def _begin(self) -> None:
+        self.monitoring = Monitoring(self.monitor, len(self.sources), self._wider)
+        self._readers = term_readers(self._terms, self._dictionary)
 
     def explain(self) -> str:
         """Describe the evaluation: the formula, its states by now, and the verdicts."""
@@ -69,9 +67,9 @@ class MonitorUnit(SampleReasoner):
         """Return the retained samples that it has read, for explanations."""
         past, evicting = self._past()
         watermark = self._end + 1 if self.all_ended else self.least_watermark
-        newest = self._newest(*self.sources)
+        newest = self._newest_of(*self.sources)
         return RecalledSamples(
-            self.monitoring.monitor,
+            self.monitor,
             self.text,
             tuple(self._terms),
             self._wider,
@@ -79,7 +77,7 @@ class MonitorUnit(SampleReasoner):
             len(self.sources),
             past,
             evicting,
-            {self.sources.index(source): self._newest(source) for source in self._ended},
+            {self.sources.index(source): self._newest_of(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
             watermark is not None and not self.all_ended and is_by_clock(watermark, newest),
@@ -92,6 +90,11 @@ class MonitorUnit(SampleReasoner):
     @property
     def _is_over(self) -> bool:
         return self.monitoring.is_over
+
+    @property
+    def is_finished(self) -> bool:
+        # The end has decided its single start.
+        return self.monitor.once and self.monitoring.states > 0
 
     def _emit(self, found: Reported) -> None:
         if not len(found):

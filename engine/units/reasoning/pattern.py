@@ -38,8 +38,6 @@ class PatternUnit(SampleReasoner):
     does.
     """
 
-    results = "matches"
-
     def __init__(
         self,
         *args: Any,
@@ -56,19 +54,23 @@ class PatternUnit(SampleReasoner):
         self._writer = MatchWriter(query, self._keys)
         self._inputs_of_sources = tuple(inputs_of_sources)
         self._lateness = [lateness(each) for each in self.sources]
-        self._readers = row_readers(inputs_of_sources, dictionary, self._keys)
+        self._dictionary = dictionary
         self.query = query
+        self._background = background
+        self._losses = ReportedLosses(report_limit)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._readers = row_readers(self._inputs_of_sources, self._dictionary, self._keys)
         self.recognition = Recognition(
-            query,
+            self.query,
             len(self.sources),
             self._keys,
             lateness=self._lateness,
-            static=StaticTables(background, self._keys, query.graphs[1]),
+            static=StaticTables(self._background, self._keys, self.query.graphs[1]),
         )
-        self._background = background
         self.matches = 0
-        """Matches found by now."""
-        self._losses = ReportedLosses(report_limit)
+        """Matches that the evaluation has found by now."""
 
     def explain(self) -> str:
         """Describe the evaluation: the plans, and what has been done by now."""

@@ -10,7 +10,6 @@ from ....streams.generator import StreamGenerator
 from ....streams.history import FluentStream
 from ....streams.sample import SampleBatch, Times
 from ....streams.time import TIME_MAX
-from ...model.errors import Conflict
 from ..base import ComputationalUnit
 
 
@@ -48,27 +47,33 @@ class ReportedLosses:
 class SampleReasoner(ComputationalUnit):
     """Gives the samples of its inputs to an evaluation, and emits what that decides.
 
+    The end of all inputs decides everything. If one goes on, a new evaluation begins: its results
+    are those of a unit that starts then.
+
     ``newest`` returns the greatest available time (ns) of the samples in streams and upstream of
     them; a later watermark comes from the clock.
     """
-
-    results = "results"
-    """What it emits, in words."""
 
     def __init__(self, *args: Any, newest: Callable[[*tuple[StreamGenerator, ...]], int]) -> None:
         super().__init__(*args)
         self._newest = newest
         self.samples = 0
-        """Samples read by now."""
+        """Samples that the evaluation has read by now."""
         self._first: dict[StreamGenerator, int] = {}
         """The available time (ns) of the first sample read of each input."""
         self._readers: Mapping[StreamGenerator, Sequence[Any]] = {}
         """Readers of each input's samples, for the evaluation."""
+        self.went_on = False
+        """Whether inputs went on after the end of all, so that a new evaluation began."""
 
     @property
     @abstractmethod
     def reasoning(self) -> Reasoning:
         """The evaluation."""
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Make a new evaluation, and new readers for it."""
 
     @abstractmethod
     def _emit(self, found: Any) -> None:
@@ -92,7 +97,7 @@ class SampleReasoner(ComputationalUnit):
         if least is None or self.output.is_ended:
             return
         self.reasoning.set_idle(i for i, each in enumerate(self.sources) if each.is_idle)
-        newest = self._newest(*self.sources)
+        newest = self._newest_of(*self.sources)
         by_clock = is_by_clock(least, newest)
         self._advance(least, by_clock=by_clock)
         if self._is_over:
@@ -107,21 +112,38 @@ class SampleReasoner(ComputationalUnit):
         """Whether no result can follow, so that the output ends before its inputs."""
         return False
 
+    @property
+    def is_finished(self) -> bool:
+        """Whether no result can follow the end, even if inputs go on after it."""
+        return False
+
     def resume(self, source: StreamGenerator) -> None:
-        if self.output.is_ended:
-            raise Conflict(
-                f"{source.name} goes on after its end, and all {self.results} are out",
-                "remove the request, and make it again",
-            )
         super().resume(source)
+        if self.output.is_ended:
+            self._begin_again()
+
+    def _begin_again(self) -> None:
+        """Begin a new evaluation, without the samples before the end."""
+        self.went_on = True
+        self.samples = 0
+        self._first.clear()
+        # It may have gone past idle streams.
+        self._watermarks = self.watermarks_if_new()
+        self._begin()
+        for place, source in enumerate(self.sources):
+            if source in self._ended:
+                self.reasoning.ended(place, self._newest_of(source))
 
     def finish(self, source: StreamGenerator) -> None:
         if self.output.is_ended:
             return
-        self.reasoning.ended(self.sources.index(source), self._newest(source))
+        self.reasoning.ended(self.sources.index(source), self._newest_of(source))
         if self.all_ended:
             self._advance(self._end + 1)
             self._emit(self.reasoning.finish(self._end))
+            if self.is_finished:
+                self._until = self._end
+                self._leave_inputs()
         super().finish(source)
 
     def _past(
@@ -144,7 +166,12 @@ class SampleReasoner(ComputationalUnit):
     @property
     def _end(self) -> int:
         """The available time (ns) of the end of all inputs, whichever of them ended first."""
-        return min(self._newest(*self.sources), TIME_MAX - 1)
+        return min(self._newest_of(*self.sources), TIME_MAX - 1)
+
+    def _newest_of(self, *sources: StreamGenerator) -> int:
+        """The greatest available time (ns) of the samples for it, and of those upstream."""
+        newest = self._newest(*sources)
+        return newest if self._until is None else min(newest, self._until)
 
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.reasoning.late

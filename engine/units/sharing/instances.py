@@ -149,9 +149,20 @@ class InstanceUnit(ComputationalUnit):
         self.number: int | None = None
         """Its number in the evaluation, while it is evaluated."""
 
-    def connect(self, source: StreamGenerator) -> None:
+    def enter(self) -> None:
+        """Be evaluated from now on."""
         self.number = self._template.between_steps(self._enter)
         self._template.add(self, self.number)
+
+    def leave(self) -> None:
+        """Be evaluated no longer."""
+        if self.number is not None:
+            number, self.number = self.number, None
+            self._template.remove(number)
+            self.output.on_followed = None
+
+    def connect(self, source: StreamGenerator) -> None:
+        self.enter()
         self.output.on_followed = lambda is_followed: self._template.follow(self, is_followed)
         if source.is_ended:
             self.output.end()
@@ -190,7 +201,4 @@ class InstanceUnit(ComputationalUnit):
         raise NotImplementedError("the template's unit has the results")
 
     def _leave_inputs(self) -> None:
-        if self.number is not None:
-            number, self.number = self.number, None
-            self._template.remove(number)
-            self.output.on_followed = None
+        self.leave()

@@ -27,8 +27,6 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
     """Evaluates a formula for each of the objects that its instances ask for, with the values of
     each. ``monitor`` has the parameters of the template."""
 
-    results = "verdicts"
-
     def __init__(
         self,
         *args: Any,
@@ -39,11 +37,15 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
+        self._monitor = monitor
         self.text = text
         self.terms = tuple(terms)
-        self.monitoring = PartMonitoring(monitor, len(self.sources))
         self._explanation = explanation
-        self._readers = term_readers(terms, options["dictionary"])
+        self._begin()
+
+    def _begin(self) -> None:
+        self.monitoring = PartMonitoring(self._monitor, len(self.sources))
+        self._readers = term_readers(self.terms, self._dictionary)
 
     def explain(self) -> str:
         """Describe the evaluation: the formula, its states by now, and the verdicts."""
@@ -64,7 +66,7 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
         those after the available time (ns) ``since``. ``monitor``: with its values."""
         own, evicting = self.past_of_part(number, since)
         watermark = self._end + 1 if self.all_ended else self.least_watermark
-        newest = self._newest(*self.sources)
+        newest = self._newest_of(*self.sources)
         return RecalledSamples(
             monitor,
             self.text,
@@ -74,7 +76,7 @@ class SharedMonitorUnit(SharedReasoner["MonitorInstance"]):
             len(self.sources),
             own,
             evicting,
-            {self.sources.index(source): self._newest(source) for source in self._ended},
+            {self.sources.index(source): self._newest_of(source) for source in self._ended},
             self._end if self.all_ended else None,
             watermark,
             watermark is not None and not self.all_ended and is_by_clock(watermark, newest),
@@ -108,6 +110,8 @@ class MonitorInstance(ReasoningInstance):
         self.monitor = monitor
         self._of_all = of_all
         self._writer = VerdictWriter(monitor)
+        self._left: MonitoredPart | None = None
+        """How far its evaluation was when it left."""
 
     @property
     def template(self) -> SharedMonitorUnit:
@@ -117,9 +121,21 @@ class MonitorInstance(ReasoningInstance):
 
     @property
     def monitoring(self) -> MonitoredPart:
-        """How far its evaluation is. Contract: it runs."""
-        assert self.number is not None
-        return self.template.monitoring.part(self.number)
+        """How far its evaluation is. Contract: it has begun."""
+        if self.number is not None:
+            return self.template.monitoring.part(self.number)
+        assert self._left is not None
+        return self._left
+
+    def leave(self) -> None:
+        if self.number is not None:
+            self._left = self.monitoring
+        super().leave()
+
+    @property
+    def is_finished(self) -> bool:
+        # The end has decided its single start.
+        return self.monitor.once and self.monitoring.states > 0
 
     def recall(self) -> RecalledSamples:
         """Return the retained samples that it has read, for explanations."""

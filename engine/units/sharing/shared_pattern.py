@@ -26,8 +26,6 @@ from .shared_reasoner import ReasoningInstance, SharedReasoner
 class SharedPatternUnit(SharedReasoner["PatternInstance"]):
     """Evaluates a pattern for each of the objects that its instances ask for."""
 
-    results = "matches"
-
     def __init__(
         self,
         *args: Any,
@@ -42,17 +40,18 @@ class SharedPatternUnit(SharedReasoner["PatternInstance"]):
         self._inputs_of_sources = tuple(inputs_of_sources)
         self._lateness = tuple(lateness(each) for each in self.sources)
         self.keys = Keys()
+        self._losses = ReportedLosses(report_limit)
+        self._begin()
+
+    def _begin(self) -> None:
         self.recognition = PartRecognition(
-            pattern,
-            len(self.sources),
-            self.keys,
-            lateness=self._lateness,
+            self.pattern, len(self.sources), self.keys, lateness=self._lateness
         )
         self.matches = 0
-        """Matches found by now."""
-        self._losses = ReportedLosses(report_limit)
-        dictionary = options["dictionary"]
-        self._readers = row_readers(inputs_of_sources, dictionary, self.keys, pattern.column)
+        """Matches that the evaluation has found by now."""
+        self._readers = row_readers(
+            self._inputs_of_sources, self._dictionary, self.keys, self.pattern.column
+        )
 
     def explain(self) -> str:
         """Describe the evaluation: the plan, and what has been done by now."""
@@ -111,8 +110,6 @@ class PatternInstance(ReasoningInstance):
         self.query = query
         self.key = template.keys.number(object_key(object))
         """The number of its object."""
-        self.matches = 0
-        """Matches found by now."""
         self._writer = MatchWriter(query, template.keys)
 
     @property
@@ -152,6 +149,5 @@ class PatternInstance(ReasoningInstance):
         return 0 if self.number is None else run.evaluator.pending_of(self.number)
 
     def _emit(self, found: Recognized) -> None:
-        self.matches += len(found)
         columns = self._writer.columns(found, self.output.stream.pools)
         self.output.emit(SampleBatch(self.output.stamps_at(found.available), found.valid, columns))

@@ -98,17 +98,35 @@ class ReasoningInstance(InstanceUnit):
         self._shared = template
         self._since: dict[StreamGenerator, int] = {}
         """The last available time (ns) of each stream whose samples it has not read."""
+        self._samples = 0
+        """The samples that were read when it left."""
 
-    def connect(self, source: StreamGenerator) -> None:
-        super().connect(source)
+    def enter(self) -> None:
+        super().enter()
         for each in self._shared.sources:
             if each.stream.last_available is not None:
                 self._since[each] = each.stream.last_available
 
     @property
+    def went_on(self) -> bool:
+        """Whether inputs went on after the end of all, so that a new evaluation began."""
+        return self._shared.went_on
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether no result can follow the end, even if inputs go on after it."""
+        return False
+
+    @property
     def samples(self) -> int:
         """Samples of the object that were read by now."""
-        return 0 if self.number is None else int(self._shared.reasoning.samples_of[self.number])
+        if self.number is None:
+            return self._samples
+        return int(self._shared.reasoning.samples_of[self.number])
+
+    def leave(self) -> None:
+        self._samples = self.samples
+        super().leave()
 
     def emit(self, found: Any) -> None:
         """Emit its next results."""
@@ -142,6 +160,7 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
         newest: Callable[[*tuple[StreamGenerator, ...]], int],
     ) -> None:
         super().__init__(*args, newest=newest)
+        self._dictionary = dictionary
         self._parts = ObjectParts()
         self._coders = {
             source: ObjectCodes(name, dictionary, self._parts.number, self._parts.__contains__)
@@ -233,15 +252,32 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
         self.promise_to_followed()
 
     def ended(self, source: StreamGenerator) -> None:
-        # As a unit that selects an object's samples ends its stream: after the newest sample.
-        last = source.stream.last_available
-        if last is not None:
-            self.advance(source, min(last, TIME_MAX - 1) + 1)
+        if source.stream.last_available is not None:
+            self.advance(source, self._end_of(source))
         super().ended(source)
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
         self.reasoning.resumed(self.sources.index(source))
+
+    def _end_of(self, source: StreamGenerator) -> int:
+        """The watermark with which a unit that selects an object's samples ends its stream: after
+        the newest sample."""
+        last = source.stream.last_available
+        return TIME_MIN if last is None else min(last, TIME_MAX - 1) + 1
+
+    def _begin_again(self) -> None:
+        for instance in tuple(self._instances.values()):
+            if instance.is_finished:
+                instance.leave()
+        instances, self._instances = self._instances, {}
+        for number in instances:
+            self._parts.remove(number)
+        super()._begin_again()
+        for source, watermark in self._watermarks.items():
+            self._watermarks[source] = max(watermark, self._end_of(source))
+        for instance in instances.values():
+            instance.enter()
 
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.reasoning.late_of.copy()

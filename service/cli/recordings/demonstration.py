@@ -110,14 +110,22 @@ def _application(settings: Settings) -> FastAPI:
     return create_app(Engine(now=time.time_ns()), settings, time.time_ns, Tokens())
 
 
-def flights(url: str, stopping: Callable[[], bool], token: str = "") -> None:
-    """Play the recording into the service at ``url`` again and again, as if it flew now."""
+def flights(
+    url: str,
+    stopping: Callable[[], bool],
+    token: str = "",
+    *,
+    begins: Callable[[], None] = lambda: None,
+) -> None:
+    """Play the recording into the service at ``url`` again and again, as if it flew now. ``begins``
+    is called when its stream and template are there."""
     with demo_files() as (path, annotation, template), Client(url, token=token) as client:
         recording = open_recording(path)
         _put(client, recording)
         client.annotate(annotation)
         if not any(known["local_name"] == "HighSpeedEvent" for known in client.templates()):
             client.register_template(template)
+        begins()
         extent = span(recording)
         assert extent is not None
         begin, now = time.monotonic_ns(), time.time_ns()

@@ -1,7 +1,11 @@
 """Law: requests of a template with a formula or pattern that share an evaluation have the samples,
 and the times, that each would have from an evaluation of its own: however batches are cut, while
-requests come and go, and after a restart."""
+requests come and go, streams end and go on, and after a restart.
 
+Law: once a stream goes on after the end of all, the further samples of a request are those of one
+that was made after that end."""
+
+import contextlib
 import re
 from random import Random
 
@@ -98,6 +102,12 @@ class Scenario:
         self.steps += [self.step() for _ in range(random.randint(6, 16))]
         self.steps += [("send", name, 100) for name in "ab" if random.random() < 0.5]
         self.steps += [("end", name) for name in "ab" if random.random() < 0.5]
+        self.goes_on = random.random() < 0.5
+        if self.goes_on:
+            # Streams end before their last sample, and go on.
+            self.steps = [
+                ("pause", *rest) if kind == "end" else (kind, *rest) for kind, *rest in self.steps
+            ]
 
     def step(self):
         random, drawn = self.random, self.random.random()
@@ -163,12 +173,21 @@ def run(world, template, given, sent, least):
                     engine, _ = engine_of(state_of(engine, None, outside).data, outside)
                 case ("end", stream) if not left[stream]:
                     engine.end(stream)
+                case ("pause", stream):
+                    engine.end(stream)
+                    left[stream] = later(engine, stream, left[stream])
         for place, request in running.items():
             ended[place] = seen(engine, *request)
         for id, _ in running.values():
             engine.cancel_event(id)
         assert not engine._parts.configuration.units
         return ended, shared
+
+
+def later(engine, stream, rows):
+    """The rows that are available after all that the stream has."""
+    last = engine.generator(stream).stream.last_available
+    return [row for row in rows if last is None or row[0] > last]
 
 
 def seen(engine, id, stream):
@@ -205,10 +224,87 @@ def test_sharing_a_pattern_changes_nothing(seed):
 
 @settings(deadline=None, max_examples=100)
 @given(st.integers(0, 2**32))
-# A request that comes while all streams are idle, one of which ends.
+# A request that comes while all streams are idle, one of which ends; single starts that the end
+# decides, and late samples of a stream that goes on.
 @example(85588)
+@example(21986)
 def test_sharing_a_formula_changes_nothing(seed):
     compared(seed, is_formula=True)
+
+
+class GoingOn(Scenario):
+    """Samples of both streams, before an end of both and after it, and ticks."""
+
+    def __init__(self, seed, *, is_formula):
+        super().__init__(seed, is_formula=is_formula)
+        random = self.random
+        # Others would be matched to another stream by now, or know of the samples before.
+        self.world = random.choice(["a stream each", "one stream", "declared"])
+        self.asked_for = [self.asked()[1:3] for _ in range(random.randint(1, 4))]
+        self.before = [self.sent() for _ in range(random.randint(0, 4))]
+        self.after = [self.sent() for _ in range(random.randint(1, 8))]
+        self.after += [("end", name) for name in "ab" if random.random() < 0.7]
+
+    def sent(self):
+        if self.random.random() < 0.2:
+            return "tick", self.random.randint(1, 3)
+        return "send", self.random.choice("ab"), self.random.randint(1, 12)
+
+    def rows(self, *, is_shared, asks_late):
+        """Whether each request is of a single start that was decided at the end; and its samples
+        after it."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(request_sharing, "MIN_SHARED", 1 if is_shared else NEVER)
+            engine = world_of(self.world)
+            engine.register_template(self.template)
+            left = {name: list(rows) for name, rows in self.samples.items()}
+            streams = [] if asks_late else self.ask(engine)
+            clock = self.play(engine, left, self.before, 0)
+            for name in "ab":
+                engine.end(name)
+                left[name] = later(engine, name, left[name])
+            streams = streams or self.ask(engine)
+            had = [len(engine.generator(name).stream.all()) for name in streams]
+            units = engine._parts.configuration.units
+            is_once = "once" in self.template.split(" with ")[-1]
+            decided = [is_once and units[name].monitoring.states > 0 for name in streams]
+            self.play(engine, left, self.after, clock)
+            rows = [list(engine.generator(name).stream.all().rows()) for name in streams]
+            return decided, [own[count:] for own, count in zip(rows, had, strict=True)]
+
+    def ask(self, engine):
+        """Make the requests; return their streams."""
+        found = []
+        for object, limit in self.asked_for:
+            request = engine.parse_request(f"Odd({object}, {limit})")
+            with contextlib.suppress(NoPlan):
+                found.append(engine.request_event(request).stream)
+        return found
+
+    def play(self, engine, left, steps, clock):
+        for step in steps:
+            match step:
+                case ("send", stream, count):
+                    publish(engine, stream, left[stream][:count])
+                    del left[stream][:count]
+                case ("tick", seconds):
+                    clock += seconds
+                    engine.tick(clock * SECOND)
+                case ("end", stream):
+                    engine.end(stream)
+        return clock
+
+
+@pytest.mark.parametrize("is_formula", [True, False])
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32), st.booleans())
+def test_after_the_end_a_request_is_as_one_made_then(is_formula, seed, is_shared):
+    case = GoingOn(seed, is_formula=is_formula)
+    decided, further = case.rows(is_shared=is_shared, asks_late=False)
+    _, expected = case.rows(is_shared=is_shared, asks_late=True)
+    assert further == [
+        [] if is_decided else rows for is_decided, rows in zip(decided, expected, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("template", [*TEMPLATES, *(formula_of(body, ()) for body in FORMULAS)])
