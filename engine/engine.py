@@ -257,7 +257,7 @@ class Engine:
         if name not in self._parts.configuration.late:
             name = self.accepting(name).name
         self._refuse_if_source(name)
-        self._parts.rematching.leave_stream(name)
+        self._parts.rematching.leave_stream(name, self._parts.specifications.users_of)
         self._parts.declared.remove(name)
         self._parts.settle()
 

@@ -8,7 +8,7 @@ new one); the others are not examined.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -197,14 +197,16 @@ class Rematching:
         if now - subscription.candidates[stream] >= subscription.wish.hold_off:
             self._mark_improvable(subscription, stream)
 
-    def leave_stream(self, stream: str) -> None:
+    def leave_stream(
+        self, stream: str, users_of: Callable[[Iterable[str]], tuple[str, ...]]
+    ) -> None:
         """Switch all subscriptions away from a stream that is about to be removed. Raises
-        `Conflict`, and changes nothing, while other units read it."""
+        `Conflict`, and changes nothing, while other units read it: it names ``users_of`` them."""
         readers = other_readers(stream, self._index.all(), self._configuration)
         if readers:
             raise Conflict(
-                f"stream {stream!r} is read by {', '.join(readers)}",
-                "cancel the requests that read it first",
+                f"stream {stream!r} is read by {', '.join(users_of(readers))}",
+                "remove or cancel these first",
             )
         for subscription in self._index.readers(stream):
             self._rematch(subscription, f"{stream} is removed", removed=stream)

@@ -315,6 +315,24 @@ class Specifications:
             hint = "GET /specifications/current lists the units"
         return LanguageError(message, specification.source, removal.span, hint)
 
+    def users_of(self, readers: Iterable[str]) -> tuple[str, ...]:
+        """Return the requests, queries, subscriptions and so on that need the units and readers of
+        these names; a unit itself that nothing else needs."""
+        units = {unit.name: unit for unit in self._configuration.units.values()}
+        found: dict[str, None] = {}
+        for name in readers:
+            users = self._users(name, "")
+            if name in units:
+                users = remaining_users(
+                    self._configuration,
+                    units[name],
+                    (),
+                    self._users,
+                    lambda one: self._labels(one, ()),
+                )
+            found.update(dict.fromkeys(users or (name,)))
+        return tuple(found)
+
     def _check_removed(self, change: _Change) -> None:
         """Raise `LanguageError` if a removed unit has other users."""
         for unit, removals in change.removed.items():

@@ -101,6 +101,12 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "a comparison is one sign: `=`, `!=`, `<`, `<=`, `>`, `>=`"
     if found in ("<", "<=", "=", ">", ">=") and "SEMICOLON" in expected:
         return "write two clauses: `t1 < t2; t2 < t3`"
+    if found == "(" and "LSQB" in expected:
+        return "the objects of a feature stand in brackets: `speed[?x]`"
+    if found == ")" and expected == {"COMMA"}:
+        return "a change has a value before and one after: `(?, < 3)`; `?` is any"
+    if found in ("<", "<=", "=", ">", ">=") and "COLON" in expected:
+        return "a value is told as a change: `speed[?x]:(?, > 3)`"
     return expected_hint(expected)
 
 

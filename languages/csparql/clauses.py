@@ -28,7 +28,10 @@ from .limits import LIMITS, check_length
 from .windows import read_window
 
 _OPERATORS: Final = tuple(StreamOperator)
-_BEGINNING: Final = "a query begins with `REGISTER STREAM name AS` or with `SELECT`"
+_BEGINNING: Final = (
+    "a query begins with `REGISTER STREAM name AS` or with `SELECT`, a formula with `monitor`, "
+    "and a chronicle with `chronicle`"
+)
 
 
 @dataclass(slots=True)

@@ -138,6 +138,17 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "join two comparisons by `and`: `1 < speed(?x) and speed(?x) < 2`"
     if found == "/" and "RSQB" in expected:
         return "a unit is a product of powers: write `m.s-1` for m/s"
+    if expected == {"IN"}:
+        return "an object has a sort: `?x in Car`"
+    if found == "]" and expected == {"COMMA"}:
+        return "an interval has two ends: `[0s, 5s]`"
+    if "NO_UNIT" in expected and (found == "%" or found[:1].isalpha()):
+        return "a unit stands in brackets, `20 [percent]`; options follow `with`"
+    if "LPAR" in expected and (found == "[" or found[:1] == "?" or found[:1].isalpha()):
+        return (
+            "the objects of a feature stand in parentheses: `speed(?x)`; before a formula stand "
+            "operators such as `always`, `eventually` and `not`"
+        )
     return expected_hint(expected)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...languages.mtl import ast, format_formula
 from ...languages.mtl.ast import Monitor
 from ...languages.mtl.checked import CheckedMonitor, ObjectVariable, Reading
+from ...ontology.units import format_unit
 from ...rdf.namespaces import shorten
 from ..states.states import States
 from .formulas import earliest, parts_of, reach_of, readings_of, sorts_of
@@ -25,9 +26,9 @@ MOST_ROWS: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A feature or a part of the formula: its text, how deep it stands, and its value at each
-    state. Values of parts are true, false, unknown, or open: not known when the verdict was
-    decided."""
+    """A feature with its unit, or a part of the formula: its text, how deep it stands, and its
+    value at each state. Values of parts are true, false, unknown, or open: not known when the
+    verdict was decided."""
 
     text: str
     depth: int
@@ -187,4 +188,5 @@ def _words(reading: Reading) -> str:
     arguments = (
         f"?{a.name}" if isinstance(a, ObjectVariable) else shorten(a.iri) for a in reading.arguments
     )
-    return f"{shorten(reading.feature).removeprefix('dyknow:')}({', '.join(arguments)})"
+    unit = f" [{format_unit(reading.unit)}]" if reading.unit else ""
+    return f"{shorten(reading.feature).removeprefix('dyknow:')}({', '.join(arguments)}){unit}"

@@ -82,7 +82,9 @@ def add(
     else:
         show_text(f"registered {found['name']}")
     show_text(found["plan"]["text"].rstrip())
-    show_text(f"follow it: dyknow follow {found['stream']}")
+    # What is there already comes only to a reader that asks for it.
+    past = "" if since == "now" else " --since start"
+    show_text(f"follow it: dyknow follow {found['stream']}{past}")
 
 
 @query.command("list")

@@ -123,11 +123,15 @@ def _is_file_name(source: str) -> bool:
 
 def _show_one(stream: dict[str, object]) -> None:
     for key, value in stream.items():
+        if key == "ports":
+            continue  # the annotation says the same
         if isinstance(value, dict):
             value = show_values(value)
         elif key in ("lag", "silent_for") and isinstance(value, str):
             value = brief(value)
         elif key == "fields" and isinstance(value, list):
             value = ", ".join(f"{field['name']}: {field['type']}" for field in value)
+        elif isinstance(value, bool):
+            value = str(value).lower()
         text = "-" if value is None else str(value)
         show_text(f"{key:>15}  " + text.replace("\n", "\n" + " " * 17))

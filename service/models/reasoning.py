@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from ...reasoning.mtl.explanation import Explanation, Shown
 from ...reasoning.patterns.recognition.explanation import ExplainedMatch, PartialMatches
-from ...streams.time import TIME_MIN, format_time
+from ...streams.time import TIME_MAX, TIME_MIN, format_time
 
 ASKED = "the name of the query, or the id of the request"
 Values: TypeAlias = dict[str, float | int | bool | str | None]
@@ -146,7 +146,10 @@ class PartialMatchesModel(BaseModel):
     def of(cls, query: str, found: PartialMatches) -> PartialMatchesModel:
         return cls(
             query=query,
-            watermark=None if found.watermark == TIME_MIN else format_time(found.watermark),
+            # There is none before the first sample, nor after the end.
+            watermark=None
+            if found.watermark in (TIME_MIN, TIME_MAX)
+            else format_time(found.watermark),
             partial=[
                 PartialModel(
                     events=[

@@ -147,9 +147,11 @@ class RecalledSamples:
         where each has its own.
         """
         iris = [object_in_text(name, DYKNOW) for name in objects]
-        states = self._run(iris).states_of(iris)
+        run = self._run(iris)
+        states = run.states_of(iris)
         if states is None:
-            raise NoStart("there is no state yet")
+            whose = f" of {', '.join(objects)}" if run.has_own_states else ""
+            raise NoStart(f"there is no state{whose} yet")
         if self.evicting and (start < int(states.valid[0]) or bound_sorts(self.monitor.formula)):
             raise Forgotten(self.evicting[0])
         found = explain_verdict(self.monitor, self.text, states, start, iris)

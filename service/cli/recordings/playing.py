@@ -578,10 +578,12 @@ def _summary(
             f"  rounded {rounded.count:,} numbers to the nearest double, "
             f"the first in line {rounded.line}, field {rounded.field!r}"
         )
-    if counts["accepted"] and counts["late"] + counts["duplicate"] == counts["accepted"]:
+    unused = counts["late"] + counts["duplicate"]
+    if unused > counts["accepted"] / 2:
         # The usual cause: available times only grow, and the stream had later samples before.
+        much = "everything" if unused == counts["accepted"] else "most"
         show_text(
-            "hint: everything was late: the stream has later samples already, perhaps of the "
+            f"hint: {much} was late: the stream has later samples already, perhaps of the "
             "same recording.\n      "
             + (
                 "Wait, or use another stream."

@@ -31,9 +31,10 @@ def matches_table(found: Mapping[str, Any]) -> str:
 def partial_table(found: Mapping[str, Any]) -> str:
     """Return for each partial match the events that came, and those that may come."""
     number = len(found["partial"])
+    matches = "partial match" if number == 1 and not found["more"] else "partial matches"
     lines = [
         f"{found['query']}, by {found['watermark'] or 'now'}: "
-        f"{number:,}{'+' if found['more'] else ''} partial matches"
+        f"{number or 'no'}{'+' if found['more'] else ''} {matches}"
     ]
     for partial in found["partial"]:
         came = [

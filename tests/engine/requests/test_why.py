@@ -117,8 +117,8 @@ def test_the_values_of_parts_and_features(flying):
     assert found.verdict == "false"
     assert found.valid == (SECOND, 2 * SECOND, 3 * SECOND)
     assert [(each.text, each.values) for each in found.features] == [
-        ("speed(?x)", (120.0, 90.0, 120.0)),
-        ("altitude(?x)", (60.0, 10.0, 10.0)),
+        ("speed(?x) [km.h-1]", (120.0, 90.0, 120.0)),
+        ("altitude(?x) [ft]", (60.0, 10.0, 10.0)),
     ]
     assert [(each.depth, each.values) for each in found.formulas] == [
         (0, ("false", "false", "false")),
@@ -221,3 +221,10 @@ def test_samples_that_come_meanwhile_change_no_explanation(flying):
     feed(flying, "s5", [(t, {"id": "uav1", "spd": 200.0, "alt": 1.0}) for t in (6, 7)])
     assert work().verdict == "open"
     assert flying.queries.why("m", ["uav1"], SECOND)().verdict == "false"
+
+
+def test_an_object_without_samples_has_no_state(flying):
+    flying.queries.register("monitor m(?x in UAV) = speed(?x) > 100")
+    feed(flying, "s5", [(t, {"id": "uav1", "spd": 1.0, "alt": 1.0}) for t in range(1, 5)])
+    with pytest.raises(NoResult, match="there is no state of uav9 yet"):
+        flying.queries.why("m", ["uav9"], SECOND)()

@@ -972,7 +972,7 @@ def test_a_named_stream_is_the_systems(listing):
 def test_a_declared_stream_that_is_read_stays(engine):
     engine.annotate(COORDINATES)
     apply(engine, SPEED)
-    with pytest.raises(Conflict, match="is read by dyknow_cu1"):
+    with pytest.raises(Conflict, match="is read by insertion `dyknow_reserved1`"):
         engine.remove_stream("coordinates")
 
 

@@ -16,9 +16,9 @@ TABLE = """calm, ?x = u1, from 1970-01-01T00:00:01Z: false, decided at 1970-01-0
 a  always [0s, 2s] speed(?x) < 100
 b    speed(?x) < 100
 
-state                 speed(?x)  a      b
-1970-01-01T00:00:01Z  50         false  true
-1970-01-01T00:00:02Z  120        false  false
+state                 speed(?x) [km.h-1]  a      b
+1970-01-01T00:00:01Z  50                  false  true
+1970-01-01T00:00:02Z  120                 false  false
 """
 
 
@@ -41,7 +41,9 @@ def test_it_is_a_table_for_people_and_json_for_programs(
     assert found["objects"] == {"x": "u1"}
     assert found["verdict"] == "false"
     assert found["decided"] == "1970-01-01T00:00:02Z"
-    assert found["features"] == [{"text": "speed(?x)", "depth": 0, "values": [50.0, 120.0]}]
+    assert found["features"] == [
+        {"text": "speed(?x) [km.h-1]", "depth": 0, "values": [50.0, 120.0]}
+    ]
     assert [each["values"] for each in found["formulas"]] == [["false"] * 2, ["true", "false"]]
     query = {"start": "1000000000", "object": "u1"}
     table = http.get("/queries/calm/why", params=query, headers={"Accept": "text/plain"})
