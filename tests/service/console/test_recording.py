@@ -127,7 +127,8 @@ def test_what_has_ended_looks_ended(recorded: httpx.Client, open_page: OPEN) -> 
 
 
 def test_what_failed_is_listed_and_counted_apart(asked: httpx.Client, open_page: OPEN) -> None:
-    Client(str(asked.base_url)).load_ontology(MOOD, "http://example.org/mood")
+    with Client(str(asked.base_url)) as client:
+        client.load_ontology(MOOD, "http://example.org/mood")
     assert asked.put("/streams/moods", json={"fields": {"id": "string", "m": "string"}}).is_success
     ssl = "stream moods contains mood(Car) = m for every Car = id"
     assert asked.post("/annotations", content=ssl, headers=TEXT).status_code == 201
