@@ -7,6 +7,7 @@ It works on the checked formula, with objects substituted for variables.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any
 
 from dyknow.languages.mtl.ast import Interval, Temporal
@@ -93,15 +94,24 @@ def bound(f, variable, iri):
             return f
 
 
-class Progression:
-    """Progresses formulas through a trace, in the upper reading or the lower one."""
+class TooLarge(Exception):
+    """A progressed formula grows beyond what a test can wait for."""
 
-    def __init__(self, trace: Trace) -> None:
+
+class Progression:
+    """Progresses formulas through a trace, in the upper reading or the lower one. Raises `TooLarge`
+    after ``most`` steps."""
+
+    def __init__(self, trace: Trace, most: float = inf) -> None:
         self.trace = trace
+        self.most = most
 
     def at(self, f, i, upper):
         """What must hold from state i + 1 on for ``f`` to hold at i; the gap to it is not
         subtracted yet."""
+        self.most -= 1
+        if self.most < 0:
+            raise TooLarge
         go = self.at
         match f:
             case Truth():
