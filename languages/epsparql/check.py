@@ -7,7 +7,7 @@ variables of its own group, as in SPARQL.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import assert_never
 
 from pyoxigraph import Literal, NamedNode, Variable
@@ -62,11 +62,11 @@ class _Checker:
         self._reader = TripleReader(query.source, vocabulary, is_static)
         self._read: dict[int, tuple[Read, ...]] = {}
         self._kinds: dict[str, Kind] = {}
-        self._static: set[str] = set()
-        """Variables that static triples have, and no sample."""
+        self._static: dict[str, Kind] = {}
+        """The variables that static triples have, and no sample, with their kinds in conditions."""
         self._parameters = {each.value for each in query.parameters}
         self._arguments: set[Term] = set()
-        self._expressions = ExpressionChecker(query.source, self._kinds)
+        self._expressions = ExpressionChecker(query.source, self._kinds, self._static)
 
     def pattern(self) -> CheckedPattern:
         """Return the checked query."""
@@ -75,13 +75,10 @@ class _Checker:
             self._read[id(triples)] = self._reader.read(triples)
         reads = [read for reads in self._read.values() for read in reads]
         readings = [read for read in reads if isinstance(read, Reading)]
-        self._kinds.update(find_kinds(query, reads))
+        kinds, static = find_kinds(query, reads)
+        self._kinds.update(kinds)
+        self._static.update(static)
         self._arguments.update(term for read in readings for term in read.arguments)
-        for read in reads:
-            if isinstance(read, StaticTriple):
-                self._static |= variables_of(read.triple).keys() - self._kinds.keys()
-        for graph in (part for part in parts_in(query.where) if isinstance(part, ast.Graph)):
-            self._static |= variables_of(graph.triples).keys() - self._kinds.keys()
         where = self._group(query.where, {})
         if not readings:
             raise self._error(
@@ -134,7 +131,7 @@ class _Checker:
                     conditions.append(part)
                 case _:
                     assert_never(part)
-        names = set(_names_of(parts))
+        names = {*_names_of(parts), *self._static_names(parts)}
         for each in conditions:
             condition = self._expressions.condition(
                 each.condition, each.span, self._known(names, each.span)
@@ -238,6 +235,17 @@ class _Checker:
         value = self._expressions.value(bind.expression, bind.span, self._known(names, bind.span))
         return checked.Bind(checked.Variable(name, kind_of(value)), value, bind.span)
 
+    def _static_names(self, parts: Iterable[checked.Part]) -> Iterator[str]:
+        """The variables that only static triples have, of these parts."""
+        for part in parts:
+            match part:
+                case checked.Static(triple):
+                    yield from (name for name in variables_of(triple) if name in self._static)
+                case checked.Group(inner):
+                    yield from self._static_names(inner)
+                case checked.Operation(_, left, right):
+                    yield from self._static_names((left, right))
+
     def _known(self, names: set[str], span: Span) -> Callable[[str], None]:
         """Return a function that raises `LanguageError` for a variable without a value."""
 
@@ -247,7 +255,7 @@ class _Checker:
             message = f"`?{name}` is not bound in this group"
             if name in self._static:
                 message = f"`?{name}` has its value from static graphs"
-                hint = "the head may tell it as it is; a condition on it is a static triple"
+                hint = "a condition in the group of its triple may read it, and the head as it is"
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:

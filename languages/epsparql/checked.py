@@ -50,10 +50,12 @@ class Calculation:
 
 @dataclass(frozen=True, slots=True)
 class StaticVariable:
-    """A variable that only static triples have, in the head. Its value is a text: the name of an
-    object, or that of a literal."""
+    """A variable that only static triples have. In the head its value is a text: the name of an
+    object, or that of a literal. In a condition it is of the kind that it is compared with, or has
+    no value."""
 
     name: str
+    kind: Kind = Kind.TEXT
 
 
 Place: TypeAlias = Variable | ObjectConstant | Constant
@@ -178,13 +180,16 @@ class CheckedPattern:
 def kind_of(value: Value) -> Kind:
     """Return the kind of a value."""
     match value:
-        case Variable(_, kind) | Calculation(_, _, _, kind) | Constant(_, kind):
+        case (
+            Variable(_, kind)
+            | StaticVariable(_, kind)
+            | Calculation(_, _, _, kind)
+            | Constant(_, kind)
+        ):
             return kind
         case ObjectConstant():
             return Kind.OBJECT
         case Duration():
             return Kind.DURATION
-        case StaticVariable():
-            return Kind.TEXT
         case TimeOf(function):
             return Kind.DURATION if function == "getDURATION" else Kind.TIME

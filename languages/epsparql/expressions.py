@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Final
 
@@ -26,13 +26,14 @@ from .checked import (
     Condition,
     Duration,
     Or,
+    StaticVariable,
     TimeOf,
     Truth,
     Value,
     kind_of,
 )
 
-_DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
+DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 _NEGATED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "=": "!=", "!=": "="}
 _ORDERED: Final = (Kind.NUMBER, Kind.TIME, Kind.DURATION)
 _MIRRORED: Final = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
@@ -50,11 +51,13 @@ _SUMS: Final[Mapping[tuple[str, Kind, Kind], Kind]] = {
 
 @dataclass(frozen=True, slots=True)
 class ExpressionChecker:
-    """Checks expressions by the ``kinds`` of variables. All methods raise `LanguageError` at the
-    span of the condition; ``variable`` raises for a variable that has no value there."""
+    """Checks expressions by the ``kinds`` of variables, ``static`` those that only static triples
+    have. All methods raise `LanguageError` at the span of the condition; ``known`` raises for a
+    variable that has no value there."""
 
     source: str
     kinds: Mapping[str, Kind]
+    static: Mapping[str, Kind] = field(default_factory=dict)
 
     def condition(
         self,
@@ -84,6 +87,10 @@ class ExpressionChecker:
                 return And(parts) if operator == "!=" else Or(parts)
             case sparql.Call("BOUND", (Variable(value=name),)):
                 known(name)
+                if name in self.static:
+                    raise self.error(
+                        f"`?{name}` is always bound, by static triples", span, "leave BOUND out"
+                    )
                 return Bound(name, holds)
             case Literal():
                 constant = self.constant(node, span)
@@ -103,6 +110,8 @@ class ExpressionChecker:
         match node:
             case Variable(value=name):
                 known(name)
+                if name in self.static:
+                    return StaticVariable(name, self.static[name])
                 return checked.Variable(name, self.kinds[name])
             case NamedNode(value=iri):
                 return ObjectConstant(iri)
@@ -140,14 +149,14 @@ class ExpressionChecker:
                 return Constant(text, Kind.TEXT)
             if datatype == XSD + "dateTime":
                 return Constant(parse_time(text), Kind.TIME)
-            if datatype in _DURATIONS:
+            if datatype in DURATIONS:
                 # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
                 if not text.upper().startswith("P"):
                     raise ValueError(f"{text!r} is no duration")
                 return Duration(parse_duration(text.upper()))
         except ValueError as error:
             hint = 'write `"PT5S"^^xsd:duration`; years and months vary in length'
-            raise self.error(str(error), span, hint if datatype in _DURATIONS else "") from None
+            raise self.error(str(error), span, hint if datatype in DURATIONS else "") from None
         raise self.error(
             f"{literal} is of no kind that a pattern compares",
             span,
@@ -156,6 +165,13 @@ class ExpressionChecker:
 
     def _comparison(self, operator: str, left: Value, right: Value, span: Span) -> Comparison:
         kind, other = kind_of(left), kind_of(right)
+        both = isinstance(left, StaticVariable) and isinstance(right, StaticVariable)
+        if both and operator not in _MIRRORED:
+            raise self.error(
+                f"`{operator}` compares two variables of static triples",
+                span,
+                "write one variable where they are equal",
+            )
         if kind != other:
             hint = "both sides of a comparison are of one kind"
             if Kind.DURATION in (kind, other):

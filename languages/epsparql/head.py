@@ -72,7 +72,7 @@ class HeadChecker:
         return Item(name, value, kind_of(value), span)
 
     def _value(self, node: sparql.Expression, span: Span) -> Value:
-        if isinstance(node, Variable) and node.value in self.static - self.names:
+        if isinstance(node, Variable) and node.value in self.static:
             return StaticVariable(node.value)
         return self.expressions.value(node, span, self.known(span))
 

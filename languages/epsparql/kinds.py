@@ -1,7 +1,8 @@
 """Finds the kinds of variables (SPEC §8).
 
 A variable has one kind. The range of a feature says which; without a range another place of the
-variable or the other side of a comparison decides, else it is a number.
+variable or the other side of a comparison decides, else it is a number. Of a variable that only
+static triples have, the other side of a comparison decides.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from pyoxigraph import Literal, NamedNode, Variable
 
 from ...sparql import ast as sparql
+from ...sparql.ast import variables_of
 from ..errors import LanguageError, Span
 from ..mtl.checked import Kind
 from . import ast
@@ -19,13 +21,16 @@ from .ast import END_TIME, START_TIME
 from .checked import kind_of
 from .expressions import ExpressionChecker
 from .groups import parts_in
-from .triples import BLANK, Read, Reading, Term
+from .triples import BLANK, Read, Reading, StaticTriple, Term
 
 
-def find_kinds(query: ast.EpSparqlQuery, reads: Iterable[Read]) -> dict[str, Kind]:
-    """Return the kind of each variable of samples and of BIND, and of each parameter. Raises
-    `LanguageError` at the second place of a variable that has two."""
-    return _Finder(query).find(reads)
+def find_kinds(
+    query: ast.EpSparqlQuery, reads: Iterable[Read]
+) -> tuple[dict[str, Kind], dict[str, Kind]]:
+    """Return the kind of each variable of samples and of BIND, and of each parameter; and that of
+    each variable that only static triples have. Raises `LanguageError` at the second place of a
+    variable that has two."""
+    return _Finder(query).find(tuple(reads))
 
 
 class _Finder:
@@ -34,7 +39,7 @@ class _Finder:
         self._kinds: dict[str, Kind] = {}
         self._expressions = ExpressionChecker(query.source, {})
 
-    def find(self, reads: Iterable[Read]) -> dict[str, Kind]:
+    def find(self, reads: Iterable[Read]) -> tuple[dict[str, Kind], dict[str, Kind]]:
         unknown: dict[str, None] = {}
         for read in reads:
             if isinstance(read, Reading):
@@ -57,10 +62,26 @@ class _Finder:
                 if (kind := self._guess(bind.expression)) is not None:
                     self._kinds.setdefault(bind.variable.value, kind)
             for condition in conditions:
-                self._learn(condition, unknown)
+                self._learn(condition, unknown, self._kinds)
         for name in (*unknown, *(bind.variable.value for bind in binds)):
             self._kinds.setdefault(name, Kind.NUMBER)
-        return self._kinds
+        names = [
+            name
+            for read in reads
+            if isinstance(read, StaticTriple)
+            for name in variables_of(read.triple)
+        ]
+        names += [
+            name
+            for part in parts
+            if isinstance(part, ast.Graph)
+            for name in variables_of(part.triples)
+        ]
+        static = dict.fromkeys(name for name in names if name not in self._kinds)
+        found: dict[str, Kind] = {}
+        for condition in conditions:
+            self._learn(condition, static, found)
+        return self._kinds, {name: found.get(name, Kind.NUMBER) for name in static}
 
     def _set_kind(self, term: Term, kind: Kind, span: Span) -> None:
         if not isinstance(term, Variable):
@@ -75,19 +96,22 @@ class _Finder:
                 "values of two kinds are never equal: use two variables",
             )
 
-    def _learn(self, condition: sparql.Expression, unknown: Mapping[str, None]) -> None:
-        """Take the kind of a variable that is compared from the other side."""
+    def _learn(
+        self, condition: sparql.Expression, unknown: Mapping[str, None], kinds: dict[str, Kind]
+    ) -> None:
+        """Take the kind of an ``unknown`` variable that is compared from the other side."""
         pairs: list[tuple[sparql.Expression, sparql.Expression]] = []
         for node in sparql.walk(condition):
             if isinstance(node, sparql.Comparison):
                 pairs += [(node.left, node.right), (node.right, node.left)]
             elif isinstance(node, sparql.In):
                 pairs += [(node.operand, option) for option in node.options]
+                pairs += [(option, node.operand) for option in node.options]
         for side, other in pairs:
             if isinstance(side, Variable) and side.value in unknown:
                 kind = self._guess(other)
                 if kind is not None:
-                    self._kinds.setdefault(side.value, kind)
+                    kinds.setdefault(side.value, kind)
 
     def _guess(self, node: sparql.Expression) -> Kind | None:
         """The kind of an expression as far as it is known."""

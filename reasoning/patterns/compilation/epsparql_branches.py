@@ -28,6 +28,7 @@ from ....languages.epsparql.checked import (
     Part,
     Sample,
     Static,
+    StaticVariable,
     TimeOf,
     Truth,
     Value,
@@ -236,6 +237,8 @@ class _Reader:
                 return self._has_value(left, branch) and self._has_value(right, branch)
             case TimeOf():
                 return bool(branch.samples)
+            case StaticVariable(name):
+                return any(name in variables_of(each.triple) for each in branch.static)
             case _:
                 return True
 

@@ -9,6 +9,7 @@
 | WITHIN, and a bound on the duration of the whole | ``within`` |
 | a bound on the duration of a group | bounds between all pairs |
 | another condition | a condition; with ``||`` a test of the outputs |
+| a condition on static values | a test of the static join |
 | UNION, optional operators | several plans (`epsparql_branches`) |
 | static triples | a static join |
 """
@@ -170,6 +171,9 @@ class _Plan:
     def __post_init__(self) -> None:
         self.places = {sample: i for i, sample in enumerate(sorted(self.branch.samples))}
         self._carriers: dict[str, list[plan.Expression]] = {}
+        self._static_values: dict[StaticVariable, str] = {}
+        """The outputs with the static values that tests read."""
+        self._static_tests: list[query.Test] = []
 
     def build(
         self, items: tuple[Item, ...], within: int | None
@@ -192,6 +196,8 @@ class _Plan:
             if most is not None:
                 if within is None or within > most:
                     between += self._lasting(scoped.samples, most)
+            elif _is_static(node):
+                self._static_tests.append(self._test(node, scoped.samples))
             elif isinstance(node, Comparison):
                 conditions.append(self._condition(node, scoped.samples))
             else:
@@ -255,7 +261,11 @@ class _Plan:
             for item in items
             if isinstance(item.value, StaticVariable) and item.value.name in names
         )
-        return query.StaticJoin(triples, tuple(variables), results)
+        values = tuple(
+            (each.name, output, each.kind) for each, output in self._static_values.items()
+        )
+        tests = tuple(self._static_tests)
+        return query.StaticJoin(triples, tuple(variables), results, values, tests)
 
     # -- elements, keys, times ---------------------------------------------------------------
 
@@ -331,9 +341,7 @@ class _Plan:
     def _test(self, node: Condition, samples: tuple[int, ...]) -> query.Test:
         match node:
             case Comparison(sign, left, right):
-                sides = (
-                    self._output("side", self.expression(each, samples)) for each in (left, right)
-                )
+                sides = (self._side(each, samples) for each in (left, right))
                 return query.OutputComparison(next(sides), sign, next(sides))
             case AndCondition(operands):
                 return query.AllOf(tuple(self._test(each, samples) for each in operands))
@@ -341,6 +349,18 @@ class _Plan:
                 return query.AnyOf(tuple(self._test(each, samples) for each in operands))
             case _:
                 raise AssertionError("branches decide BOUND and truths")
+
+    def _side(self, value: Value, samples: tuple[int, ...]) -> query.OutputTerm:
+        """A side of a test. What has static values is calculated when these are known."""
+        match value:
+            case StaticVariable(name, kind):
+                return self._static_values.setdefault(value, f"static {kind} {name}")
+            case Calculation(sign, left, right) if _has_static(value):
+                return query.OutputArithmetic(
+                    self._side(left, samples), sign, self._side(right, samples)
+                )
+            case _:
+                return self._output("side", self.expression(value, samples))
 
     def _output(self, word: str, value: plan.Expression) -> str:
         """The name of an output that is no result. No variable has a space in its name."""
@@ -402,6 +422,27 @@ class _Plan:
                     sign, self.expression(left, samples), self.expression(right, samples)
                 )
             case StaticVariable():
-                raise AssertionError("only the head has one")
+                raise AssertionError("a static join gives its value")
             case _:
                 assert_never(value)
+
+
+def _is_static(condition: Condition) -> bool:
+    """Whether a condition reads a value of static triples."""
+    match condition:
+        case Comparison(_, left, right):
+            return _has_static(left) or _has_static(right)
+        case AndCondition(operands) | Or(operands):
+            return any(map(_is_static, operands))
+        case _:
+            return False
+
+
+def _has_static(value: Value) -> bool:
+    match value:
+        case StaticVariable():
+            return True
+        case Calculation(_, left, right):
+            return _has_static(left) or _has_static(right)
+        case _:
+            return False

@@ -102,12 +102,26 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class OutputComparison:
-    """``left < right`` of two outputs of a plan; it does not hold where one has no value."""
+class OutputArithmetic:
+    """``left + right`` of outputs: the operator is one of ``+ - * /``. It has no value where a side
+    has none, nor has a division by 0."""
 
-    left: str
+    left: OutputTerm
     operator: str
-    right: str
+    right: OutputTerm
+
+
+OutputTerm: TypeAlias = str | OutputArithmetic
+"""An output by its name, or a calculation."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputComparison:
+    """``left < right`` of outputs of a plan; it does not hold where one has no value."""
+
+    left: OutputTerm
+    operator: str
+    right: OutputTerm
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +152,17 @@ class Absence:
 @dataclass(frozen=True, slots=True)
 class StaticJoin:
     """Triples of static graphs, each with its graph (None: those of FROM, or the ontology), that
-    are joined to the matches of a plan: each match is a result once for each solution of them.
-    ``variables``: those that outputs of the plan fill, as (variable, output, kind). ``results``:
-    those whose values the results have, as (variable, output); they are texts, and the plan has
-    `NO_VALUE` there."""
+    are joined to the matches of a plan: each match is a result once for each solution of them that
+    passes all ``tests``. ``variables``: those that outputs of the plan fill, as (variable, output,
+    kind). ``results``: those whose values the results have, as (variable, output); they are texts,
+    and the plan has `NO_VALUE` there. ``values``: those that tests read, as (variable, output,
+    kind)."""
 
     triples: tuple[tuple[Triple, str | None], ...]
     variables: tuple[tuple[str, str, Kind], ...]
     results: tuple[tuple[str, str], ...] = ()
+    values: tuple[tuple[str, str, Kind], ...] = ()
+    tests: tuple[Test, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,10 +40,10 @@ class CombinedMatches(Matches):
 
 
 StaticSolutions: TypeAlias = Callable[
-    [StaticJoin, Mapping[str, NDArray[Any]], int], tuple[Integers, Mapping[str, Integers]]
+    [StaticJoin, Mapping[str, NDArray[Any]], int], tuple[Integers, Mapping[str, NDArray[Any]]]
 ]
 """Returns the solutions of a static join for so many rows of values, by variable: the number of the
-row of each, and their results, by output."""
+row of each, and their results and values, by output."""
 
 
 class CombinedRows:
@@ -186,7 +186,9 @@ class CombinedRows:
         for part in self._parts:
             lines.append(f"plan {part.number}" + ("" if part.branch.is_given else ", for others"))
             lines += [f"  {line}" for line in part.rows.explain().splitlines()]
-            lines += [f"  test {print_test(test)}" for test in part.branch.tests]
+            join = part.branch.static
+            tests = (*part.branch.tests, *(() if join is None else join.tests))
+            lines += [f"  test {print_test(test)}" for test in tests]
             for absence in part.branch.absences:
                 pairs = ", ".join(f"{own} = {other}" for own, other in absence.rows)
                 wait = "" if absence.until is None else f", known after {absence.until}"
@@ -210,6 +212,8 @@ class CombinedRows:
                 rows, results = self._static(join, values, len(found))
                 found = found[rows]
                 found.outputs.update(results)
+                if join.tests:
+                    found = found[hold(AllOf(join.tests), found.outputs, len(found))]
             final.append(found)
         for part in self._parts:
             for each in part.found:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..plans.plan import NO_VALUE
-from ..plans.query import AllOf, AnyOf, OutputComparison, Test
+from ..plans.query import AllOf, AnyOf, OutputComparison, OutputTerm, Test
 
 Flags = NDArray[np.bool_]
 
@@ -18,7 +18,7 @@ def hold(test: Test, outputs: Mapping[str, NDArray[Any]], count: int) -> Flags:
     """For which of ``count`` matches a test holds; shape ``(count,)``."""
     match test:
         case OutputComparison(left, operator, right):
-            return _compared(outputs[left], operator, outputs[right])
+            return _compared(_values(left, outputs), operator, _values(right, outputs))
         case AllOf(tests):
             found = np.ones(count, np.bool_)
             for each in tests:
@@ -31,6 +31,24 @@ def hold(test: Test, outputs: Mapping[str, NDArray[Any]], count: int) -> Flags:
             return found
         case _:
             assert_never(test)
+
+
+def _values(term: OutputTerm, outputs: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    if isinstance(term, str):
+        return outputs[term]
+    left, right = _values(term.left, outputs), _values(term.right, outputs)
+    known = ~(_is_missing(left) | _is_missing(right))
+    with np.errstate(all="ignore"):
+        match term.operator:
+            case "+":
+                found = left + right
+            case "-":
+                found = left - right
+            case "*":
+                found = left * right
+            case _:
+                found, known = left / right, known & (right != 0)
+    return np.where(known, found, np.nan if found.dtype == np.float64 else NO_VALUE)
 
 
 def _compared(left: NDArray[Any], operator: str, right: NDArray[Any]) -> Flags:
@@ -61,10 +79,16 @@ def print_test(test: Test) -> str:
     """Return a test as text."""
     match test:
         case OutputComparison(left, operator, right):
-            return f"{left} {operator} {right}"
+            return f"{_printed(left)} {operator} {_printed(right)}"
         case AllOf(tests):
             return f"({' and '.join(map(print_test, tests))})"
         case AnyOf(tests):
             return f"({' or '.join(map(print_test, tests))})"
         case _:
             assert_never(test)
+
+
+def _printed(term: OutputTerm) -> str:
+    if isinstance(term, str):
+        return term
+    return f"({_printed(term.left)} {term.operator} {_printed(term.right)})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,18 +15,21 @@ from ....continuous.operators.background import Background
 from ....continuous.operators.executor import execute
 from ....continuous.operators.sources import EmptyWindows, StaticSide
 from ....converters.objects import object_name
+from ....languages.epsparql.expressions import DURATIONS
 from ....languages.mtl.checked import Kind
 from ....rdf.datatypes import NUMBERS
 from ....rdf.dictionary import Term, TermDictionary
 from ....rdf.namespaces import DYKNOW, XSD
 from ....sparql import ast
-from ....streams.time import parse_time
+from ....streams.time import parse_duration, parse_time
 from ..plans.plan import NO_VALUE
 from ..plans.query import Keys, StaticJoin, object_key, text_key
 
 Value: TypeAlias = str | float | int
-Table: TypeAlias = dict[tuple[Value, ...], list[tuple[str | None, ...]]]
-"""The results of each solution, in order, by the values of the variables that the plan fills."""
+Solution: TypeAlias = tuple[tuple[str | None, ...], tuple[Value | None, ...]]
+"""The results, and the values that tests read."""
+Table: TypeAlias = dict[tuple[Value, ...], list[Solution]]
+"""Solutions, in order of their results, by the values of the variables that the plan fills."""
 
 
 class StaticTables:
@@ -46,9 +49,10 @@ class StaticTables:
 
     def __call__(
         self, join: StaticJoin, values: Mapping[str, NDArray[Any]], count: int
-    ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.int64]]]:
+    ) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
         """Return the solutions for ``count`` rows of values, by variable: the number of the row of
-        each, and their results, by output. Those of one row are in order of their texts."""
+        each, and their results and values, by output. Those of one row are in order of the texts of
+        their results."""
         table = self._table(join)
         columns = [
             [self._value(kind, each) for each in values[name].tolist()]
@@ -58,14 +62,21 @@ class StaticTables:
         found = [table.get(row, []) for row in rows]
         numbers = np.repeat(np.arange(count), np.array(list(map(len, found)), np.int64))
         solutions = [solution for solutions in found for solution in solutions]
-        results = {
-            output: np.array([self._number(solution[i]) for solution in solutions], np.int64)
-            for i, (_, output) in enumerate(join.results)
-        }
+        results: dict[str, NDArray[Any]] = {}
+        for i, (_, output) in enumerate(join.results):
+            texts = [each[i] for each, _ in solutions]
+            told = [None if text is None else text_key(text) for text in texts]
+            results[output] = self._column(Kind.TEXT, told)
+        for i, (_, output, kind) in enumerate(join.values):
+            results[output] = self._column(kind, [each[i] for _, each in solutions])
         return numbers, results
 
-    def _number(self, text: str | None) -> int:
-        return NO_VALUE if text is None else self._keys.number(text_key(text))
+    def _column(self, kind: Kind, values: Sequence[Value | None]) -> NDArray[Any]:
+        """Values as plans compare them."""
+        if kind is Kind.NUMBER:
+            return np.array([np.nan if each is None else each for each in values], np.float64)
+        numbers = (self._keys.number(each) if isinstance(each, str) else each for each in values)
+        return np.array([NO_VALUE if each is None else each for each in numbers], np.int64)
 
     def _value(self, kind: Kind, value: int | float) -> Value:
         return self._keys.key(int(value)) if kind in (Kind.OBJECT, Kind.TEXT) else value
@@ -88,15 +99,19 @@ class StaticTables:
             ids = as_terms(relation.column(name), dictionary).values.tolist()
             return list(map(dictionary.term, ids))
 
-        given = [[_value_of(term, kind) for term in of(name)] for name, _, kind in join.variables]
+        def values(of_kinds: Sequence[tuple[str, str, Kind]]) -> list[list[Value | None]]:
+            return [[_value_of(term, kind) for term in of(name)] for name, _, kind in of_kinds]
+
+        given, read = values(join.variables), values(join.values)
         told = [list(map(_text_of, of(name))) for name, _ in join.results]
         table: Table = {}
         for i in range(relation.rows):
             row = tuple(value for column in given for value in [column[i]] if value is not None)
             if len(row) == len(given):
-                table.setdefault(row, []).append(tuple(column[i] for column in told))
+                found = tuple(column[i] for column in told), tuple(column[i] for column in read)
+                table.setdefault(row, []).append(found)
         for solutions in table.values():
-            solutions.sort(key=lambda each: tuple(text or "" for text in each))
+            solutions.sort(key=lambda each: tuple(text or "" for text in each[0]))
         return table
 
 
@@ -127,7 +142,9 @@ def _value_of(term: Term, kind: Kind) -> Value | None:
         case Kind.TRUTH if datatype == XSD + "boolean":
             return int(text in ("true", "1"))
         case Kind.TIME if datatype == XSD + "dateTime":
-            return _time(text)
+            return _read(parse_time, text)
+        case Kind.DURATION if datatype in DURATIONS and text.upper().startswith("P"):
+            return _read(parse_duration, text.upper())
         case _:
             return None
 
@@ -139,9 +156,9 @@ def _text_of(term: Term) -> str | None:
     return term.value if isinstance(term, Literal) else None
 
 
-def _time(text: str) -> int | None:
-    """The time in ns; None for one that no sample can have."""
+def _read(parse: Callable[[str], int], text: str) -> int | None:
+    """A time or duration in ns; None for one that no sample can have."""
     try:
-        return parse_time(text)
+        return parse(text)
     except ValueError:
         return None

@@ -241,6 +241,8 @@ class Definition:
         try:
             if isinstance(node, sparql.Comparison):
                 left, right = self.value(node.left, solution), self.value(node.right, solution)
+                if left[0] != right[0]:  # of static triples: those of samples are of one kind
+                    return None
                 return COMPARISONS[node.operator](left[1], right[1])
             return bool(self.value(node, solution)[1])
         except NoValue:
@@ -297,6 +299,10 @@ def follows(operator: ast.Operator, a: Solution, b: Solution) -> bool:
 
 def calculated(sign: str, left: Value, right: Value) -> Value:
     kinds = left[0], right[0]
+    if not {*kinds} <= {"number", "time", "duration"} or (
+        "number" in kinds and kinds[0] != kinds[1]
+    ):
+        raise NoValue
     kind = kinds[0]
     if kinds == ("time", "time"):
         kind = "duration"

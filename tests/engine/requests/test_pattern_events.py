@@ -339,6 +339,30 @@ def test_static_triples_are_joined(flying):
     assert [(int(v), r["c"]) for v, r in samples(flying, "owned")] == [(3, "uav1")]
 
 
+def test_each_object_has_a_limit_of_its_own(flying):
+    """A condition compares samples with values of static triples; another kind is no value."""
+    flying.load_ontology(
+        "@prefix d: <http://www.ida.liu.se/dyknow/> . @prefix e: <http://e.org/> . "
+        "d:uav1 e:limit 110 , 'none' . d:uav2 e:limit 130.5 . d:uav3 e:owner e:ann .",
+        name="http://e.org/limits",
+        format="turtle",
+    )
+    flying.queries.register(
+        """REGISTER STREAM speeding AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+        PREFIX e: <http://e.org/>
+        SELECT ?c ?v ?limit WHERE { ?c dyknow:speed ?v . ?c e:limit ?limit
+          FILTER (?v - ?limit > 0) } WITHIN 1 s"""
+    )
+    flown = [(1, "uav1", 120.0), (2, "uav2", 120.0), (3, "uav3", 500.0), (4, "uav2", 131.0)]
+    feed(flying, "speeds", [(t, {"id": name, "spd": speed}) for t, name, speed in flown])
+    flying.end("speeds")
+    assert [(int(t), r["c"], r["v"], r["limit"]) for t, r in samples(flying, "speeding")] == [
+        (1, "uav1", 120.0, "110"),
+        (4, "uav2", 131.0, "130.5"),
+    ]
+    assert "static number limit" in flying.queries.explain_running("speeding")
+
+
 def test_static_triples_are_told(flying):
     """A result for each of their solutions, in order of texts; `*` has their variables, too."""
     flying.load_ontology(

@@ -90,7 +90,10 @@ MUTANTS = (
     ("patterns/recognition/combined.py", "until = due + self.span + 1", "until = due", EPSPARQL),
     ("patterns/recognition/combined.py", "self.until[0][0] < watermark", "self.until[0][0] < TIME_MIN", EPSPARQL),
     # Each solution of static triples is a result.
-    ("patterns/recognition/static_tables.py", ".append(tuple(column[i] for column in told))", "[:] = [tuple(column[i] for column in told)]", EPSPARQL),
+    ("patterns/recognition/static_tables.py", ".append(found)", "[:] = [found]", EPSPARQL),
+    # Conditions on static values hold; a division by 0 has no value.
+    ("patterns/recognition/combined.py", "if join.tests:", "if not join.tests:", EPSPARQL),
+    ("patterns/recognition/output_tests.py", "known & (right != 0)", "known", EPSPARQL),
     # -0 equals 0, and each event has the key of its own value.
     ("patterns/plans/query.py", "numbers = values + 0.0", "numbers = values", SASE),
     # With a max delay a time is over that long after it, and absence is known of the time before.

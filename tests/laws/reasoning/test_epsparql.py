@@ -20,6 +20,7 @@ from epsparql_drawing import (
 from epsparql_running import Result, Running
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from pyoxigraph import Literal
 
 from dyknow.languages.epsparql import check_epsparql, parse_epsparql
 from dyknow.languages.errors import LanguageError
@@ -57,8 +58,11 @@ def wanted_of(query: Definition) -> list[tuple[Result, bool]]:
 
 
 def of_static(value: Value | None) -> Value | None:
-    """What static triples tell is a text: of an object its name."""
-    return None if value is None else ("text", str(value[1]).removeprefix(DYKNOW))
+    """What static triples tell is a text: of an object its name, of a number its digits."""
+    if value is None:
+        return None
+    text = Literal(value[1]).value if value[0] == "number" else str(value[1])
+    return "text", text.removeprefix(DYKNOW)
 
 
 def of_result(value: Value | None) -> Value | None:

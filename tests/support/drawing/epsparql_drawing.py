@@ -79,8 +79,13 @@ STATIC: tuple[Fact, ...] = (
     ((OBJECTS, "urn:p"), "urn:of", (TEXTS, "x"), None),
     ((OBJECTS, "urn:q"), "urn:of", (TEXTS, "y"), None),
     ((OBJECTS, f"{DYKNOW}o0"), "urn:level", (NUMBERS, 1.0), None),
+    ((OBJECTS, f"{DYKNOW}o0"), "urn:limit", (NUMBERS, 1.5), None),
+    ((OBJECTS, f"{DYKNOW}o0"), "urn:limit", (NUMBERS, 0.0), None),
+    ((OBJECTS, f"{DYKNOW}o1"), "urn:limit", (NUMBERS, 2.0), None),
+    ((OBJECTS, f"{DYKNOW}o1"), "urn:limit", (TEXTS, "x"), None),
+    ((OBJECTS, f"{DYKNOW}o2"), "urn:limit", (TEXTS, "y"), None),
 )
-STATIC_NAMES = ("?k", "?m")
+STATIC_NAMES = ("?k", "?m", "?q")
 """The variables that only static triples have."""
 OPERATORS = ("SEQ", "SEQ", "SEQ", "EQUALS", "OPTIONALSEQ", "EQUALSOPTIONAL", "UNION")
 
@@ -113,6 +118,8 @@ class QueryDrawing:
             chain = f"{{ {chain} {static} }}"
             told = [name for name in STATIC_NAMES if name in static and draw.random() < 0.7]
             items = " ".join([items, *told])
+            if draw.random() < 0.7:
+                filters += self.static_filter(names, static)
         self.text = f"SELECT {items} {times} WHERE {chain} {filters} {within}"
 
     # -- the text ------------------------------------------------------------------------------
@@ -138,8 +145,24 @@ class QueryDrawing:
                 "?a <urn:level> ?v .",
                 "BIND (1 - 0 AS ?l) ?a <urn:level> ?l .",
                 "?a dyknow:owns [ <urn:in> ?k ] .",
+                *["?a <urn:limit> ?q ."] * 3,
             ]
         )
+
+    def static_filter(self, names: set[str], static: str) -> str:
+        """A condition on the values of a static triple."""
+        draw = self.random
+        if "?q" not in static:
+            return ' FILTER (?m = "x")' if "?m" in static else ""
+        sign = draw.choice(["<", "<=", ">", ">=", "=", "!="])
+        if draw.random() < 0.15:
+            return draw.choice([' FILTER (?q = "x")', f" FILTER (getDURATION() {sign} ?q)"])
+        number = draw.choice([*(name for name in VARIABLES[NUMBERS] if name in names), "1"])
+        left = draw.choice([number, f"{number} - ?q", f"{number} * 2 + ?q", f"1 / (?q - {number})"])
+        right = "?q" if left == number else draw.choice(["0", "1", number])
+        late = 'getSTARTTIME() > "1970-01-01T00:00:00.00000001Z"^^xsd:dateTime'
+        more = draw.choice(["", "", f" || {number} > 1", f" && {number} < 2", f" || {late}"])
+        return f" FILTER ({left} {sign} {right}{more})"
 
     def group(self, depth: int) -> tuple[str, set[str]]:
         draw = self.random
