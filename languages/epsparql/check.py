@@ -255,7 +255,7 @@ class _Checker:
             message = f"`?{name}` is not bound in this group"
             if name in self._static:
                 message = f"`?{name}` has its value from static graphs"
-                hint = "a condition in the group of its triple may read it, and the head as it is"
+                hint = "a condition in the group of its triple may read it, and the head"
             elif name in self._kinds:
                 hint = "a condition sees its own group: write it after the `}` of a larger one"
             else:

@@ -74,7 +74,10 @@ class HeadChecker:
     def _value(self, node: sparql.Expression, span: Span) -> Value:
         if isinstance(node, Variable) and node.value in self.static:
             return StaticVariable(node.value)
-        return self.expressions.value(node, span, self.known(span))
+        known = self.known(span)
+        return self.expressions.value(
+            node, span, lambda name: None if name in self.static else known(name)
+        )
 
     def _all_names(self) -> Iterator[str]:
         """The variables of ``*``, in reading order."""

@@ -261,11 +261,16 @@ class _Plan:
             for item in items
             if isinstance(item.value, StaticVariable) and item.value.name in names
         )
+        calculated = tuple(
+            (item.name, self._calculated(item))
+            for item in items
+            if isinstance(item.value, Calculation) and self._is_calculated(item.value)
+        )
         values = tuple(
             (each.name, output, each.kind) for each, output in self._static_values.items()
         )
         tests = tuple(self._static_tests)
-        return query.StaticJoin(triples, tuple(variables), results, values, tests)
+        return query.StaticJoin(triples, tuple(variables), results, values, tests, calculated)
 
     # -- elements, keys, times ---------------------------------------------------------------
 
@@ -394,6 +399,27 @@ class _Plan:
                 return self._has_value(left) and self._has_value(right)
             case _:
                 return True
+
+    def _is_calculated(self, value: Value) -> bool:
+        """Whether the static join completes a value: it reads static ones, and all are known."""
+
+        def is_known(value: Value) -> bool:
+            match value:
+                case StaticVariable(name):
+                    return any(name in variables_of(each.triple) for each in self.branch.static)
+                case Calculation(_, left, right):
+                    return is_known(left) and is_known(right)
+                case _:
+                    return self._has_value(value)
+
+        return _has_static(value) and is_known(value)
+
+    def _calculated(self, item: Item) -> query.OutputTerm:
+        found = self._side(item.value, self.branch.samples)
+        if item.kind is Kind.DURATION:
+            second = self._output("side", plan.Constant(float(SECOND)))
+            return query.OutputArithmetic(found, "/", second)
+        return found
 
     def expression(self, value: Value, samples: tuple[int, ...]) -> plan.Expression:
         """A value in the plan. Durations and times are in ns."""

@@ -155,14 +155,15 @@ class StaticJoin:
     are joined to the matches of a plan: each match is a result once for each solution of them that
     passes all ``tests``. ``variables``: those that outputs of the plan fill, as (variable, output,
     kind). ``results``: those whose values the results have, as (variable, output); they are texts,
-    and the plan has `NO_VALUE` there. ``values``: those that tests read, as (variable, output,
-    kind)."""
+    and the plan has `NO_VALUE` there. ``values``: those that tests and calculations read, as
+    (variable, output, kind). ``calculated``: results as (output, calculation)."""
 
     triples: tuple[tuple[Triple, str | None], ...]
     variables: tuple[tuple[str, str, Kind], ...]
     results: tuple[tuple[str, str], ...] = ()
     values: tuple[tuple[str, str, Kind], ...] = ()
     tests: tuple[Test, ...] = ()
+    calculated: tuple[tuple[str, OutputTerm], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from ..plans.network import minimal_network
 from ..plans.plan import PatternPlan, PlanError
 from ..plans.query import Absence, AllOf, Branch, StaticJoin
 from ..plans.rows import Matches, Rows
-from .output_tests import hold, print_test
+from .output_tests import hold, print_test, values_of
 
 NO_ROW: Final = -1
 Integers = NDArray[np.int64]
@@ -214,6 +214,8 @@ class CombinedRows:
                 found.outputs.update(results)
                 if join.tests:
                     found = found[hold(AllOf(join.tests), found.outputs, len(found))]
+                for output, term in join.calculated:
+                    found.outputs[output] = values_of(term, found.outputs)
             final.append(found)
         for part in self._parts:
             for each in part.found:

@@ -18,7 +18,7 @@ def hold(test: Test, outputs: Mapping[str, NDArray[Any]], count: int) -> Flags:
     """For which of ``count`` matches a test holds; shape ``(count,)``."""
     match test:
         case OutputComparison(left, operator, right):
-            return _compared(_values(left, outputs), operator, _values(right, outputs))
+            return _compared(values_of(left, outputs), operator, values_of(right, outputs))
         case AllOf(tests):
             found = np.ones(count, np.bool_)
             for each in tests:
@@ -33,10 +33,11 @@ def hold(test: Test, outputs: Mapping[str, NDArray[Any]], count: int) -> Flags:
             assert_never(test)
 
 
-def _values(term: OutputTerm, outputs: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+def values_of(term: OutputTerm, outputs: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """The values of an output, or of a calculation, of each match; shape ``(count,)``."""
     if isinstance(term, str):
         return outputs[term]
-    left, right = _values(term.left, outputs), _values(term.right, outputs)
+    left, right = values_of(term.left, outputs), values_of(term.right, outputs)
     known = ~(_is_missing(left) | _is_missing(right))
     with np.errstate(all="ignore"):
         match term.operator:

@@ -27,9 +27,9 @@ from ..plans.query import Keys, StaticJoin, object_key, text_key
 
 Value: TypeAlias = str | float | int
 Solution: TypeAlias = tuple[tuple[str | None, ...], tuple[Value | None, ...]]
-"""The results, and the values that tests read."""
+"""The results, and the values that tests and calculations read."""
 Table: TypeAlias = dict[tuple[Value, ...], list[Solution]]
-"""Solutions, in order of their results, by the values of the variables that the plan fills."""
+"""Solutions, in order of results and values, by the values of the variables that the plan fills."""
 
 
 class StaticTables:
@@ -52,7 +52,7 @@ class StaticTables:
     ) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
         """Return the solutions for ``count`` rows of values, by variable: the number of the row of
         each, and their results and values, by output. Those of one row are in order of the texts of
-        their results."""
+        their results, then of their values."""
         table = self._table(join)
         columns = [
             [self._value(kind, each) for each in values[name].tolist()]
@@ -111,8 +111,16 @@ class StaticTables:
                 found = tuple(column[i] for column in told), tuple(column[i] for column in read)
                 table.setdefault(row, []).append(found)
         for solutions in table.values():
-            solutions.sort(key=lambda each: tuple(text or "" for text in each[0]))
+            solutions.sort(key=_order)
         return table
+
+
+def _order(solution: Solution) -> tuple[Any, ...]:
+    """By texts, then by values: a variable has values of one kind, or none."""
+    texts, values = solution
+    return tuple(text or "" for text in texts), tuple(
+        (each is not None, each or 0) for each in values
+    )
 
 
 def _query(join: StaticJoin) -> ast.Query:

@@ -350,15 +350,15 @@ def test_each_object_has_a_limit_of_its_own(flying):
     flying.queries.register(
         """REGISTER STREAM speeding AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
         PREFIX e: <http://e.org/>
-        SELECT ?c ?v ?limit WHERE { ?c dyknow:speed ?v . ?c e:limit ?limit
+        SELECT ?c (?v - ?limit AS ?over) ?limit WHERE { ?c dyknow:speed ?v . ?c e:limit ?limit
           FILTER (?v - ?limit > 0) } WITHIN 1 s"""
     )
     flown = [(1, "uav1", 120.0), (2, "uav2", 120.0), (3, "uav3", 500.0), (4, "uav2", 131.0)]
     feed(flying, "speeds", [(t, {"id": name, "spd": speed}) for t, name, speed in flown])
     flying.end("speeds")
-    assert [(int(t), r["c"], r["v"], r["limit"]) for t, r in samples(flying, "speeding")] == [
-        (1, "uav1", 120.0, "110"),
-        (4, "uav2", 131.0, "130.5"),
+    assert [(int(t), r["c"], r["over"], r["limit"]) for t, r in samples(flying, "speeding")] == [
+        (1, "uav1", 10.0, "110"),
+        (4, "uav2", 0.5, "130.5"),
     ]
     assert "static number limit" in flying.queries.explain_running("speeding")
 

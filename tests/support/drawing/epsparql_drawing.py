@@ -120,6 +120,9 @@ class QueryDrawing:
             items = " ".join([items, *told])
             if draw.random() < 0.7:
                 filters += self.static_filter(names, static)
+            if "?q" in static and draw.random() < 0.5:
+                number = draw.choice([*(name for name in VARIABLES[NUMBERS] if name in names), "2"])
+                items += draw.choice([f" ({number} - ?q AS ?over)", f" ({number} / ?q AS ?over)"])
         self.text = f"SELECT {items} {times} WHERE {chain} {filters} {within}"
 
     # -- the text ------------------------------------------------------------------------------
