@@ -31,6 +31,10 @@ def inspect(
             dir_okay=False,
         ),
     ] = None,
+    url: Annotated[
+        str | None,
+        typer.Option("--url", help="A service, whose features are looked for, too.", metavar="URL"),
+    ] = None,
     skeleton: Annotated[
         Path | None,
         typer.Option(help="Write the SSL text to this file, a new one.", dir_okay=False),
@@ -45,9 +49,8 @@ def inspect(
     from .inspection import inspect as inspected
     from .inspection import show_json_streams, show_streams, write_skeletons
 
-    found = inspected(
-        file, table_options(time_column, time_unit, time_format, delimiter), utc, ontology or ()
-    )
+    tables = table_options(time_column, time_unit, time_format, delimiter)
+    found = inspected(file, tables, utc, ontology or (), url)
     if skeleton is not None:
         write_skeletons(found, skeleton)
     if as_json:

@@ -21,7 +21,7 @@ from ....ontology.texts.formats import FORMATS
 from ....ontology.vocabulary import Vocabulary
 from ....rdf.namespaces import shorten
 from ....streams.time import format_duration, format_time
-from ..output import brief, err, fail, show_json, show_table, show_text
+from ..output import brief, connect, err, fail, show_json, show_table, show_text
 from ..parameters import show_losses
 from ..streams import read_text
 from .ssl_skeleton import known_features, ssl_skeleton
@@ -31,7 +31,8 @@ _OPTIONS: Final = ("time_column", "time_unit", "time_format", "delimiter")
 
 @dataclass(frozen=True, slots=True)
 class Inspected:
-    """A recording, its streams by name, and the words that know features."""
+    """A recording, its streams by name, and the words that know features; ``url``: also those of
+    this service."""
 
     file: Path
     tables: TableOptions
@@ -39,17 +40,27 @@ class Inspected:
     recordings: Recordings
     streams: Mapping[str, Overview]
     vocabulary: Vocabulary
+    url: str | None
 
 
-def inspect(file: Path, tables: TableOptions, utc: bool, ontology: Sequence[Path]) -> Inspected:
-    """Read the recording and the ontologies. Raises `WireError` and `OntologyError`."""
+def inspect(
+    file: Path, tables: TableOptions, utc: bool, ontology: Sequence[Path], url: str | None
+) -> Inspected:
+    """Read the recording and the ontologies, also those of the service at ``url``. Raises
+    `WireError` and `OntologyError`."""
     known = Ontology.open(None)
+    if url is not None:
+        with connect(url) as client:
+            more = [each for each in client.ontologies() if each not in known.ontologies()]
+            texts = [client.ontology(each) for each in more]
+        # As one text: each load makes the closure again.
+        known.load("\n".join(texts), name=url)
     for path in ontology:
         format = FORMATS.get(path.suffix.lower(), "turtle")
         known.load(read_text(path), name=path.stem, format=format)
     recordings = open_recordings([file], tables, utc=utc)
     streams = {name: overview(recording) for name, recording in recordings.items()}
-    return Inspected(file, tables, utc, recordings, streams, known.vocabulary)
+    return Inspected(file, tables, utc, recordings, streams, known.vocabulary, url)
 
 
 def show_streams(found: Inspected, written: Path | None) -> None:
@@ -153,6 +164,7 @@ def _next(found: Inspected, written: Path | None) -> list[str]:
     streams = ["--stream", first] if not has_many_streams(found.file) else []
     if _is_rdf(found):
         return [shlex.join(["dyknow", "replay", file, *streams, *words])]
-    write = shlex.join(["dyknow", "inspect", file, *words, "--skeleton", text])
-    play = shlex.join(["dyknow", "replay", file, *streams, *words, "--ssl", text])
+    service = [] if found.url is None else ["--url", found.url]
+    write = shlex.join(["dyknow", "inspect", file, *words, *service, "--skeleton", text])
+    play = shlex.join(["dyknow", "replay", file, *streams, *words, *service, "--ssl", text])
     return [write, play] if written is None else [play]

@@ -2,19 +2,21 @@
 
 The text is valid SSL as it stands. A field becomes a feature if the ontology has a feature of its
 name (case and ``_`` aside) whose range fits the field's type, and in the unit that the ontology
-states. Other fields are comments, which become declarations when the ``#`` is taken away: of the
-feature of the field's name, which the ontology has to know by then.
+states. The sort is that of these features, if they have one. Other fields are comments, which
+become declarations when the ``#`` is taken away: of the feature of the field's name, which the
+ontology has to know by then.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from ....converters.recordings.overview import Overview
 from ....languages.ssl.annotation_text import term_words
 from ....languages.ssl.printer import field_words
 from ....ontology.units import format_unit
-from ....ontology.vocabulary import FeatureInfo, Vocabulary
+from ....ontology.vocabulary import THING, FeatureInfo, Vocabulary
 from ....rdf.namespaces import XSD, local_name
 from ....streams.sample import Field, FieldType
 
@@ -39,17 +41,20 @@ def known_features(overview: Overview, vocabulary: Vocabulary) -> dict[str, str]
 def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
     """The SSL text of stream ``name``, with comments that say what is left to do."""
     known = known_features(overview, vocabulary)
-    whose = OBJECT if overview.id_field is None else SORT
+    sort = _sort_of(known.values(), vocabulary)
+    whose = OBJECT if overview.id_field is None else sort
     others = [f for f in overview.schema.fields if f.name not in {*known, overview.id_field}]
     lines = [f"# Put the name of the object in place of {OBJECT}."]
     after = []
     if overview.id_field is not None:
-        lines = [f"# Put the sort of the objects in place of {SORT}, and check the units."]
-        after = [f"for every {SORT} = {field_words(overview.id_field)}"]
+        lines = ["# Check the units."]
+        if sort == SORT:
+            lines = [f"# Put the sort of the objects in place of {SORT}, and check the units."]
+        after = [f"for every {sort} = {field_words(overview.id_field)}"]
     if others:
         add = "#   dyknow ontology add-feature NAME"
         lines += ["# To use a field that is a comment, add its feature to the ontology:"]
-        lines += [f"{add} {option} --sort {SORT}" for option in _options(others)]
+        lines += [f"{add} {option} --sort {sort}" for option in _options(others)]
     unknown = [f"{_new_name(field)}({whose}) = {field_words(field.name)}" for field in others]
     features = [_declared(field, iri, whose, vocabulary) for field, iri in known.items()]
     if features:
@@ -60,6 +65,14 @@ def ssl_skeleton(name: str, overview: Overview, vocabulary: Vocabulary) -> str:
     lines += [f"# stream {name} contains"]
     lines += [f"#   {mark} {each}" for mark, each in zip(marks, unknown, strict=False)]
     return "\n".join([*lines, *(f"# {line}" for line in after)])
+
+
+def _sort_of(features: Iterable[str], vocabulary: Vocabulary) -> str:
+    """The one sort that all these features are stated for; `SORT` if there is none."""
+    infos = (vocabulary.feature(iri) for iri in features)
+    domains = {None if info is None else info.domain for info in infos}
+    (found,) = domains if len(domains) == 1 else (None,)
+    return SORT if found in (None, THING) else term_words(found)
 
 
 def _options(fields: list[Field]) -> list[str]:

@@ -159,3 +159,22 @@ def test_what_is_no_recording_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("when,x\n1,1\n")
     assert "the columns are when, x" in call("inspect", str(tmp_path / "a.csv"), status=1).stderr
     assert call("inspect", str(tmp_path / "none.csv"), status=2).stderr
+
+
+def test_a_service_knows_further_features(
+    url: str, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = str(ROOT / "examples" / "robots.csv")
+    assert "battery(Thing) = battery" in call("inspect", file).stdout
+    call("ontology", "add-sort", "Robot", url=url)
+    call("ontology", "add-feature", "battery", "--sort", "Robot", "--unit", "percent", url=url)
+    told = call("inspect", file, "--url", url).stdout
+    assert "stream robots contains\n  battery(Robot) = battery [percent]\n" in told
+    assert "--sort Robot" in told
+    assert "for every Robot = robot" in told
+    write, play = told.partition("next:")[2].splitlines()[1:]
+    for command in (write, play):
+        call(*shlex.split(command)[1:], *(["--speed", "max"] * (command == play)))
+    annotation = client.stream("robots")["annotation"]
+    assert "battery(Robot) = battery [percent]" in annotation
