@@ -58,7 +58,7 @@ def test_an_object_among_others_is_a_condition() -> None:
         "{ event(speed[?x], t1); event(speed[?y], t2); t2 - t1 in [0s, 1s]; }"
     )
     query = bound_pattern_template(template, [NamedNode(DYKNOW + "b")], vocabulary()).query({})
-    own = Condition("=", Value(OWN, "argument 1"), Key(f"<{DYKNOW}b>"))
+    own = Condition("=", Value(OWN, "object 1"), Key(f"<{DYKNOW}b>"))
     assert [each.conditions for each in query.plans[0].elements] == [(own,), ()]
 
 

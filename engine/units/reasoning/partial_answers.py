@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ....converters.objects import object_in_text
 from ....languages.mtl.checked import Kind
@@ -41,13 +41,16 @@ def partial_answers(
     found, more = recognition.partials(limit, wanted, part)
     if None in wanted:
         return PartialMatches(now, (), more=False)
-    kinds = _kinds(query)
-    told = tuple(_told(partial, plan, kinds, writer) for plan, partial in found)
+    columns = _columns(query)
+    told = tuple(_told(partial, plan, columns, writer) for plan, partial in found)
     return PartialMatches(now, told, more)
 
 
 def _told(
-    partial: Partial, plan: PatternPlan, kinds: dict[str, Kind], writer: MatchWriter
+    partial: Partial,
+    plan: PatternPlan,
+    columns: Mapping[str, tuple[str, Kind]],
+    writer: MatchWriter,
 ) -> PartialMatch:
     names = [element.name for element in plan.elements]
     events = tuple(
@@ -55,9 +58,9 @@ def _told(
             names[element],
             row.end,
             {
-                column: writer.value(kinds[column], value)
+                columns[column][0]: writer.value(columns[column][1], value)
                 for column, value in row.values.items()
-                if value is not None and column in kinds
+                if value is not None and column in columns
             },
         )
         for element, row in partial.rows
@@ -68,10 +71,13 @@ def _told(
     return PartialMatch(events, pending)
 
 
-def _kinds(query: PatternQuery) -> dict[str, Kind]:
-    """The kind of each column of the plans that has values."""
-    columns = [c for source in query.sources for c in source.columns if not c.as_key]
-    found = {
-        each.column: Kind.OBJECT if each.part is Part.OBJECT else each.kind for each in columns
-    }
-    return {column: kind or Kind.NUMBER for column, kind in found.items()}
+def _columns(query: PatternQuery) -> dict[str, tuple[str, Kind]]:
+    """The name and the kind of each column of the plans that has values."""
+    found: dict[str, tuple[str, Kind]] = {}
+    for source in query.sources:
+        for each in source.columns:
+            if not each.as_key:
+                is_value = each.part in (Part.VALUE, Part.BEFORE)
+                kind = Kind.OBJECT if each.part is Part.OBJECT else each.kind or Kind.NUMBER
+                found[each.column] = (str(each.part) if is_value else each.column, kind)
+    return found

@@ -55,10 +55,11 @@ from ..plans.query import (
     Result,
     Source,
     column_type,
+    object_column,
     object_key,
     text_key,
 )
-from .chronicle_sources import ChronicleSources, argument_column, before_column, value_column
+from .chronicle_sources import ChronicleSources, before_column, value_column
 
 _EMITTED: Final = "valid"
 _OPPOSITE: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "=": "!=", "!=": "="}
@@ -206,7 +207,7 @@ class _Compiler:
         for i, argument in enumerate(message.arguments):
             iri = self._object(argument)
             if iri is not None and self._is_open(message, i):
-                value = Value(OWN, argument_column(i))
+                value = Value(OWN, object_column(i))
                 found.append(Condition("=", value, Key(object_key(iri))))
         return tuple(found)
 
@@ -226,7 +227,7 @@ class _Compiler:
         """The variables that are objects of a message and vary, with their columns."""
         for i, argument in enumerate(message.arguments):
             if isinstance(argument, Variable) and argument.name not in self._fixed:
-                yield argument.name, argument_column(i)
+                yield argument.name, object_column(i)
 
     def _condition(self, test: Test, value: Value) -> Condition:
         return Condition(test.operator, value, self._operand(test.operand))

@@ -1,7 +1,7 @@
 """What a chronicle reads: one source for each feature or event (SPEC §8).
 
-Sources share their columns: ``argument 1`` is the first object of each of them, ``number before``
-the value before of each whose values are numbers.
+Sources share their columns: ``object 1`` is the first object of each of them, ``number before`` the
+value before of each whose values are numbers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ....languages.errors import LanguageError
 from ....languages.mtl.checked import Kind, ObjectConstant
 from ....ontology.vocabulary import THING, Vocabulary
 from ....rdf.namespaces import shorten
-from ..plans.query import Argument, Part, Source, SourceColumn
+from ..plans.query import Argument, Part, Source, SourceColumn, object_column
 
 
 def chronicle_sources(
@@ -45,7 +45,7 @@ class ChronicleSources:
         arguments = tuple(self._common([self._argument(each) for each in use]) for use in uses)
         concept = messages[0].concept
         columns = [
-            SourceColumn(argument_column(i), Part.OBJECT, Kind.OBJECT, argument=i)
+            SourceColumn(object_column(i), Part.OBJECT, Kind.OBJECT, argument=i)
             for i, each in enumerate(arguments)
             if each.object is None
         ]
@@ -101,11 +101,6 @@ class ChronicleSources:
             for argument, used in zip(source.arguments, event.message.arguments, strict=True):
                 if used == Variable(name) and argument.sort is not None:
                     yield argument.sort
-
-
-def argument_column(argument: int) -> str:
-    """The column of an object, counted from 0."""
-    return f"argument {argument + 1}"
 
 
 def value_column(kind: Kind) -> str:

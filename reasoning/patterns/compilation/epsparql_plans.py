@@ -49,9 +49,9 @@ from ..evaluation.packing import pack
 from ..plans import plan, query
 from ..plans.network import ContradictoryTimes, UnboundedRetention, minimal_network
 from ..plans.plan import NO_VALUE, OWN, ColumnType, PatternPlan, PlanError
-from ..plans.query import PatternQuery, Source
+from ..plans.query import PatternQuery, Source, object_column
 from .epsparql_branches import Alone, Branch, branches_of, places_of
-from .epsparql_sources import VALUES, Argued, PatternSources, object_column
+from .epsparql_sources import VALUES, Argued, PatternSources
 
 MOST_PLANS: Final = 32
 """Of alternatives, and of those that exclude matches of others."""

@@ -10,7 +10,15 @@ from ....languages.epsparql.checked import Item, Place, Sample, Value, Variable
 from ....languages.mtl.checked import Constant, Kind, ObjectConstant
 from ....rdf.namespaces import local_name
 from ..plans.plan import Column, ColumnType
-from ..plans.query import Argument, Part, Result, Source, SourceColumn, column_type
+from ..plans.query import (
+    Argument,
+    Part,
+    Result,
+    Source,
+    SourceColumn,
+    column_type,
+    object_column,
+)
 
 Argued: TypeAlias = Mapping[str, Constant | ObjectConstant]
 VALUES: Final = {
@@ -84,8 +92,3 @@ class PatternSources:
                 None,
             )
         return Result(item.name, kind, argument)
-
-
-def object_column(argument: int) -> str:
-    """Return the column of an argument of a feature, counted from 0."""
-    return f"object {argument + 1}"

@@ -221,6 +221,11 @@ def integers_of(query: PatternQuery) -> frozenset[str]:
     )
 
 
+def object_column(argument: int) -> str:
+    """Return the column of an argument of a feature, counted from 0."""
+    return f"object {argument + 1}"
+
+
 def column_type(kind: Kind) -> ColumnType:
     """The type of a column with values of a kind."""
     match kind:

@@ -247,7 +247,7 @@ def test_why_and_partial(flying):
     feed(flying, "heights", [(t, {"id": "uav1", "alt": 150.0}) for t in (12, 13)])
     (partial,) = flying.queries.partial("descent", ["uav1"], 9).partial
     ((name, time, values),) = partial.events
-    assert (name, time // SECOND, values["argument 1"]) == ("t1", 12, "uav1")
+    assert (name, time // SECOND, values["object 1"]) == ("t1", 12, "uav1")
     (pending,) = partial.pending
     assert (pending.event, pending.latest // SECOND) == ("t2", 15)
     assert not flying.queries.partial("descent", ["uav2"], 9).partial

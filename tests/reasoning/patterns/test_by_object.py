@@ -30,16 +30,16 @@ def found(text):
 @pytest.mark.parametrize(
     ("text", "column", "objects"),
     [
-        (CHRONICLE.format(EVENTS), "argument 1", ("x",)),
+        (CHRONICLE.format(EVENTS), "object 1", ("x",)),
         (
             CHRONICLE.format(f"{EVENTS} noevent(speed[?x]:(?, < 5), (t1, t2));"),
-            "argument 1",
+            "object 1",
             ("x",),
         ),
-        (CHRONICLE.format(f"{EVENTS} hold(speed[?x]:> 5, (t1, t2));"), "argument 1", ("x",)),
+        (CHRONICLE.format(f"{EVENTS} hold(speed[?x]:> 5, (t1, t2));"), "object 1", ("x",)),
         (
             CHRONICLE.format("event(speed[?x]:(<= ?limit, > ?limit), t1);"),
-            "argument 1",
+            "object 1",
             ("x",),
         ),
         (SASE.format("SEQ(speed a, altitude b) WHERE { [id = ?x] and a.value > ?limit }"), "id",
