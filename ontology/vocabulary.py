@@ -172,8 +172,8 @@ class Vocabulary:
         return sorted(self._events)
 
     def suggest(self, name: str, kind: NameKind = "any") -> tuple[str, ...]:
-        """Return up to three local names similar to ``name`` (an IRI or a local name),
-        best first."""
+        """Return up to three names similar to ``name`` (an IRI or a local name), best first: local
+        ones of ``dyknow:``, other IRIs in angle brackets."""
         names: set[str] = set()
         if kind in ("sort", "any"):
             names.update(self._sorts)
@@ -181,9 +181,12 @@ class Vocabulary:
             names.update(self._features)
         if kind in ("event", "any"):
             names.update(self._events)
-        locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(names)}
-        near = difflib.get_close_matches(local_name(name).lower(), locals_by_key, n=3)
-        return tuple(locals_by_key[key] for key in near)
+        by_key = {local_name(iri).lower(): iri for iri in sorted(names)}
+        near = difflib.get_close_matches(local_name(name).lower(), by_key, n=3)
+        found = (by_key[key] for key in near)
+        return tuple(
+            iri.removeprefix(DYKNOW) if iri.startswith(DYKNOW) else f"<{iri}>" for iri in found
+        )
 
 
 class _Index:

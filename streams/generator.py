@@ -508,6 +508,8 @@ class StreamGenerator:
         if self._watermark is not None:
             reached = np.maximum(reached, self._watermark)
         side.emit(batch.with_available(side.stamps_at(reached)))
+        if self.is_ended:
+            side.end()
 
     def _flush_until(self, due: int) -> None:
         """Release the pending samples with available time ≤ ``due``, then announce ``due``."""

@@ -20,7 +20,7 @@ from ..languages.hints import count
 from ..languages.templates import AnyTemplate
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import DYKNOW, shorten
+from ..rdf.namespaces import shorten
 from .places import Place, is_numeric, places
 
 _INTEGER = re.compile(r"[+-]?[0-9]+")
@@ -143,12 +143,12 @@ def _check_term(
         case Place.SORT:
             iri = _iri(argument, place, index, parameter, "dyknow:UAV")
             if not vocabulary.is_sort(iri):
-                hint = suggestion(iri, vocabulary.suggest(iri, "sort"))
+                hint = suggestion(vocabulary.suggest(iri, "sort"))
                 raise argument_error(f"{shorten(iri)} is not a known sort", index, parameter, hint)
         case Place.PREDICATE:
             iri = _iri(argument, place, index, parameter, "dyknow:speed")
             if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
-                hint = suggestion(iri, vocabulary.suggest(iri, "feature"))
+                hint = suggestion(vocabulary.suggest(iri, "feature"))
                 raise argument_error(
                     f"{shorten(iri)} is not a known feature", index, parameter, hint
                 )
@@ -199,12 +199,12 @@ def _overflows(text: str) -> bool:
     return abs(float(text)) == float("inf")
 
 
-def suggestion(iri: str, near: Sequence[str]) -> str:
-    """Return a hint with similar local names."""
+def suggestion(near: Sequence[str]) -> str:
+    """Return a hint with similar names."""
     if not near:
         return ""
-    namespace = "dyknow:" if iri.startswith(DYKNOW) or ":" not in iri else ""
-    return "did you mean " + " or ".join(f"{namespace}{name}" for name in near) + "?"
+    names = (name if name.startswith("<") else f"dyknow:{name}" for name in near)
+    return f"did you mean {' or '.join(names)}?"
 
 
 def argument_error(message: str, index: int, parameter: Variable, hint: str = "") -> ArgumentError:

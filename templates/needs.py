@@ -161,7 +161,7 @@ class _Reader:
         ):
             raise NeedsError(
                 f"{shorten(predicate)} is neither a feature nor another known term",
-                suggestion(predicate, vocabulary.suggest(predicate)),
+                suggestion(vocabulary.suggest(predicate)),
             )
         return False
 
@@ -173,7 +173,7 @@ class _Reader:
         if not (vocabulary.is_sort(iri) or vocabulary.is_event(iri) or vocabulary.is_feature(iri)):
             raise NeedsError(
                 f"{shorten(iri)} is not a known sort",
-                suggestion(iri, vocabulary.suggest(iri, "sort")),
+                suggestion(vocabulary.suggest(iri, "sort")),
             )
 
     def want(self, pattern: Pattern) -> Want:

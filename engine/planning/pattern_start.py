@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NoReturn
 
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
@@ -174,9 +175,13 @@ def explain_pattern(pattern: BoundPattern) -> str:
     `LanguageError`."""
     query = compiled(pattern, {})
     try:
-        return Recognition(query, 1, Keys()).explain()
+        return Recognition(query, 1, Keys(), static=_unanswered).explain()
     except PlanError as error:
         raise BadArguments(error.message, error.hint) from error
+
+
+def _unanswered(*_: object) -> NoReturn:
+    raise AssertionError("a pattern that is only explained reads no static triples")
 
 
 def match_annotation(stream: str, event: str, query: PatternQuery) -> StreamAnnotation | None:

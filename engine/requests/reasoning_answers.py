@@ -75,17 +75,21 @@ def partial(
 def _check_is_evaluated(name: str, unit: ComputationalUnit) -> None:
     """Raise `BadArguments` for a request that shared an evaluation, and has left it."""
     if isinstance(unit, ReasoningInstance) and unit.number is None:
-        reason = unit.failure or "its single start is decided, and its streams went on"
+        if unit.failure is None:
+            raise BadArguments(
+                f"{name!r} is evaluated no more: its single start is decided",
+                f"GET /streams/{unit.output.name}/samples has its verdict",
+            )
         raise BadArguments(
-            f"{name!r} is evaluated no more: {reason}", "remove it, and request it again"
+            f"{name!r} is evaluated no more: {unit.failure}", "remove it, and request it again"
         )
 
 
 def _past_of(unit: SampleReasoner | ReasoningInstance) -> str:
     """What to add where nothing is found, since it may have been before an end."""
-    return "; its streams went on after their end, and only what came since is explained" * (
-        unit.went_on
-    )
+    if not unit.went_on:
+        return ""
+    return "; its streams went on after their end, and only what came since is explained"
 
 
 def _matches(

@@ -78,7 +78,7 @@ def _check_known(name: ast.Name, iri: str, scope: Scope, vocabulary: Vocabulary)
         raise scope.error(
             f"the ontology knows no `{name.text}`",
             name.span,
-            f"did you mean {prefix}:{found[0]}?"
+            f"did you mean {found[0] if found[0].startswith('<') else f'{prefix}:{found[0]}'}?"
             if found
             else f"without its prefix `{local}` is a new sort",
         )

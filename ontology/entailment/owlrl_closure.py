@@ -8,7 +8,8 @@ and time.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Collection
+from decimal import Decimal, InvalidOperation
 from typing import TypeAlias
 
 import owlrl
@@ -53,7 +54,7 @@ def closure_of(asserted: frozenset[Triple]) -> frozenset[Triple]:
     )
 
 
-def owlrl_closure(asserted: Iterable[Triple]) -> set[Triple]:
+def owlrl_closure(asserted: Collection[Triple]) -> set[Triple]:
     """Return ``asserted`` and the triples that owlrl adds, without noise."""
     graph = rdflib.Graph()
     for triple in asserted:
@@ -61,7 +62,14 @@ def owlrl_closure(asserted: Iterable[Triple]) -> set[Triple]:
     # Runs the semantics without owlrl's wrapper, which would replace rdflib's datatype tables for
     # the whole process.
     semantics = owlrl.OWLRL_Semantics(graph, False, False, False)
-    semantics.closure()
+    try:
+        semantics.closure()
+    except ArithmeticError:
+        # owlrl reports literals that are no values, except decimals: Decimal raises another error.
+        wrong = next((each for each in asserted if _is_no_decimal(each.object)), None)
+        if wrong is None:
+            raise
+        raise OntologyError(f"{wrong.object} is no decimal, in the triple {wrong}") from None
     if semantics.error_messages:
         raise OntologyError(f"the ontologies contradict themselves: {semantics.error_messages[0]}")
     return {
@@ -70,6 +78,16 @@ def owlrl_closure(asserted: Iterable[Triple]) -> set[Triple]:
         if not isinstance(found[0], rdflib.Literal) and isinstance(found[1], rdflib.URIRef)
         if not _is_noise(triple := from_rdflib(*found))
     }
+
+
+def _is_no_decimal(term: object) -> bool:
+    if not isinstance(term, Literal) or term.datatype.value != XSD + "decimal":
+        return False
+    try:
+        Decimal(term.value)
+    except InvalidOperation:
+        return True
+    return False
 
 
 def to_rdflib(triple: Triple) -> tuple[RdflibTerm, RdflibTerm, RdflibTerm]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -86,14 +86,16 @@ class Monitoring:
         decides: bool = True,
         grid: int | None = None,
         only: Sequence[str] | None = None,
+        without: Set[str] = frozenset(),
         has_own_states: bool | None = None,
     ) -> None:
         """``decides``: whether there are verdicts; otherwise all states are kept. ``grid``: a time
         (ns) of the grid of ``sample every``; None: as for `StateMaker`. ``only``: objects (IRIs);
-        others have no states of their own.
+        others have no states of their own, nor have those in ``without``.
         ``has_own_states``: whether each object has; None: as above."""
         self.monitor = monitor
         self._only = only
+        self._without = without
         if has_own_states is None:
             has_own_states = objects_have_states(monitor)
         self.has_own_states = has_own_states
@@ -144,6 +146,12 @@ class Monitoring:
         return int(self._evaluator.states_of.sum())
 
     @property
+    def started(self) -> frozenset[str]:
+        """The objects (IRIs) that have states of their own by now."""
+        states_of = self._evaluator.states_of
+        return frozenset(iri for iri, part in self._parts.items() if states_of[part])
+
+    @property
     def late(self) -> int:
         """Samples that came after the state of their valid time had left."""
         return int(self._own.late_of.sum()) + self._shared.late
@@ -175,7 +183,8 @@ class Monitoring:
         monitor is not about it."""
         if not self.has_own_states:
             return self._shared.place(variables_of(term)[variable], iri)
-        return self._part(iri) if self._only is None or iri in self._only else -1
+        is_left_out = iri in self._without or (self._only is not None and iri not in self._only)
+        return -1 if is_left_out else self._part(iri)
 
     def add(
         self, source: int, term: Term, available: Times, valid: Times,
@@ -187,7 +196,7 @@ class Monitoring:
             self._shared.add(term, source, Rows(available, valid, places, values))
             return
         part = places[:, 0]
-        if self._only is not None:
+        if self._only is not None or self._without:
             own = part >= 0
             available, valid, part, values = available[own], valid[own], part[own], values[own]
         self._own.add(term, source, available, valid, part, values)

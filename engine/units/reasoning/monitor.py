@@ -53,11 +53,20 @@ class MonitorUnit(SampleReasoner):
         self._terms = terms
         self._dictionary = dictionary
         self._writer = VerdictWriter(monitor)
+        self._started: frozenset[str] = frozenset()
+        """The objects whose single start an end has decided."""
         self._begin()
 
     def _begin(self) -> None:
-        self.monitoring = Monitoring(self.monitor, len(self.sources), self._wider)
+        self.monitoring = Monitoring(
+            self.monitor, len(self.sources), self._wider, without=self._started
+        )
         self._readers = term_readers(self._terms, self._dictionary)
+
+    def _begin_again(self) -> None:
+        if self.monitor.once:
+            self._started |= self.monitoring.started
+        super()._begin_again()
 
     def explain(self) -> str:
         """Describe the evaluation: the formula, its states by now, and the verdicts."""
@@ -93,8 +102,9 @@ class MonitorUnit(SampleReasoner):
 
     @property
     def is_finished(self) -> bool:
-        # The end has decided its single start.
-        return self.monitor.once and self.monitoring.states > 0
+        # The end has decided its single start, and no further object can have one.
+        can_follow = self.monitoring.has_own_states and not self.monitor.fixed
+        return self.monitor.once and self.monitoring.states > 0 and not can_follow
 
     def _emit(self, found: Reported) -> None:
         if not len(found):

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias
 from ....streams.generator import StreamGenerator
 from ....streams.history import FluentStream
 from ....streams.sample import SampleBatch, Times
-from ....streams.time import TIME_MAX
+from ....streams.time import TIME_MAX, TIME_MIN
 from ..base import ComputationalUnit
 
 
@@ -84,6 +84,12 @@ class SampleReasoner(ComputationalUnit):
         """The streams that it reads."""
         return self.inputs
 
+    def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        if self.output.is_ended and self.failure is None:
+            # Another version has restored the ends of streams, of which it does not tell units.
+            self.resumed(source)
+        super().receive(source, batch)
+
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self.samples += len(batch)
         self._first.setdefault(source, int(batch.available[0]))
@@ -127,11 +133,14 @@ class SampleReasoner(ComputationalUnit):
         self.went_on = True
         self.samples = 0
         self._first.clear()
-        # It may have gone past idle streams.
+        # It may have gone past idle streams. Samples at the time of the end are late.
         self._watermarks = self.watermarks_if_new()
+        for source, watermark in self._watermarks.items():
+            self._watermarks[source] = max(watermark, end_of(source))
         self._begin()
         for place, source in enumerate(self.sources):
-            if source in self._ended:
+            if source.is_ended:
+                self._ended.add(source)
                 self.reasoning.ended(place, self._newest_of(source))
 
     def finish(self, source: StreamGenerator) -> None:
@@ -178,6 +187,13 @@ class SampleReasoner(ComputationalUnit):
         self._emit(self.reasoning.advance(watermark, by_clock=by_clock))
         # Beside the samples that were late for the unit itself.
         self.late += self.reasoning.late - before
+
+
+def end_of(source: StreamGenerator) -> int:
+    """The watermark with which a unit that selects samples ends its stream: after the newest
+    one."""
+    last = source.stream.last_available
+    return TIME_MIN if last is None else min(last, TIME_MAX - 1) + 1
 
 
 def is_by_clock(watermark: int, newest: int) -> bool:

@@ -44,11 +44,14 @@ class SharingUnit(ComputationalUnit, Generic[Instance]):
 
     def remove(self, number: int) -> None:
         """Remove the instance with this number."""
-        instance = self._instances.pop(number)
+        self.let_go(self._instances.pop(number))
+        self.between_steps(lambda: self.forget(number))
+
+    def let_go(self, instance: Instance) -> None:
+        """Send an instance neither watermarks nor late samples any more."""
         self._followed.discard(instance)
         for sides in self._late_of_instances.values():
             sides.pop(instance, None)
-        self.between_steps(lambda: self.forget(number))
 
     @abstractmethod
     def forget(self, number: int) -> None:
@@ -154,11 +157,12 @@ class InstanceUnit(ComputationalUnit):
         self.number = self._template.between_steps(self._enter)
         self._template.add(self, self.number)
 
-    def leave(self) -> None:
-        """Be evaluated no longer."""
+    def leave(self, *, forgets: bool = True) -> None:
+        """Be evaluated no longer; not ``forgets``: the evaluation itself is given up."""
         if self.number is not None:
             number, self.number = self.number, None
-            self._template.remove(number)
+            if forgets:
+                self._template.remove(number)
             self.output.on_followed = None
 
     def connect(self, source: StreamGenerator) -> None:

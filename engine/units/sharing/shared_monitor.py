@@ -127,10 +127,10 @@ class MonitorInstance(ReasoningInstance):
         assert self._left is not None
         return self._left
 
-    def leave(self) -> None:
+    def leave(self, *, forgets: bool = True) -> None:
         if self.number is not None:
             self._left = self.monitoring
-        super().leave()
+        super().leave(forgets=forgets)
 
     @property
     def is_finished(self) -> bool:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ....rdf.dictionary import TermDictionary
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch, Times
-from ....streams.time import TIME_MAX, TIME_MIN
+from ....streams.time import TIME_MIN
 from ..merge import ObjectCodes, ObjectName
-from ..reasoning.sample_reasoner import Reasoning, SampleReasoner
+from ..reasoning.sample_reasoner import Reasoning, SampleReasoner, end_of
 from .instances import InstanceUnit, SharingUnit
 
 Parts = NDArray[np.int64]
@@ -124,9 +124,9 @@ class ReasoningInstance(InstanceUnit):
             return self._samples
         return int(self._shared.reasoning.samples_of[self.number])
 
-    def leave(self) -> None:
+    def leave(self, *, forgets: bool = True) -> None:
         self._samples = self.samples
-        super().leave()
+        super().leave(forgets=forgets)
 
     def emit(self, found: Any) -> None:
         """Emit its next results."""
@@ -253,31 +253,26 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
 
     def ended(self, source: StreamGenerator) -> None:
         if source.stream.last_available is not None:
-            self.advance(source, self._end_of(source))
+            self.advance(source, end_of(source))
         super().ended(source)
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
         self.reasoning.resumed(self.sources.index(source))
 
-    def _end_of(self, source: StreamGenerator) -> int:
-        """The watermark with which a unit that selects an object's samples ends its stream: after
-        the newest sample."""
-        last = source.stream.last_available
-        return TIME_MIN if last is None else min(last, TIME_MAX - 1) + 1
-
     def _begin_again(self) -> None:
-        for instance in tuple(self._instances.values()):
-            if instance.is_finished:
-                instance.leave()
+        # Those that are finished leave while their evaluation is there. The others enter the new
+        # one, where the numbers begin anew.
         instances, self._instances = self._instances, {}
-        for number in instances:
+        for number, instance in instances.items():
             self._parts.remove(number)
+            if instance.is_finished:
+                self.let_go(instance)
+                instance.leave(forgets=False)
         super()._begin_again()
-        for source, watermark in self._watermarks.items():
-            self._watermarks[source] = max(watermark, self._end_of(source))
         for instance in instances.values():
-            instance.enter()
+            if instance.number is not None:
+                instance.enter()
 
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.reasoning.late_of.copy()

@@ -34,7 +34,7 @@ def partial_table(found: Mapping[str, Any]) -> str:
     matches = "partial match" if number == 1 and not found["more"] else "partial matches"
     lines = [
         f"{found['query']}, by {found['watermark'] or 'now'}: "
-        f"{number or 'no'}{'+' if found['more'] else ''} {matches}"
+        f"{f'{number:,}' if number else 'no'}{'+' if found['more'] else ''} {matches}"
     ]
     for partial in found["partial"]:
         came = [

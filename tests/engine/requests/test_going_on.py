@@ -4,10 +4,16 @@
 import pytest
 from feeding import feed, samples
 
+from dyknow.engine.durability.accepted_commands import AcceptedCommands
+from dyknow.engine.durability.checkpoint import Outside
+from dyknow.engine.durability.portable_state import engine_from, portable_of
 from dyknow.engine.model.errors import NoResult
+from dyknow.engine.processes.registry import Processes
+from dyknow.engine.processes.supervision import DIRECT
 
 SSL = "stream robots contains speed(UAV) = level for every UAV = id"
 LOW = "monitor low(?x in UAV) = always [0s, 2s] speed(?x) > 20"
+ONE = "monitor low = always [0s, 2s] speed(r1) > 20"
 DROP = "chronicle drop(?x) { event(speed[?x]:(> 50, < 30), t1); }"
 
 
@@ -61,7 +67,7 @@ def test_late_samples_begin_nothing(robots):
 
 def test_a_single_start_is_decided_by_the_end(engine):
     engine.annotate(SSL)
-    engine.queries.register(f"{LOW} with once, report verdicts")
+    engine.queries.register(f"{ONE} with once, report verdicts")
     play(engine, 0, levels=(60.0, 60.0))
     told = samples(engine, "low")
     assert len(told) == 1
@@ -69,7 +75,7 @@ def test_a_single_start_is_decided_by_the_end(engine):
     assert samples(engine, "low") == told
     assert engine.generator("low").is_ended
     assert engine.queries.view("low").failure is None
-    assert engine.queries.why("low", ["r1"], 0)().verdict == told[0][1]["verdict"]
+    assert engine.queries.why("low", [], 0)().verdict == told[0][1]["verdict"]
 
 
 def test_a_single_start_that_has_not_begun_begins(engine):
@@ -79,6 +85,49 @@ def test_a_single_start_that_has_not_begun_begins(engine):
     engine.queries.register(f"{LOW} with once, report verdicts")
     play(engine, 100)
     assert found(engine, "low", 100) == [0]
+
+
+def test_further_objects_have_a_single_start_each(engine):
+    engine.annotate(SSL)
+    engine.queries.register(f"{LOW} with once, report verdicts")
+    play(engine, 0)
+    feed(engine, "robots", [(100, {"id": "r1", "level": 60.0}), (101, {"id": "r2", "level": 60.0})])
+    engine.end("robots")
+    assert [(int(t), r["x"]) for t, r in samples(engine, "low")] == [(0, "r1"), (101, "r2")]
+
+
+def test_a_sample_at_the_time_of_the_end_is_late(engine):
+    engine.annotate(SSL)
+    engine.queries.register(DROP)
+    play(engine, 0, levels=(10.0, 60.0))
+    for time in (1, 2):
+        feed(engine, "robots", [(time, {"id": "r1", "level": 20.0})])
+    engine.end("robots")
+    assert engine.queries.view("drop").late == 1
+    assert samples(engine, "drop") == []
+    with pytest.raises(NoResult):
+        engine.queries.why("drop", ["r1"], 10**9)()
+
+
+def test_another_version_goes_on_where_streams_had_ended(engine):
+    """A portable restore tells units nothing of the ends of streams before."""
+    engine.annotate("stream s contains speed(UAV) = level for every UAV = id")
+    engine.annotate("stream h contains altitude(UAV) = level for every UAV = id")
+    either = "eventually [0s, 1s] (speed(?x) > 20 or altitude(?x) > 3)"
+    engine.queries.register(
+        f"monitor low(?x in UAV) = {either} with report verdicts, use most recent"
+    )
+    engine.queries.register("monitor one = speed(uav1) > 20 with report verdicts")
+    for name in "sh":
+        feed(engine, name, [(t, {"id": "uav1", "level": 30.0}) for t in range(3)])
+        engine.end(name)
+    outside = Outside(Processes(), DIRECT)
+    engine = engine_from(portable_of(engine, AcceptedCommands(), {}, []), 0, outside)[0]
+    feed(engine, "s", [(t, {"id": "uav1", "level": 30.0}) for t in range(100, 104)])
+    engine.end("s")
+    assert found(engine, "low", 100) == [0, 1, 2, 3]
+    assert found(engine, "one", 100) == [0, 1, 2, 3]
+    assert engine.generator("low").is_ended
 
 
 def test_only_the_last_time_is_explained(robots):
