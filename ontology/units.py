@@ -161,6 +161,14 @@ def format_unit(unit: Unit) -> str:
     return ".".join(f.name if f.power == 1 else f"{f.name}{f.power}" for f in unit)
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is the name of a known unit, or a product of such."""
+    try:
+        return bool(parse_unit(text))
+    except UnitError:
+        return False
+
+
 @lru_cache(maxsize=4096)
 def dimension(unit: Unit) -> str:
     """Return the dimension of a unit, as ``[length] / [time]`` or ``dimensionless``.

@@ -382,7 +382,8 @@ class DeclaredStreams:
         if name in self._configuration.statements:
             raise Refused(
                 f"stream {name!r} holds RDF, which says itself what it means",
-                f"query it: FROM STREAM <{stream_iri(name)}>",
+                f"query it: FROM STREAM <{stream_iri(name)}>; the results of a SELECT can be "
+                "annotated",
             )
         existing = self._configuration.streams.get(name)
         if existing is not None and existing.is_open and name in self._configuration.units:

@@ -75,5 +75,5 @@ def did_you_mean(names: Sequence[str]) -> str:
 
 
 def _short(name: str) -> str:
-    """Shorten ``name`` if it is an IRI."""
-    return shorten(name) if "://" in name else name
+    """Shorten ``name`` if it is an IRI without angle brackets."""
+    return shorten(name) if "://" in name and not name.startswith("<") else name

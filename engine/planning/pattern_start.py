@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NoReturn
 
+from ...converters.to_triples import SampleConverter
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...languages.ssl.annotation_text import with_ssl_source
 from ...matching.plan import Node, Supply
 from ...ontology.ontology import Ontology
+from ...ontology.vocabulary import THING, Vocabulary
 from ...rdf.dictionary import TermDictionary
 from ...reasoning.patterns.plans.by_object import PatternByObject
 from ...reasoning.patterns.plans.plan import PlanError
@@ -31,7 +33,7 @@ from ..units.reasoning.pattern import PatternUnit
 from ..units.reasoning.row_readers import SourceInput, kind_of
 from ..units.sharing.instances import TALLY
 from ..units.sharing.shared_pattern import PatternInstance, SharedPatternUnit
-from .static_side import closed_ontology
+from .static_side import check_graphs, closed_ontology
 from .supply_inputs import merge_inputs
 
 
@@ -69,6 +71,7 @@ class PatternStarter:
             for each in self._inputs(supply, since)
         ]
         query = compiled(pattern, _kinds(read))
+        check_graphs(self._ontology, *query.graphs)
         has_intervals = any(plan.has_intervals for plan in query.plans)
         # The kinds of fields decide which columns the rows have.
         known = {source.kind: source for source in query.sources}
@@ -197,6 +200,29 @@ def match_annotation(stream: str, event: str, query: PatternQuery) -> StreamAnno
     if not roles:
         return None
     return with_ssl_source(StreamAnnotation(stream, (Content(event, START, (), roles),), ""))
+
+
+def head_converter(
+    stream: str, query: PatternQuery, vocabulary: Vocabulary, dictionary: TermDictionary
+) -> SampleConverter | None:
+    """Return the converter of a stream of matches to the triples of CONSTRUCT; None for another
+    head."""
+    subject, *objects = query.results or (None,)
+    if subject is None or not any(each.predicate for each in objects):
+        return None
+    sort = THING if subject.argument is None else subject.argument.sort or THING
+    role = Role(sort, None, subject.name)
+    contents, ranges = [], {}
+    for each in objects:
+        assert each.predicate is not None, "all but the subject have one"
+        info = vocabulary.feature(each.predicate)
+        unit = () if info is None or info.unit is None else info.unit
+        contents.append(Content(each.predicate, each.name, unit, (role,)))
+        if each.kind is Kind.OBJECT:
+            ranges[each.predicate] = THING
+    annotation = StreamAnnotation(stream, tuple(contents), "")
+    schema = match_schema(query)
+    return SampleConverter(annotation, schema, vocabulary, dictionary, ranges=ranges)
 
 
 def _kinds(read: Sequence[tuple[Source, MergeInput]]) -> Kinds:

@@ -35,13 +35,16 @@ from ..model.result_windows import KeptWindows
 from ..model.stream_statistics import flow_of
 from ..model.views import Since
 from ..units.query import QueryUnit
+from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
+from .pattern_start import head_converter
 from .plan_execution import Plans
 from .query_sharing import FormInstance, QuerySharing, shared_key
 from .query_units import QuerySettings
 from .reasoning_start import ReasoningUnit, bound_of
 from .registrations import AnyQuery, Submission
-from .stream_binding import check_graphs, find_streams, mean_the_same, supplies_of
+from .static_side import check_graphs
+from .stream_binding import find_streams, mean_the_same, supplies_of
 from .stream_reading import ReadStream, find_stream, read_streams
 
 RegisteredUnit: TypeAlias = QueryUnit | QueryInstance | ReasoningUnit
@@ -96,7 +99,7 @@ class QueryStarter:
         if not isinstance(query, ContinuousQuery):
             return self._start_reasoning(name, query, submission)
         check_head(query, self._ontology.vocabulary)
-        check_graphs(self._ontology, query)
+        check_graphs(self._ontology, query.static, query.static_named)
         matches: tuple[Match, ...] = ()
         reads: tuple[ReadStream, ...] = ()
         if query.streams:
@@ -150,7 +153,11 @@ class QueryStarter:
             # Units of its plan may have started before the error.
             self._configuration.release_unused()
             raise
-        return StartedQuery(unit, KeptWindows(), matches, (), None, None, "")
+        converter = None
+        if isinstance(unit, PatternUnit):
+            vocabulary = self._ontology.vocabulary
+            converter = head_converter(name, unit.query, vocabulary, self._dictionary)
+        return StartedQuery(unit, KeptWindows(), matches, (), converter, None, "")
 
     def stop(self, name: str, started: StartedQuery) -> None:
         """Stop a query, unless another one has its name now."""

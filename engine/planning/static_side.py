@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from pyoxigraph import NamedNode, Store
 
 from ...continuous.operators.background import Background
 from ...ontology.ontology import Ontology
 from ...ontology.units import Conversion, UnitError, conversion
+from ..model.errors import NoPlan
 
 
 def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background:
@@ -48,3 +49,17 @@ def _background(ontology: Ontology, store: Callable[[], Store]) -> Background:
     return Background(
         store, lambda: ontology.version, rules=lambda: ontology.rules, conversion=change
     )
+
+
+def check_graphs(ontology: Ontology, static: Iterable[str], named: Iterable[str]) -> None:
+    """Raise `NoPlan` unless the graphs of FROM and of FROM NAMED are loaded ontologies."""
+    clauses = (("FROM", static), ("FROM NAMED", named))
+    for clause, graph in ((clause, graph) for clause, graphs in clauses for graph in graphs):
+        if not ontology.has_ontology(graph):
+            loaded = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
+            raise NoPlan(
+                f"{clause} <{graph}> names no loaded ontology",
+                (graph,),
+                "the service does not fetch graphs: load it (POST /ontologies), or leave "
+                f"{clause} out; loaded are {loaded}",
+            )

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ...languages.csparql.ast import ContinuousQuery
 from ...matching.match import Match, UnknownStrategy
 from ...matching.plan import Supply, UseStream, nodes_of_supply
 from ...matching.space import StreamSpace
-from ...ontology.ontology import Ontology
 from ...templates.needs import Needs
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments, NoPlan
@@ -18,20 +16,6 @@ from .plan_execution import Plans
 
 REMEDY = "annotate a stream that contains the feature, or one from which it can be computed"
 """What to do about a missing feature."""
-
-
-def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
-    """Raise `NoPlan` unless the graphs that a query names are loaded ontologies."""
-    named = (("FROM", query.static), ("FROM NAMED", query.static_named))
-    for clause, graph in ((clause, graph) for clause, graphs in named for graph in graphs):
-        if not ontology.has_ontology(graph):
-            loaded = ", ".join(f"<{iri}>" for iri in ontology.ontologies())
-            raise NoPlan(
-                f"{clause} <{graph}> names no loaded ontology",
-                (graph,),
-                "the service does not fetch graphs: load it (POST /ontologies), or leave "
-                f"{clause} out; loaded are {loaded}",
-            )
 
 
 def find_streams(

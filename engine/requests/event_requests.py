@@ -49,8 +49,8 @@ from ..planning.reasoning_start import (
     result_annotation,
 )
 from ..planning.request_sharing import RequestSharing, Shareable, ShareableQuery
+from ..planning.static_side import check_graphs
 from ..planning.stream_binding import (
-    check_graphs,
     find_streams,
     mean_the_same,
     supplies_of,
@@ -308,7 +308,7 @@ class EventRequests:
     ) -> tuple[Body, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
         if isinstance(query, ContinuousQuery):
-            check_graphs(self._ontology, query)
+            check_graphs(self._ontology, query.static, query.static_named)
         event = shorten(request.event)
         return query, find_streams(self._plans, wanted, strategy, since, event)
 

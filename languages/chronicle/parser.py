@@ -101,12 +101,16 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "a comparison is one sign: `=`, `!=`, `<`, `<=`, `>`, `>=`"
     if found in ("<", "<=", "=", ">", ">=") and "SEMICOLON" in expected:
         return "write two clauses: `t1 < t2; t2 < t3`"
+    if found == "(" and expected == {"LSQB"}:
+        return "an interval stands in brackets: `[0s, 3s]`"
     if found == "(" and "LSQB" in expected:
         return "the objects of a feature stand in brackets: `speed[?x]`"
     if found == ")" and expected == {"COMMA"}:
-        return "a change has a value before and one after: `(?, < 3)`; `?` is any"
+        return "a change has two values, and an event a time: `event(speed[?x]:(?, < 3), t1)`"
     if found in ("<", "<=", "=", ">", ">=") and "COLON" in expected:
-        return "a value is told as a change: `speed[?x]:(?, > 3)`"
+        return (
+            "a value follows a colon: `speed[?x]:(?, > 3)` in an event, `speed[?x]:> 3` in a hold"
+        )
     return expected_hint(expected)
 
 

@@ -59,6 +59,7 @@ class _Checker:
         is_static: Callable[[str], bool] | None,
     ) -> None:
         self._query = query
+        self._vocabulary = vocabulary
         self._reader = TripleReader(query.source, vocabulary, is_static)
         self._read: dict[int, tuple[Read, ...]] = {}
         self._kinds: dict[str, Kind] = {}
@@ -79,13 +80,13 @@ class _Checker:
         self._kinds.update(kinds)
         self._static.update(static)
         self._arguments.update(term for read in readings for term in read.arguments)
-        where = self._group(query.where, {})
         if not readings:
             raise self._error(
                 "the pattern reads no feature, so nothing ever happens",
                 query.where.span,
-                "write a triple of a feature: `?c dyknow:price ?p`",
+                self._meant(reads) or "write a triple of a feature: `?c dyknow:price ?p`",
             )
+        where = self._group(query.where, {})
         within = self._within()
         check_horizon(where, query.source)
         names = set(_names(where))
@@ -108,6 +109,16 @@ class _Checker:
             query.graphs,
             query.source,
         )
+
+    def _meant(self, reads: Iterable[Read]) -> str:
+        """A hint at features whose names are similar to those of static triples."""
+        for read in reads:
+            if isinstance(read, StaticTriple) and isinstance(read.triple.predicate, NamedNode):
+                name = read.triple.predicate.value
+                near = self._vocabulary.suggest(name, "feature")
+                if near:
+                    return f"{shorten(name)} is no feature; did you mean {' or '.join(near)}?"
+        return ""
 
     # -- groups ------------------------------------------------------------------------------
 

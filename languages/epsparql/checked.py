@@ -73,10 +73,12 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """``BOUND(?x)``; not ``is_bound``: ``!BOUND(?x)``."""
+    """``BOUND(?x)``; not ``is_bound``: ``!BOUND(?x)``. ``is_static``: of a variable that only
+    static triples have."""
 
     variable: str
     is_bound: bool
+    is_static: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,12 +154,13 @@ Part: TypeAlias = Sample | Static | Filter | Bind | Operation | Group
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A field of the results."""
+    """A field of the results. ``predicate``: that of a triple of CONSTRUCT (an IRI)."""
 
     name: str
     value: Value
     kind: Kind
     span: Span = attribute(compare=False)
+    predicate: str | None = None
 
 
 @dataclass(frozen=True)

@@ -87,21 +87,18 @@ class ExpressionChecker:
                 return And(parts) if operator == "!=" else Or(parts)
             case sparql.Call("BOUND", (Variable(value=name),)):
                 known(name)
-                if name in self.static:
-                    raise self.error(
-                        f"`?{name}` is always bound, by static triples", span, "leave BOUND out"
-                    )
-                return Bound(name, holds)
+                return Bound(name, holds, name in self.static)
             case Literal():
                 constant = self.constant(node, span)
                 if isinstance(constant, Constant) and constant.kind is Kind.TRUTH:
                     return Truth(bool(constant.value) == holds)
         value = self.value(node, span, known)
         if kind_of(value) is not Kind.TRUTH:
+            hint = "compare it with something, such as `?price > 100`"
+            if isinstance(value, StaticVariable):
+                hint = f"write `?{value.name} = true` for a truth of static triples"
             raise self.error(
-                f"a condition is a truth, and this is {_article(kind_of(value))}",
-                span,
-                "compare it with something, such as `?price > 100`",
+                f"a condition is a truth, and this is {_article(kind_of(value))}", span, hint
             )
         return Comparison("=", value, Constant(holds, Kind.TRUTH))
 
@@ -170,7 +167,7 @@ class ExpressionChecker:
             raise self.error(
                 f"`{operator}` compares two variables of static triples",
                 span,
-                "write one variable where they are equal",
+                "write one variable where they are equal; numbers may be ordered by `<`",
             )
         if kind != other:
             hint = "both sides of a comparison are of one kind"

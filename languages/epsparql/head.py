@@ -126,7 +126,7 @@ class HeadChecker:
                 raise self._error("a blank node has no value", triple.span, "write a variable")
             name = local_name(triple.predicate.value)
             value = self._value(triple.object, triple.span)
-            yield Item(name, value, kind_of(value), triple.span)
+            yield Item(name, value, kind_of(value), triple.span, triple.predicate.value)
 
     def _error(self, message: str, span: Span, hint: str = "") -> LanguageError:
         return LanguageError(message, self.query.source, span, hint)

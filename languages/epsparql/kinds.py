@@ -7,7 +7,7 @@ static triples have, the other side of a comparison decides.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from pyoxigraph import Literal, NamedNode, Variable
 
@@ -37,6 +37,8 @@ class _Finder:
     def __init__(self, query: ast.EpSparqlQuery) -> None:
         self._query = query
         self._kinds: dict[str, Kind] = {}
+        self._static: dict[str, Kind] = {}
+        """The kinds of variables that only static triples have, as far as they are known."""
         self._expressions = ExpressionChecker(query.source, {})
 
     def find(self, reads: Iterable[Read]) -> tuple[dict[str, Kind], dict[str, Kind]]:
@@ -55,33 +57,25 @@ class _Finder:
         parts = list(parts_in(self._query.where))
         binds = [part for part in parts if isinstance(part, ast.Bind)]
         conditions = [part.condition for part in parts if isinstance(part, ast.Filter)]
+        bound = {bind.variable.value for bind in binds}
+        static = {
+            name: None
+            for name in (*_static_names(reads), *_names_of_graphs(parts))
+            if name not in self._kinds.keys() | unknown.keys() | bound
+        }
         before = -1
-        while before < len(self._kinds):
-            before = len(self._kinds)
+        while before < len(self._kinds) + len(self._static):
+            before = len(self._kinds) + len(self._static)
             for bind in binds:
                 if (kind := self._guess(bind.expression)) is not None:
                     self._kinds.setdefault(bind.variable.value, kind)
             for condition in conditions:
                 self._learn(condition, unknown, self._kinds)
-        for name in (*unknown, *(bind.variable.value for bind in binds)):
+                self._learn(condition, static, self._static)
+        for name in (*unknown, *bound):
             self._kinds.setdefault(name, Kind.NUMBER)
-        names = [
-            name
-            for read in reads
-            if isinstance(read, StaticTriple)
-            for name in variables_of(read.triple)
-        ]
-        names += [
-            name
-            for part in parts
-            if isinstance(part, ast.Graph)
-            for name in variables_of(part.triples)
-        ]
-        static = dict.fromkeys(name for name in names if name not in self._kinds)
-        found: dict[str, Kind] = {}
-        for condition in conditions:
-            self._learn(condition, static, found)
-        return self._kinds, {name: found.get(name, Kind.NUMBER) for name in static}
+        # What is compared with a number by default is a number, too.
+        return self._kinds, {name: self._static.get(name, Kind.NUMBER) for name in static}
 
     def _set_kind(self, term: Term, kind: Kind, span: Span) -> None:
         if not isinstance(term, Variable):
@@ -117,7 +111,7 @@ class _Finder:
         """The kind of an expression as far as it is known."""
         match node:
             case Variable(value=name):
-                return self._kinds.get(name)
+                return self._kinds.get(name, self._static.get(name))
             case NamedNode():
                 return Kind.OBJECT
             case Literal():
@@ -134,6 +128,18 @@ class _Finder:
                 return Kind.DURATION if Kind.DURATION in found else Kind.NUMBER
             case _:
                 return None
+
+
+def _static_names(reads: Iterable[Read]) -> Iterator[str]:
+    for read in reads:
+        if isinstance(read, StaticTriple):
+            yield from variables_of(read.triple)
+
+
+def _names_of_graphs(parts: Iterable[ast.Part]) -> Iterator[str]:
+    for part in parts:
+        if isinstance(part, ast.Graph):
+            yield from variables_of(part.triples)
 
 
 def _kind_of_literal(expressions: ExpressionChecker, literal: Literal) -> Kind | None:

@@ -14,6 +14,7 @@ from typing import Final
 from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
+from ...ontology.units import is_unit
 from ...rdf.namespaces import local_name
 from ...streams.policies.policy import SynchronizationPolicy
 from ...streams.time import parse_time
@@ -142,8 +143,10 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "an object has a sort: `?x in Car`"
     if found == "]" and expected == {"COMMA"}:
         return "an interval has two ends: `[0s, 5s]`"
-    if "NO_UNIT" in expected and (found == "%" or found[:1].isalpha()):
-        return "a unit stands in brackets, `20 [percent]`; options follow `with`"
+    if found != found.lower() and found.upper() in expected:
+        return f"words are in small letters: `{found.lower()}`"
+    if "NO_UNIT" in expected and (found == "%" or is_unit(found)):
+        return "a unit stands in brackets, `20 [percent]`, as an interval does, `[0s, 5s]`"
     if "LPAR" in expected and (found == "[" or found[:1] == "?" or found[:1].isalpha()):
         return (
             "the objects of a feature stand in parentheses: `speed(?x)`; before a formula stand "

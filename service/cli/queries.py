@@ -253,6 +253,8 @@ def _state(found: dict[str, Any]) -> str:
     if found["late"]:
         words.append(f"{found['late']} samples came too late")
     if found["kind"] in ("MONITOR", "PATTERN"):
+        if found["late"] and "max delay" not in found["source"].lower():
+            words.append("others were valid later, and `max delay` waits for such samples")
         return "; ".join(words) + f"\nsince {options['since']}"
     options_text = f"{options['semantics']} semantics, windows {options['bounds']}"
     if options["origin"] != format_time(0):

@@ -161,6 +161,20 @@ def test_the_vocabulary_of_the_domain(plain: Ontology) -> None:
     assert vocabulary.feature("http://e.org/none") is None
 
 
+def test_similar_names_of_another_namespace_are_iris() -> None:
+    ontology = Ontology.open()
+    heat = "@prefix o: <http://www.dyknow.eu/ontology#> . <http://e.org/#heat> a o:UnaryFeature ."
+    ontology.load(heat, name="http://e.org/")
+    assert ontology.vocabulary.suggest("heat", "feature") == ("<http://e.org/#heat>",)
+
+
+@pytest.mark.parametrize("type", ["decimal", "double", "integer", "dateTime"])
+def test_a_literal_that_is_no_value_is_refused(type: str) -> None:
+    wrong = f'<urn:a> <urn:b> "abc"^^<http://www.w3.org/2001/XMLSchema#{type}> .'
+    with pytest.raises(OntologyError, match="abc"):
+        Ontology.open().load(wrong, name="urn:wrong")
+
+
 def test_a_domain_ontology_adds_sorts_features_and_objects() -> None:
     ontology = Ontology.open()
     text = """@prefix owl: <http://www.w3.org/2002/07/owl#> .

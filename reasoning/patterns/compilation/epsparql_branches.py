@@ -207,8 +207,12 @@ class _Reader:
         match condition:
             case Truth():
                 return condition
-            case Bound(variable, is_bound):
-                return Truth(self.is_bound(variable, branch) == is_bound)
+            case Bound(variable, is_bound, is_static):
+                if is_static:
+                    has_value = self._has_value(StaticVariable(variable), branch)
+                else:
+                    has_value = self.is_bound(variable, branch)
+                return Truth(has_value == is_bound)
             case Comparison(_, left, right):
                 has_values = all(self._has_value(side, branch) for side in (left, right))
                 return condition if has_values else Truth(False)

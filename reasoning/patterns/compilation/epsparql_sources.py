@@ -91,4 +91,4 @@ class PatternSources:
                 ),
                 None,
             )
-        return Result(item.name, kind, argument)
+        return Result(item.name, kind, argument, item.predicate)

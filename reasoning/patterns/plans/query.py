@@ -94,11 +94,13 @@ matching has found the streams."""
 @dataclass(frozen=True, slots=True)
 class Result:
     """A field of the results: the output of the plans with that ``name``, of ``kind``. Where it is
-    an object of a `Source`, ``argument`` tells of which."""
+    an object of a `Source`, ``argument`` tells of which. ``predicate``: that of the triple (an IRI)
+    whose object it is, and whose subject is the first result."""
 
     name: str
     kind: Kind
     argument: Argument | None = None
+    predicate: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

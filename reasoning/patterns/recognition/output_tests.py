@@ -39,6 +39,10 @@ def values_of(term: OutputTerm, outputs: Mapping[str, NDArray[Any]]) -> NDArray[
         return outputs[term]
     left, right = values_of(term.left, outputs), values_of(term.right, outputs)
     known = ~(_is_missing(left) | _is_missing(right))
+    if term.operator in "+-" and left.dtype == right.dtype == np.int64:
+        # A time or duration beyond 64 bits is no value.
+        sign = 1.0 if term.operator == "+" else -1.0
+        known &= np.abs(left.astype(np.float64) + sign * right) < 2.0**63
     with np.errstate(all="ignore"):
         match term.operator:
             case "+":

@@ -31,8 +31,8 @@ _OPTIONS: Final = ("time_column", "time_unit", "time_format", "delimiter")
 
 @dataclass(frozen=True, slots=True)
 class Inspected:
-    """A recording, its streams by name, and the words that know features; ``url``: also those of
-    this service."""
+    """A recording, its streams by name, and the words that know features: also those of the
+    ``ontologies`` and of the service at ``url``."""
 
     file: Path
     tables: TableOptions
@@ -40,6 +40,7 @@ class Inspected:
     recordings: Recordings
     streams: Mapping[str, Overview]
     vocabulary: Vocabulary
+    ontologies: Sequence[Path]
     url: str | None
 
 
@@ -60,7 +61,7 @@ def inspect(
         known.load(read_text(path), name=path.stem, format=format)
     recordings = open_recordings([file], tables, utc=utc)
     streams = {name: overview(recording) for name, recording in recordings.items()}
-    return Inspected(file, tables, utc, recordings, streams, known.vocabulary, url)
+    return Inspected(file, tables, utc, recordings, streams, known.vocabulary, ontology, url)
 
 
 def show_streams(found: Inspected, written: Path | None) -> None:
@@ -165,6 +166,7 @@ def _next(found: Inspected, written: Path | None) -> list[str]:
     if _is_rdf(found):
         return [shlex.join(["dyknow", "replay", file, *streams, *words])]
     service = [] if found.url is None else ["--url", found.url]
-    write = shlex.join(["dyknow", "inspect", file, *words, *service, "--skeleton", text])
+    known = [word for path in found.ontologies for word in ("--ontology", str(path))]
+    write = shlex.join(["dyknow", "inspect", file, *words, *known, *service, "--skeleton", text])
     play = shlex.join(["dyknow", "replay", file, *streams, *words, *service, "--ssl", text])
     return [write, play] if written is None else [play]

@@ -339,6 +339,12 @@ def test_static_triples_are_joined(flying):
     assert [(int(v), r["c"]) for v, r in samples(flying, "owned")] == [(3, "uav1")]
 
 
+LIMITS = """REGISTER STREAM speeding AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+PREFIX e: <http://e.org/>
+SELECT ?c (?v - ?limit AS ?over) ?limit WHERE { ?c dyknow:speed ?v . ?c e:limit ?limit
+  FILTER (?v - ?limit > 0) } WITHIN 1 s"""
+
+
 def test_each_object_has_a_limit_of_its_own(flying):
     """A condition compares samples with values of static triples; another kind is no value."""
     flying.load_ontology(
@@ -347,12 +353,7 @@ def test_each_object_has_a_limit_of_its_own(flying):
         name="http://e.org/limits",
         format="turtle",
     )
-    flying.queries.register(
-        """REGISTER STREAM speeding AS PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
-        PREFIX e: <http://e.org/>
-        SELECT ?c (?v - ?limit AS ?over) ?limit WHERE { ?c dyknow:speed ?v . ?c e:limit ?limit
-          FILTER (?v - ?limit > 0) } WITHIN 1 s"""
-    )
+    flying.queries.register(LIMITS)
     flown = [(1, "uav1", 120.0), (2, "uav2", 120.0), (3, "uav3", 500.0), (4, "uav2", 131.0)]
     feed(flying, "speeds", [(t, {"id": name, "spd": speed}) for t, name, speed in flown])
     flying.end("speeds")
@@ -361,6 +362,12 @@ def test_each_object_has_a_limit_of_its_own(flying):
         (4, "uav2", 0.5, "130.5"),
     ]
     assert "static number limit" in flying.queries.explain_running("speeding")
+    assert "static number limit" in flying.explain(query=LIMITS)
+
+
+def test_a_graph_of_from_is_loaded(flying):
+    with pytest.raises(NoPlan, match=r"FROM <http://e\.org/none> names no loaded ontology"):
+        flying.queries.register(LIMITS.replace("WHERE", "FROM <http://e.org/none> WHERE"))
 
 
 def test_static_triples_are_told(flying):

@@ -120,6 +120,8 @@ def test_features_of_a_domain_ontology(tmp_path: Path) -> None:
     words += ["--ontology", str(tmp_path / "domain.ttl")]
     found = features(skeleton(tmp_path / "s.csv", *words), DOMAIN)
     assert found == [("speed", "Speed"), ("#posX", "pos_x")]
+    told = call("inspect", str(tmp_path / "s.csv"), *words).stdout.partition("next:")[2]
+    assert f"--ontology {tmp_path / 'domain.ttl'} --skeleton" in told
 
 
 def test_a_flight_log(tmp_path: Path) -> None:
