@@ -41,7 +41,7 @@ def suggest_prefix(source: str, token: Token, prefix: str) -> LanguageError:
         f"the prefix `{prefix}:` is not declared",
         source,
         Span(token.start, token.start + len(prefix) + 1),
-        f"write `PREFIX {prefix}: <…>` before it is used; no declaration is needed for "
+        f"write the whole IRI, `<…>`, or in a query `PREFIX {prefix}: <…>`; declared are "
         + ", ".join(f"{name}:" for name in PREFIXES),
     )
 
