@@ -331,8 +331,8 @@ def test_a_result_of_construct_has_an_id_and_a_field_for_each_predicate() -> Non
     { ?a dyknow:price ?v } SEQ { ?a dyknow:open true } WITHIN 5s"""
     assert compiled(text).results == (
         Result("id", Kind.OBJECT, Argument(THING)),
-        Result("rose", Kind.NUMBER),
-        Result("kind", Kind.OBJECT, Argument(None, DYKNOW + "good")),
+        Result("rose", Kind.NUMBER, None, "urn:p#rose"),
+        Result("kind", Kind.OBJECT, Argument(None, DYKNOW + "good"), "urn:p#kind"),
     )
 
 
