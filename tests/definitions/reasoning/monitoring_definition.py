@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
-from progression_definition import END, Progression, Trace, bound
+from progression_definition import END, Progression, Trace, bound_all
 from state_definition import Moment, State, StateDefinition
 
 
@@ -169,9 +169,9 @@ class Timeline:
         for objects, start in self.starts(count):
             if (objects, start) in self.found:
                 continue
-            closed = self.monitor.formula
-            for (name, sort), iri in zip(self.monitor.parameters, objects, strict=True):
-                closed = bound(closed, name, Placed(iri, sort))
+            parameters = self.monitor.parameters
+            placed = [Placed(o, sort) for o, (_, sort) in zip(objects, parameters, strict=True)]
+            closed = bound_all(self.monitor.formula, parameters, placed)
             verdict = progression.verdict(closed, start)
             if verdict is not None:
                 value, at = verdict

@@ -6,6 +6,7 @@ It works on the checked formula, with objects substituted for variables.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
@@ -92,6 +93,18 @@ def bound(f, variable, iri):
             return Quantified(is_universal, own, sort, bound(g, variable, iri))
         case _:
             return f
+
+
+def bound_all(f, parameters, objects):
+    """``f`` with the objects in place of the variables of the parameters, (name, sort) each."""
+    for (name, _), iri in zip(parameters, objects, strict=True):
+        f = bound(f, name, iri)
+    return f
+
+
+def bindings(present, parameters):
+    """The objects that are there, for each parameter; ``present`` is that of a state."""
+    return itertools.product(*(present[sort] for _, sort in parameters))
 
 
 class TooLarge(Exception):

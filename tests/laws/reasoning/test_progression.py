@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from formula_drawing import OBJECTS, SORT, TERMS, FormulaDrawing
-from progression_definition import END, Progression, TooLarge, Trace, bound
+from progression_definition import END, Progression, TooLarge, Trace, bindings, bound_all
 from witness_definition import Witness
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
@@ -155,12 +155,8 @@ def compared(seed: int, count: int, depth: int, drawing: type[Drawing] = Drawing
     expected = {}
     try:
         for start in range(1 if once else count):
-            for objects in itertools.product(OBJECTS, repeat=len(parameters)):
-                if not all(o in trace.present[start][SORT] for o in objects):
-                    continue
-                closed = formula
-                for (name, _), iri in zip(parameters, objects, strict=True):
-                    closed = bound(closed, name, iri)
+            for objects in bindings(trace.present[start], parameters):
+                closed = bound_all(formula, parameters, objects)
                 verdict = progression.verdict(closed, start)
                 if verdict is not None:
                     expected[objects, start] = verdict
@@ -173,9 +169,8 @@ def compared(seed: int, count: int, depth: int, drawing: type[Drawing] = Drawing
     assert found == expected, f"seed {seed}: {formula}"
     if ends:
         assert len(found) == sum(
-            all(o in trace.present[start][SORT] for o in objects)
+            len(list(bindings(trace.present[start], parameters)))
             for start in range(1 if once else count)
-            for objects in itertools.product(OBJECTS, repeat=len(parameters))
         )
     return len(found)
 

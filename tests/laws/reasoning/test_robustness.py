@@ -10,7 +10,7 @@ from math import inf, isnan
 import numpy as np
 import pytest
 from formula_drawing import OBJECTS, SORT, TERMS, FormulaDrawing
-from progression_definition import END, Progression, Trace, bound
+from progression_definition import END, Progression, Trace, bindings, bound_all
 from robustness_definition import Robustness
 
 from dyknow.languages.mtl.ast import Report
@@ -162,12 +162,8 @@ def compared(seed: int, count: int, depth: int) -> Counter[str]:
             for i in range(start, count)
             if horizon[i] == END or (reach is not None and horizon[i] >= trace.valid[start] + reach)
         ]
-        for objects in itertools.product(OBJECTS, repeat=len(parameters)):
-            if not all(o in trace.present[start][SORT] for o in objects):
-                continue
-            closed = formula
-            for (name, _), iri in zip(parameters, objects, strict=True):
-                closed = bound(closed, name, iri)
+        for objects in bindings(trace.present[start], parameters):
+            closed = bound_all(formula, parameters, objects)
             if not over:
                 assert (objects, start) not in found
                 continue
