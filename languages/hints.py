@@ -9,8 +9,12 @@ from collections.abc import Iterable, Sequence
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
     """Return ``did you mean a or b?`` with the names similar to ``name``; empty if there
     is none."""
-    suggest_name = difflib.get_close_matches(name, sorted(set(candidates)), n=3)
-    return f"did you mean {' or '.join(suggest_name)}?" if suggest_name else ""
+    return meant(difflib.get_close_matches(name, sorted(set(candidates)), n=3))
+
+
+def meant(near: Sequence[str]) -> str:
+    """Return ``did you mean a or b?``; empty for no name."""
+    return f"did you mean {' or '.join(near)}?" if near else ""
 
 
 def suggest_name(name: str, candidates: Iterable[str]) -> str:

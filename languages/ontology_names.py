@@ -13,6 +13,7 @@ from pyoxigraph import NamedNode
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.namespaces import DYKNOW, PREFIXES
 from .errors import LanguageError, Span
+from .hints import meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,7 @@ class OntologyNames:
         """Return the IRI of a sort."""
         found = self.find_sort(name, span)
         if found is None:
-            near = self.vocabulary.suggest(name, "sort")
-            hint = f"did you mean {' or '.join(near)}?" if near else "declare it in the ontology"
+            hint = meant(self.vocabulary.suggest(name, "sort")) or "declare it in the ontology"
             raise self._error(f"the ontology knows no sort `{name}`", span, hint)
         return found
 
@@ -72,11 +72,9 @@ class OntologyNames:
                 span,
                 "name a feature or an event of its objects, such as `speed`",
             )
-        near = self.vocabulary.suggest(name, "feature")
         hint = (
-            f"did you mean {' or '.join(near)}?"
-            if near
-            else "add it to the ontology first: dyknow ontology add-feature"
+            meant(self.vocabulary.suggest(name, "feature"))
+            or "add it to the ontology first: dyknow ontology add-feature"
         )
         raise self._error(f"the ontology knows no feature `{name}`", span, hint)
 

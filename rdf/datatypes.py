@@ -29,6 +29,8 @@ INTEGERS: Final = frozenset(
 
 FRACTIONS: Final = frozenset(XSD + name for name in ("decimal", "float", "double"))
 NUMBERS: Final = INTEGERS | FRACTIONS
+DURATIONS: Final = frozenset(XSD + name for name in ("duration", "dayTimeDuration"))
+"""Datatypes of durations; years and months may have no fixed length."""
 
 VALUE_DATATYPES: Final = NUMBERS | frozenset(
     XSD + name

@@ -105,6 +105,14 @@ def format_time(time: int) -> str:
     return f"{text}.{digits}Z" if digits else f"{text}Z"
 
 
+def parse_iso_duration(text: str) -> int:
+    """A duration in ns from ISO-8601 ``PT5S`` alone, as an ``xsd:duration`` is written; raises as
+    `parse_duration` does."""
+    if not text.upper().startswith("P"):
+        raise ValueError(f"{text!r} is no duration")
+    return parse_duration(text.upper())
+
+
 def parse_duration(text: str) -> int:
     """A duration in ns from ``5s``, ``100 ms``, ``1.5h`` or ISO-8601 ``PT5S``.
 

@@ -16,7 +16,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from ..languages.arguments import Argument, argument_text
 from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
-from ..languages.hints import count
+from ..languages.hints import count, meant
 from ..languages.templates import AnyTemplate
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
@@ -201,10 +201,7 @@ def _overflows(text: str) -> bool:
 
 def suggestion(near: Sequence[str]) -> str:
     """Return a hint with similar names."""
-    if not near:
-        return ""
-    names = (name if name.startswith("<") else f"dyknow:{name}" for name in near)
-    return f"did you mean {' or '.join(names)}?"
+    return meant([name if name.startswith("<") else f"dyknow:{name}" for name in near])
 
 
 def argument_error(message: str, index: int, parameter: Variable, hint: str = "") -> ArgumentError:

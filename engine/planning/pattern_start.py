@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NoReturn
 
-from ...converters.to_triples import SampleConverter
+from ...converters.to_samples import ID
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...languages.ssl.annotation_text import with_ssl_source
 from ...matching.plan import Node, Supply
 from ...ontology.ontology import Ontology
-from ...ontology.vocabulary import THING, Vocabulary
+from ...ontology.vocabulary import Vocabulary
 from ...rdf.dictionary import TermDictionary
 from ...reasoning.patterns.plans.by_object import PatternByObject
 from ...reasoning.patterns.plans.plan import PlanError
@@ -25,6 +25,7 @@ from ...templates.needs import NeedsError
 from ..configuration.configuration import PATTERN, SELECT_INSTANCE, Configuration
 from ..model.beginning import Beginning
 from ..model.errors import BadArguments
+from ..model.result_schema import ResultForm
 from ..model.status_changes import ChangeKind
 from ..model.views import Since
 from ..units.merge import MergeInput
@@ -202,27 +203,16 @@ def match_annotation(stream: str, event: str, query: PatternQuery) -> StreamAnno
     return with_ssl_source(StreamAnnotation(stream, (Content(event, START, (), roles),), ""))
 
 
-def head_converter(
-    stream: str, query: PatternQuery, vocabulary: Vocabulary, dictionary: TermDictionary
-) -> SampleConverter | None:
-    """Return the converter of a stream of matches to the triples of CONSTRUCT; None for another
-    head."""
-    subject, *objects = query.results or (None,)
-    if subject is None or not any(each.predicate for each in objects):
-        return None
-    sort = THING if subject.argument is None else subject.argument.sort or THING
-    role = Role(sort, None, subject.name)
-    contents, ranges = [], {}
-    for each in objects:
-        assert each.predicate is not None, "all but the subject have one"
-        info = vocabulary.feature(each.predicate)
-        unit = () if info is None or info.unit is None else info.unit
-        contents.append(Content(each.predicate, each.name, unit, (role,)))
-        if each.kind is Kind.OBJECT:
-            ranges[each.predicate] = THING
-    annotation = StreamAnnotation(stream, tuple(contents), "")
-    schema = match_schema(query)
-    return SampleConverter(annotation, schema, vocabulary, dictionary, ranges=ranges)
+def head_form(query: PatternQuery, vocabulary: Vocabulary) -> tuple[ResultForm, Sequence[Role]]:
+    """Return the form of the matches, and the role of the subject of CONSTRUCT; another head has no
+    predicates."""
+    triples = {each.predicate: each.kind for each in query.results if each.predicate is not None}
+    infos = {predicate: vocabulary.feature(predicate) for predicate in triples}
+    units = {iri: info.unit for iri, info in infos.items() if info is not None and info.unit}
+    objects = frozenset(iri for iri, kind in triples.items() if kind is Kind.OBJECT)
+    form = ResultForm(match_schema(query), tuple(triples), units, objects)
+    sorts = (each.argument.sort for each in query.results[:1] if each.argument is not None)
+    return form, [Role(sort, None, ID) for sort in sorts if sort is not None]
 
 
 def _kinds(read: Sequence[tuple[Source, MergeInput]]) -> Kinds:

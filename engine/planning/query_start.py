@@ -16,7 +16,7 @@ from ...continuous.sharing.similar_queries import Unshared, form_of
 from ...converters.to_triples import SampleConverter, ToTriples
 from ...languages.csparql import with_streams
 from ...languages.csparql.ast import ContinuousQuery
-from ...languages.ssl.annotation import Content, StreamAnnotation
+from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...matching.match import Match
 from ...matching.plan import annotation_of
 from ...matching.space import StreamSpace
@@ -30,14 +30,14 @@ from ...templates.reasoning import Reasoned
 from ..configuration.configuration import Configuration
 from ..model.beginning import resolve_duration
 from ..model.errors import BadArguments, NoPlan
-from ..model.result_schema import check_head, head_role, result_form
+from ..model.result_schema import ResultForm, check_head, head_role, result_form
 from ..model.result_windows import KeptWindows
 from ..model.stream_statistics import flow_of
 from ..model.views import Since
 from ..units.query import QueryUnit
 from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
-from .pattern_start import head_converter
+from .pattern_start import head_form
 from .plan_execution import Plans
 from .query_sharing import FormInstance, QuerySharing, shared_key
 from .query_units import QuerySettings
@@ -114,7 +114,9 @@ class QueryStarter:
             if reads
             else self._plans.resolve_duration(submission.since, supplies_of(matches))
         )
-        converter = self._output_converter(name, query, _contents(matches, reads))
+        vocabulary = self._ontology.vocabulary
+        role = head_role(query, vocabulary, _contents(matches, reads))
+        converter = self._output_converter(name, result_form(query, vocabulary), [role])
         kept = KeptWindows()
         settings = QuerySettings(name, submission.options, kept.keep)
         instance, pattern, unshared = self._find_sharing(query, reads, matches, submission)
@@ -155,8 +157,8 @@ class QueryStarter:
             raise
         converter = None
         if isinstance(unit, PatternUnit):
-            vocabulary = self._ontology.vocabulary
-            converter = head_converter(name, unit.query, vocabulary, self._dictionary)
+            form, roles = head_form(unit.query, self._ontology.vocabulary)
+            converter = self._output_converter(name, form, roles)
         return StartedQuery(unit, KeptWindows(), matches, (), converter, None, "")
 
     def stop(self, name: str, started: StartedQuery) -> None:
@@ -252,17 +254,15 @@ class QueryStarter:
         return now is not None and now.annotation == read.annotation
 
     def _output_converter(
-        self, name: str, query: ContinuousQuery, read: Sequence[Content]
+        self, name: str, form: ResultForm, roles: Sequence[Role]
     ) -> SampleConverter | None:
-        vocabulary = self._ontology.vocabulary
-        form = result_form(query, vocabulary)
-        annotation = form.rdf_annotation(name, [head_role(query, vocabulary, read)])
+        annotation = form.rdf_annotation(name, roles)
         if annotation is None:
             return None
         return SampleConverter(
             annotation,
             form.schema,
-            vocabulary,
+            self._ontology.vocabulary,
             self._dictionary,
             ranges=dict.fromkeys(form.iri_predicates, THING),
         )

@@ -6,10 +6,10 @@ from typing import Final
 
 from pyoxigraph import Literal
 
-from ...rdf.namespaces import XSD
+from ...rdf.datatypes import DURATIONS
 from ...sparql.cursor import Cursor
 from ...sparql.tokens import Kind, Token
-from ...streams.time import parse_duration
+from ...streams.time import parse_iso_duration
 from ..errors import LanguageError, Span
 
 _UNITS: Final = {
@@ -37,7 +37,6 @@ _XSD_EXAMPLE: Final = (
     "write `PT5S`, `PT0.5S` or `P1DT2H`; years and months vary in length, "
     "and nothing is finer than a nanosecond"
 )
-_DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 
 
 def read_duration(at: Cursor, what: str, *, spelled_out: bool = False, least: int = 1) -> int:
@@ -89,7 +88,7 @@ def _literal(at: Cursor, what: str, least: int) -> int:
     start = 0 if at.here is None else at.here.start
     term = at.term()
     span = Span(start, at.last_token.end)
-    if not isinstance(term, Literal) or term.datatype.value not in _DURATIONS:
+    if not isinstance(term, Literal) or term.datatype.value not in DURATIONS:
         raise LanguageError(
             f"{what} is not an xsd:duration",
             at.source,
@@ -101,10 +100,7 @@ def _literal(at: Cursor, what: str, least: int) -> int:
 
 def _parse_xsd(at: Cursor, what: str, text: str, span: Span, least: int) -> int:
     try:
-        # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
-        if not text.upper().startswith("P"):
-            raise ValueError
-        value = parse_duration(text.upper())
+        value = parse_iso_duration(text)
     except ValueError:
         message = f"{what} is not a duration: `{text}`"
         raise LanguageError(message, at.source, span, _XSD_EXAMPLE) from None

@@ -17,7 +17,7 @@ from ...rdf.namespaces import shorten
 from ...sparql import ast as sparql
 from ...sparql.ast import variables_of
 from ..errors import LanguageError, Span
-from ..hints import did_you_mean
+from ..hints import did_you_mean, meant
 from ..mtl.checked import Constant, Kind, ObjectConstant, ObjectSlot, Parameter
 from . import ast, checked
 from .binding import check_horizon
@@ -115,9 +115,9 @@ class _Checker:
         for read in reads:
             if isinstance(read, StaticTriple) and isinstance(read.triple.predicate, NamedNode):
                 name = read.triple.predicate.value
-                near = self._vocabulary.suggest(name, "feature")
-                if near:
-                    return f"{shorten(name)} is no feature; did you mean {' or '.join(near)}?"
+                hint = meant(self._vocabulary.suggest(name, "feature"))
+                if hint:
+                    return f"{shorten(name)} is no feature; {hint}"
         return ""
 
     # -- groups ------------------------------------------------------------------------------

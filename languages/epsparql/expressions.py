@@ -10,10 +10,10 @@ from typing import Final
 
 from pyoxigraph import Literal, NamedNode, Variable
 
-from ...rdf.datatypes import NUMBERS
+from ...rdf.datatypes import DURATIONS, NUMBERS
 from ...rdf.namespaces import XSD, shorten
 from ...sparql import ast as sparql
-from ...streams.time import parse_duration, parse_time
+from ...streams.time import parse_iso_duration, parse_time
 from ..errors import LanguageError, Span
 from ..mtl.checked import Constant, Kind, ObjectConstant
 from . import checked
@@ -33,7 +33,6 @@ from .checked import (
     kind_of,
 )
 
-DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 _NEGATED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "=": "!=", "!=": "="}
 _ORDERED: Final = (Kind.NUMBER, Kind.TIME, Kind.DURATION)
 _MIRRORED: Final = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
@@ -147,10 +146,7 @@ class ExpressionChecker:
             if datatype == XSD + "dateTime":
                 return Constant(parse_time(text), Kind.TIME)
             if datatype in DURATIONS:
-                # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
-                if not text.upper().startswith("P"):
-                    raise ValueError(f"{text!r} is no duration")
-                return Duration(parse_duration(text.upper()))
+                return Duration(parse_iso_duration(text))
         except ValueError as error:
             hint = 'write `"PT5S"^^xsd:duration`; years and months vary in length'
             raise self.error(str(error), span, hint if datatype in DURATIONS else "") from None

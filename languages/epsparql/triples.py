@@ -21,6 +21,7 @@ from ...rdf.namespaces import DYKNOW, RDF, RDF_TYPE, shorten
 from ...sparql import ast as sparql
 from ...sparql.ast import Triple, walk
 from ..errors import LanguageError, Span
+from ..hints import meant
 from ..mtl.checked import Kind, kind_of
 
 Term: TypeAlias = NamedNode | Literal | Variable
@@ -140,7 +141,7 @@ class TripleReader:
             raise self._error(
                 f"{shorten(predicate.value)} is neither a feature nor another known term",
                 triple.span,
-                _meant(near) or "add it to the ontology first: dyknow ontology add-feature",
+                meant(near) or "add it to the ontology first: dyknow ontology add-feature",
             )
         return StaticTriple(triple)
 
@@ -163,7 +164,7 @@ class TripleReader:
                 f"write `?o {name} ?value`",
             )
         if iri.startswith(DYKNOW):
-            near = _meant(vocabulary.suggest(iri, "sort"))
+            near = meant(vocabulary.suggest(iri, "sort"))
             raise self._error(
                 f"{name} is not a known sort", triple.span, near or "declare it in the ontology"
             )
@@ -227,7 +228,3 @@ def _is_of_node(triple: Triple) -> bool:
         and isinstance(predicate, NamedNode)
         and (predicate == _VALUE or _MEMBER.fullmatch(predicate.value) is not None)
     )
-
-
-def _meant(near: tuple[str, ...]) -> str:
-    return f"did you mean {' or '.join(near)}?" if near else ""

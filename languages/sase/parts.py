@@ -6,7 +6,7 @@ from typing import Final
 
 from ...rdf.namespaces import local_name
 from ..errors import LanguageError, Span
-from ..hints import suggest_name
+from ..hints import meant, suggest_name
 from ..mtl.ast import Symbol
 from ..mtl.checked import Kind, kind_of
 from ..ontology_names import OntologyNames
@@ -74,11 +74,10 @@ class Parts:
         iris = names.iris(symbol.text, symbol.span)
         found = next((i for i in iris if vocabulary.is_feature(i) or vocabulary.is_event(i)), None)
         if found is None:
-            near = vocabulary.suggest(symbol.text)
             raise self.error(
                 f"the ontology knows no feature, event or sort `{symbol.text}`",
                 symbol.span,
-                f"did you mean {' or '.join(near)}?" if near else "declare it in the ontology",
+                meant(vocabulary.suggest(symbol.text)) or "declare it in the ontology",
             )
         info = vocabulary.feature(found)
         if info is None:

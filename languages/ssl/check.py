@@ -24,6 +24,7 @@ from ...ontology.vocabulary import SELF, Vocabulary
 from ...rdf.namespaces import DYKNOW, local_name
 from ...streams.sample import TIME_FIELDS
 from ..errors import LanguageError, Span
+from ..hints import meant
 from ..ontology_names import OntologyNames
 from . import annotation
 from .annotation import (
@@ -180,7 +181,7 @@ class _Checker:
             if known_object or not near:
                 hint = f"write `for {entity.name} = {entity.field}` if it is an object"
             else:
-                hint = f"did you mean {' or '.join(near)}?"
+                hint = meant(near)
             what = "an object" if known_object else "not a sort of the ontology"
             raise self.error(
                 f"`every` needs a sort, and `{argument.name}` is {what}", entity.span, hint

@@ -77,6 +77,11 @@ class Branch:
     static: tuple[Static, ...] = ()
     names: frozenset[str] = frozenset()
 
+    @property
+    def static_names(self) -> frozenset[str]:
+        """The variables of its static triples."""
+        return frozenset(name for each in self.static for name in variables_of(each.triple))
+
     def joined(self, other: Branch) -> Branch:
         """Return both together."""
         return Branch(
@@ -242,7 +247,7 @@ class _Reader:
             case TimeOf():
                 return bool(branch.samples)
             case StaticVariable(name):
-                return any(name in variables_of(each.triple) for each in branch.static)
+                return name in branch.static_names
             case _:
                 return True
 

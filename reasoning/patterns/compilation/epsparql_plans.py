@@ -255,11 +255,11 @@ class _Plan:
             if not isinstance(place, Variable) or name in known:
                 output = self._output("static", self.expression(place, self.branch.samples))
                 variables.append((name, output, kind_of(place)))
-        names = {name for each, _ in triples for name in variables_of(each)}
         results = tuple(
             (item.value.name, item.name)
             for item in items
-            if isinstance(item.value, StaticVariable) and item.value.name in names
+            if isinstance(item.value, StaticVariable)
+            and item.value.name in self.branch.static_names
         )
         calculated = tuple(
             (item.name, self._calculated(item))
@@ -406,7 +406,7 @@ class _Plan:
         def is_known(value: Value) -> bool:
             match value:
                 case StaticVariable(name):
-                    return any(name in variables_of(each.triple) for each in self.branch.static)
+                    return name in self.branch.static_names
                 case Calculation(_, left, right):
                     return is_known(left) and is_known(right)
                 case _:

@@ -15,13 +15,12 @@ from ....continuous.operators.background import Background
 from ....continuous.operators.executor import execute
 from ....continuous.operators.sources import EmptyWindows, StaticSide
 from ....converters.objects import object_name
-from ....languages.epsparql.expressions import DURATIONS
 from ....languages.mtl.checked import Kind
-from ....rdf.datatypes import NUMBERS
+from ....rdf.datatypes import DURATIONS, NUMBERS
 from ....rdf.dictionary import Term, TermDictionary
 from ....rdf.namespaces import DYKNOW, XSD
 from ....sparql import ast
-from ....streams.time import parse_duration, parse_time
+from ....streams.time import parse_iso_duration, parse_time
 from ..plans.plan import NO_VALUE
 from ..plans.query import Keys, StaticJoin, object_key, text_key
 
@@ -151,8 +150,8 @@ def _value_of(term: Term, kind: Kind) -> Value | None:
             return int(text in ("true", "1"))
         case Kind.TIME if datatype == XSD + "dateTime":
             return _read(parse_time, text)
-        case Kind.DURATION if datatype in DURATIONS and text.upper().startswith("P"):
-            return _read(parse_duration, text.upper())
+        case Kind.DURATION if datatype in DURATIONS:
+            return _read(parse_iso_duration, text)
         case _:
             return None
 

@@ -52,10 +52,11 @@ def inspect(
     known = Ontology.open(None)
     if url is not None:
         with connect(url) as client:
-            more = [each for each in client.ontologies() if each not in known.ontologies()]
-            texts = [client.ontology(each) for each in more]
-        # As one text: each load makes the closure again.
-        known.load("\n".join(texts), name=url)
+            shipped = set(known.ontologies())
+            texts = [client.ontology(each) for each in client.ontologies() if each not in shipped]
+        if texts:
+            # As one text: each load makes the closure again.
+            known.load("\n".join(texts), name=url)
     for path in ontology:
         format = FORMATS.get(path.suffix.lower(), "turtle")
         known.load(read_text(path), name=path.stem, format=format)
