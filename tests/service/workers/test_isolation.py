@@ -425,6 +425,18 @@ def ask(http: httpx.Client, query: str) -> httpx.Response:
     return http.get("/sparql", params={"query": query})
 
 
+def answered(http: httpx.Client, query: str, accept: str) -> httpx.Response:
+    """The answer to a query; where a machine is too slow for the deadline, to one asked again."""
+
+    def answer() -> httpx.Response | None:
+        found = http.get("/sparql", params={"query": query}, headers={"Accept": accept})
+        return None if found.status_code == 503 else found
+
+    found = until(answer)
+    assert found is not None
+    return found
+
+
 def test_answers_are_those_of_now(http: httpx.Client) -> None:
     asked = "PREFIX s: <http://www.dyknow.eu/ontology#> SELECT ?n { ?x a s:Stream ; s:hasName ?n }"
     for number in range(5):
@@ -455,7 +467,7 @@ def test_a_result_of_too_many_rows(http: httpx.Client, accept: str) -> None:
     def rows(number: int) -> httpx.Response:
         values = " ".join(f'"{i}\\n\\"<result>,"' for i in range(number))
         query = f"SELECT ?x {{ VALUES ?x {{ {values} }} }}"
-        return http.get("/sparql", params={"query": query}, headers={"Accept": accept})
+        return answered(http, query, accept)
 
     assert rows(50).status_code == 200
     refused = rows(51)
@@ -469,7 +481,7 @@ def test_a_graph_of_too_many_triples(http: httpx.Client, accept: str) -> None:
     def triples(number: int) -> httpx.Response:
         values = " ".join(map(str, range(number)))
         query = f"CONSTRUCT {{ <urn:s> <urn:p> ?x }} {{ VALUES ?x {{ {values} }} }}"
-        return http.get("/sparql", params={"query": query}, headers={"Accept": accept})
+        return answered(http, query, accept)
 
     assert triples(50).status_code == 200
     refused = triples(51)
