@@ -243,7 +243,7 @@ class Pass:
 
     def _evaluated(self, atom: Atom) -> tuple[Axes, Mask, Mask | None]:
         axes, a, b, known = self.operands(atom.left, atom.right)
-        holds = OPERATORS[atom.operator](a, b)
+        holds = compare(atom.operator, a, b, known)
         is_known = bool(known.all())
         if len(holds) != self.rows or holds.shape != known.shape:
             # An atom over objects and constants alone has one row.
@@ -327,6 +327,44 @@ def term_of(reading: Reading, sorts: Mapping[str, str]) -> Term:
 def terms_of(formula: Formula, sorts: Mapping[str, str]) -> frozenset[Term]:
     """Return the terms whose values a formula reads."""
     return frozenset(term_of(reading, sorts) for reading in readings_of(formula))
+
+
+def compare(operator: str, a: NDArray[Any], b: NDArray[Any], known: Mask) -> Mask:
+    """Compare values; those of texts where they are known, as others may be of any kind."""
+    if a.dtype != np.object_ and b.dtype != np.object_:
+        found: Mask = OPERATORS[operator](a, b)
+        return found
+    a, b, known = np.broadcast_arrays(a, b, known)
+    holds = np.zeros(known.shape, np.bool_)
+    holds[known] = OPERATORS[operator](a[known], b[known])
+    return holds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Threshold:
+    """A comparison of a feature with a constant, which needs no more than one call."""
+
+    term: Term
+    operator: str
+    constant: NDArray[Any]
+
+    @classmethod
+    def of_atom(cls, atom: Atom, sorts: Mapping[str, str]) -> Threshold | None:
+        match atom:
+            case Atom(operator, Reading() as reading, Constant(value, kind)) if (
+                len(reading.arguments) < 2
+            ):
+                constant = np.asarray([value], object if kind is Kind.TEXT else None)
+                return cls(term_of(reading, sorts), operator, constant)
+            case _:
+                return None
+
+    def of(self, states: States) -> tuple[Mask, Mask | None]:
+        """As `Pass.atom`."""
+        found = states.values[self.term]
+        known = found.known
+        holds = compare(self.operator, found.values, self.constant, known)
+        return holds, None if np.count_nonzero(known) == known.size else known
 
 
 # -- tables ----------------------------------------------------------------------------------

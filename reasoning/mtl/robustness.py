@@ -25,9 +25,10 @@ from ...languages.mtl.checked import (
     Until,
     Within,
 )
+from ...streams.sample import Mask
 from ...streams.time import SECOND
 from . import windows
-from .nodes import OPERATORS, Axes, Pass, aligned_tables
+from .nodes import OPERATORS, Axes, Pass, aligned_tables, compare
 
 Table: TypeAlias = NDArray[np.float64]
 """Margins; shape ``(n, objects of each axis)``."""
@@ -90,7 +91,7 @@ class Margins:
     def _atom(self, atom: Atom, is_upper: bool) -> tuple[Axes, Table]:
         axes, a, b, known = self.once.operands(atom.left, atom.right)
         with np.errstate(all="ignore"):
-            table = _margin(atom.operator, a, b)
+            table = _margin(atom.operator, a, b, known)
         shape = (self.once.rows, *np.broadcast_shapes(table.shape, known.shape)[1:])
         known = np.broadcast_to(known, shape)
         return axes, np.where(known, table, np.inf if is_upper else -np.inf)
@@ -123,12 +124,11 @@ def _flat(table: Table) -> Table:
     return table.reshape(len(table), int(np.prod(table.shape[1:], dtype=np.int64)))
 
 
-def _margin(operator: str, a: NDArray[Any], b: NDArray[Any]) -> Table:
+def _margin(operator: str, a: NDArray[Any], b: NDArray[Any], known: Mask) -> Table:
     """How far ``a operator b`` is from the opposite."""
     kinds = {part.dtype.kind for part in (a, b)}
-    holds = OPERATORS[operator]
     if not kinds <= {"f", "i"}:
-        return np.where(holds(a, b), np.inf, -np.inf)
+        return np.where(compare(operator, a, b, known), np.inf, -np.inf)
     if kinds == {"i"}:
         # Times more than 292 years apart: their difference wraps around, that of floats does not.
         exact = np.asarray(a - b)
@@ -148,5 +148,5 @@ def _margin(operator: str, a: NDArray[Any], b: NDArray[Any]) -> Table:
     # Infinite numbers, after an overflow, have no distance.
     undefined = np.isnan(found)
     if undefined.any():
-        return np.where(undefined, np.where(holds(a, b), np.inf, -np.inf), found)
+        return np.where(undefined, np.where(OPERATORS[operator](a, b), np.inf, -np.inf), found)
     return found

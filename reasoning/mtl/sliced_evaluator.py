@@ -11,8 +11,6 @@ more, that of one reading goes on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -20,12 +18,8 @@ from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Report
 from ...languages.mtl.checked import (
-    Atom,
     CheckedMonitor,
-    Constant,
     Formula,
-    Kind,
-    Reading,
     Until,
     Within,
 )
@@ -36,7 +30,7 @@ from ..states.states import States, Term
 from . import sliced_program, sliced_tables, sliced_verdicts
 from .evaluator import MOST_STATES, TooManyStates, Verdicts, concatenated, no_verdicts
 from .formulas import earliest, looks_back, sorts_of
-from .nodes import END, OPERATORS, Pass, term_of, terms_of
+from .nodes import END, Pass, Threshold, terms_of
 from .sliced_program import Compiler, Program
 from .sliced_tables import CONTROLS
 from .timelines import Timelines
@@ -62,33 +56,6 @@ def is_sliced(monitor: CheckedMonitor) -> bool:
     return JIT and sliced_program.is_sliced(monitor)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Threshold:
-    """A comparison of a feature with a constant, which needs no more than one call."""
-
-    term: Term
-    compare: Callable[[Any, Any], Any]
-    constant: NDArray[Any]
-
-    @classmethod
-    def of_atom(cls, atom: Atom, sorts: Mapping[str, str]) -> _Threshold | None:
-        match atom:
-            case Atom(operator, Reading() as reading, Constant(value, kind)) if (
-                len(reading.arguments) < 2
-            ):
-                constant = np.asarray([value], object if kind is Kind.TEXT else None)
-                return cls(term_of(reading, sorts), OPERATORS[operator], constant)
-            case _:
-                return None
-
-    def of(self, states: States) -> tuple[Mask, Mask | None]:
-        """As `Pass.atom`."""
-        found = states.values[self.term]
-        holds: Mask = self.compare(found.values, self.constant)
-        known = found.known
-        return holds, None if np.count_nonzero(known) == known.size else known
-
-
 class SlicedEvaluator:
     """Verdicts of a monitor over shared states. Contract: `is_sliced`.
 
@@ -110,7 +77,7 @@ class SlicedEvaluator:
         self._count = 0
         """The states in the rows; those before the first row were dropped."""
         self._atoms = [
-            (each, _Threshold.of_atom(each, self._sorts)) for each in self._compiler.atoms
+            (each, Threshold.of_atom(each, self._sorts)) for each in self._compiler.atoms
         ]
         self._domains_of_atoms = list(map(self._compiler.domain, self._compiler.atoms))
         self._objects = [1] + [0] * (len(self._compiler.domains) - 1)

@@ -251,3 +251,21 @@ def test_a_feature_needs_an_object(engine):
         engine.queries.register("monitor m = wind > 3")
     with pytest.raises(Refused, match="`wind` names no object"):
         engine.register_template("REGISTER TEMPLATE Windy(?limit) AS wind > ?limit")
+
+
+@pytest.mark.parametrize("policy", ["any change", "sample every 1s"])
+@pytest.mark.parametrize("option", ["", ", robustness"])
+def test_a_text_that_is_not_known_yet_is_not_compared(engine, policy, option):
+    engine.annotate(
+        "stream a contains callsign(UAV) = c, speed(UAV) = v [km.h-1] for every UAV = id"
+    )
+    view = engine.queries.register(
+        'monitor m(?x in UAV) = callsign(?x) < "b" or speed(?x) > 3 '
+        f"with {policy}, use most recent, report verdicts{option}"
+    )
+    rows = [(1, 2.0, None), (2, 5.0, None), (3, 2.0, "a"), (4, 2.0, "c")]
+    feed(engine, "a", [(t, {"id": "u1", "v": v, "c": c}) for t, v, c in rows])
+    engine.end("a")
+    assert told(engine, view) == [
+        ("u1", 1, "unknown"), ("u1", 2, "true"), ("u1", 3, "true"), ("u1", 4, "false")
+    ]  # fmt: skip
