@@ -114,6 +114,29 @@ class _Moments:
         return np.where(is_true, 1, np.where(self.false[places] <= moment, 0, -1)).astype(np.int8)
 
 
+class PartValues:
+    """The values of a formula's parameters, or of its variable, for each part."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, NDArray[Any]] = {}
+
+    def put(self, part: int, values: Constants) -> None:
+        """Give parameters their values for a part."""
+        for name, value in values.items():
+            constant = value.value if isinstance(value, Constant) else value.iri
+            known = self._columns.get(name)
+            if known is None or part >= len(known):
+                kind = object if isinstance(constant, str) else type(constant)
+                more = np.empty(max(16, part + 1), kind)
+                known = more if known is None else np.concatenate([known, more])
+                self._columns[name] = known
+            known[part] = constant
+
+    def of(self, part: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """The values at each state, by the parts of these."""
+        return {name: known[part] for name, known in self._columns.items()}
+
+
 class MonitorEvaluator:
     """Verdicts of a monitor over states; where parts have states of their own, of each by itself.
 
@@ -137,10 +160,11 @@ class MonitorEvaluator:
         self._looks_back = looks_back(monitor.formula)
         self._remembered = remembered_by(monitor)
         self._kept: KeptStates | None = None
-        self._values: dict[str, NDArray[Any]] = {}
-        """The values of parameters of the formula, by part."""
+        self._values = PartValues()
         self.states_of: NDArray[np.int64] = np.zeros(1, np.int64)
         """The number of states of each part by now."""
+        self._verdicts_of = np.zeros((3, 1), np.int64)
+        """The verdicts of each part by now: unknown, false, true."""
 
     @property
     def terms(self) -> frozenset[Term]:
@@ -186,18 +210,16 @@ class MonitorEvaluator:
         if more > 0:
             grown = np.zeros(max(16, more, len(self.states_of)), np.int64)
             self.states_of = np.concatenate([self.states_of, grown])
+            words = np.zeros((3, len(grown)), np.int64)
+            self._verdicts_of = np.concatenate([self._verdicts_of, words], axis=1)
 
     def set_values(self, part: int, values: Constants) -> None:
         """Give parameters of the formula, or variables, their values for a part."""
-        for name, value in values.items():
-            constant = value.value if isinstance(value, Constant) else value.iri
-            known = self._values.get(name)
-            if known is None or part >= len(known):
-                kind = object if isinstance(constant, str) else type(constant)
-                more = np.empty(max(16, part + 1), kind)
-                known = more if known is None else np.concatenate([known, more])
-                self._values[name] = known
-            known[part] = constant
+        self._values.put(part, values)
+
+    def verdicts_of(self, part: int) -> dict[int, int]:
+        """The number of verdicts of a part by now, by their value."""
+        return dict(zip((-1, 0, 1), self._verdicts_of[:, part].tolist(), strict=True))
 
     def drop(self, part: int) -> None:
         """Forget the states of a part."""
@@ -279,10 +301,11 @@ class MonitorEvaluator:
     def _decided(self, rows: KeptStates, rest: KeptStates | None) -> Verdicts:
         """The verdicts that these states determine; keep those that are needed, and the ``rest``.
         Contract: they are in order of parts."""
-        values = {name: known[rows.part] for name, known in self._values.items()}
         timelines = Timelines.of(rows.part, self.states_of)
-        once = Pass(rows.states, self._sorts, timelines, values)
+        once = Pass(rows.states, self._sorts, timelines, self._values.of(rows.part))
         found = self._verdicts(rows, once)
+        if len(found):
+            np.add.at(self._verdicts_of, (found.value + 1, found.part), 1)
         rows = self._needed(rows, once)
         self._kept = rows if rest is None else rest.followed_by(rows)
         return found

@@ -20,6 +20,7 @@ from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
 from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import compares_objects, objects_have_states
+from .part_evaluator import PartEvaluator, takes
 from .sliced_evaluator import SlicedEvaluator, is_sliced
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
@@ -119,13 +120,12 @@ class Monitoring:
         has_runs = monitor.report is Report.CHANGES and not monitor.once
         self._runs = _Runs() if has_runs else None
 
-    def _made_evaluator(self, decides: bool) -> MonitorEvaluator | SlicedEvaluator:
+    def _made_evaluator(self, decides: bool) -> MonitorEvaluator | SlicedEvaluator | PartEvaluator:
         if not decides:
             return StateKeeper(self.monitor)
-        is_shared = not self.has_own_states
-        return (SlicedEvaluator if is_shared and is_sliced(self.monitor) else MonitorEvaluator)(
-            self.monitor
-        )
+        if self.has_own_states:
+            return (PartEvaluator if takes(self.monitor) else MonitorEvaluator)(self.monitor)
+        return (SlicedEvaluator if is_sliced(self.monitor) else MonitorEvaluator)(self.monitor)
 
     @property
     def way(self) -> str:
@@ -254,7 +254,7 @@ class Monitoring:
     def _begin_part(self, part: int, iri: str, values: Constants) -> None:
         """Let there be a part for an object, with its ``values`` of the formula's parameters."""
         self._own.make_room_for(part + 1)
-        assert isinstance(self._evaluator, MonitorEvaluator), "the states are not shared"
+        assert not isinstance(self._evaluator, SlicedEvaluator), "the states are not shared"
         self._evaluator.make_room_for(part + 1)
         if compares_objects(self.monitor.formula):
             values = {**values, self.monitor.parameters[0][0]: ObjectConstant(iri)}

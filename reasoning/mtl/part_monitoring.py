@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from ..states.part_departures import PartDepartures, Parts
 from ..states.part_states import CommonSteps, StepsOfParts
 from .evaluator import Constants, MonitorEvaluator
 from .monitoring import WORDS, Monitoring, Reported
+from .part_evaluator import PartEvaluator
 
 
 class PartMonitoring(Monitoring):
@@ -30,7 +31,7 @@ class PartMonitoring(Monitoring):
     a grid.
     """
 
-    _evaluator: MonitorEvaluator
+    _evaluator: MonitorEvaluator | PartEvaluator
 
     def __init__(self, monitor: CheckedMonitor, sources: int) -> None:
         # Each part has a grid of its own, too.
@@ -39,8 +40,6 @@ class PartMonitoring(Monitoring):
         self._count = 0
         self.samples_of: NDArray[np.int64] = np.empty(0, np.int64)
         """The samples of each part that came."""
-        self._verdicts_of = np.zeros((len(WORDS), 0), np.int64)
-        """The verdicts of each part by now, in the order of `WORDS`."""
 
     @property
     def late_of(self) -> NDArray[np.int64]:
@@ -56,8 +55,6 @@ class PartMonitoring(Monitoring):
         if part == len(self.samples_of):
             more = np.zeros(max(16, part), np.int64)
             self.samples_of = np.concatenate([self.samples_of, more])
-            words = np.zeros((len(WORDS), len(more)), np.int64)
-            self._verdicts_of = np.concatenate([self._verdicts_of, words], axis=1)
         return part
 
     def end_part(self, part: int) -> None:
@@ -69,11 +66,11 @@ class PartMonitoring(Monitoring):
 
     def part(self, number: int) -> MonitoredPart:
         """Return how far the evaluation of a part is."""
-        counts = self._verdicts_of[:, number].tolist()
+        counts = self._evaluator.verdicts_of(number)
         return MonitoredPart(
             self.monitor,
             int(self._evaluator.states_of[number]),
-            dict(zip(WORDS.values(), counts, strict=True)),
+            {word: counts[value] for value, word in WORDS.items()},
             self._evaluator.is_open_of(number),
             self._own.grid_of(number),
         )
@@ -107,13 +104,6 @@ class PartMonitoring(Monitoring):
     @property
     def _names(self) -> NDArray[Any]:
         return np.arange(self._count)
-
-    def _report(self, found: Sequence[Reported]) -> Reported:
-        for each in found:
-            for i, value in enumerate(WORDS):
-                parts = each.objects[0, each.value == value].astype(np.int64)
-                np.add.at(self._verdicts_of[i], parts, 1)
-        return super()._report(found)
 
 
 @dataclass(frozen=True, slots=True)

@@ -160,7 +160,7 @@ def _run(kernel: Kernel, *arguments: Any) -> None:
     (kernel if JIT else kernel.py_func)(*arrays)
 
 
-def _least_queue_loop(
+def least_in_queue(
     moments: Any, first: Any, last: Any, queue: Any, out: Any, sign: Any, empty: Any
 ) -> None:
     """Keep a queue of the rows that may still be the least of an interval."""
@@ -222,7 +222,7 @@ def _least_wide_loop(
                 span *= 2
 
 
-def _until_loop(
+def until_loop(
     true_left: Any,
     false_left: Any,
     true_right: Any,
@@ -251,7 +251,7 @@ def _until_loop(
             out_false[start, column] = min(false, max(ruled_out, closed[start]))
 
 
-def _since_loop(
+def since_loop(
     true_left: Any,
     false_left: Any,
     true_right: Any,
@@ -335,6 +335,38 @@ def _first_by_loop(table: Any, column: Any, first: Any, last: Any, by: Any, out:
                 break
 
 
+def deciding_state(
+    left: Any,
+    right: Any,
+    left_column: Any,
+    right_column: Any,
+    start: Any,
+    first: Any,
+    last: Any,
+    closed: Any,
+    is_true: Any,
+    is_past: Any,
+) -> Any:
+    """The state that decides a verdict, as `deciding` says."""
+    # When left held at all states by now, or right was known to fail at all of the interval.
+    least, held, found = 2**62, -1, -1
+    count = start - first + 1 if is_past else last - start
+    for step in range(count):
+        state = start - step if is_past else start + step
+        is_inside = state < last if is_past else state >= first
+        own, other = left[state, left_column], right[state, right_column]
+        if is_true:
+            moment = max(other, held) if is_inside else 2**62
+            held = max(held, own)
+        else:
+            if is_inside:
+                held = max(held, other)
+            moment = max(held, own)
+        if moment < least:
+            least, found = moment, state
+    return found if is_true or least < max(held, closed) else -1
+
+
 def _deciding_loop(
     left: Any,
     right: Any,
@@ -349,23 +381,10 @@ def _deciding_loop(
     out: Any,
 ) -> None:
     for i in range(len(start)):
-        # When left held at all states by now, or right was known to fail at all of the interval.
-        least, held, found = 2**62, -1, -1
-        count = start[i] - first[i] + 1 if is_past else last[i] - start[i]
-        for step in range(count):
-            state = start[i] - step if is_past else start[i] + step
-            is_inside = state < last[i] if is_past else state >= first[i]
-            own, other = left[state, left_column[i]], right[state, right_column[i]]
-            if is_true:
-                moment = max(other, held) if is_inside else 2**62
-                held = max(held, own)
-            else:
-                if is_inside:
-                    held = max(held, other)
-                moment = max(held, own)
-            if moment < least:
-                least, found = moment, state
-        out[i] = found if is_true or least < max(held, closed[i]) else -1
+        out[i] = deciding_state(
+            left, right, left_column[i], right_column[i], start[i], first[i], last[i], closed[i],
+            is_true, is_past,
+        )  # fmt: skip
 
 
 def _types() -> tuple[Any, Any, Any, Any]:
@@ -426,14 +445,14 @@ def _places_signature() -> Any:
     return types.void(row, row, row, row, types.int64, row)
 
 
-_least_queue = Kernel(_least_queue_loop, _least_signature)
-_least_queue_of_margins = Kernel(_least_queue_loop, _least_of_margins_signature)
+_least_queue = Kernel(least_in_queue, _least_signature)
+_least_queue_of_margins = Kernel(least_in_queue, _least_of_margins_signature)
 _least_wide = Kernel(_least_wide_loop, _least_wide_signature)
 _least_wide_of_margins = Kernel(_least_wide_loop, _least_wide_of_margins_signature)
-_until = Kernel(_until_loop, _until_signature)
-_since = Kernel(_since_loop, _since_signature)
+_until = Kernel(until_loop, _until_signature)
+_since = Kernel(since_loop, _since_signature)
 _until_of_margins = Kernel(_until_of_margins_loop, _margins_signature)
 _since_of_margins = Kernel(_since_of_margins_loop, _margins_signature)
 _places = Kernel(_places_loop, _places_signature)
 _first_by = Kernel(_first_by_loop, _first_by_signature)
-_deciding = Kernel(_deciding_loop, _deciding_signature)
+_deciding = Kernel(_deciding_loop, _deciding_signature, calls=(deciding_state,))

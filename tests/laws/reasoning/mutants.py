@@ -54,7 +54,7 @@ MUTANTS = (
     ("mtl/evaluator.py", "range(0, count, most)", "range(0, count - most, most)", PROGRESSION),
     # The state of a witness.
     ("mtl/witness.py", "(a <= b) if is_or is is_true else (a >= b)", "a <= b", PROGRESSION),
-    ("mtl/windows.py", "least < max(held, closed[i])", "least <= max(held, closed[i])", PROGRESSION),
+    ("mtl/windows.py", "least < max(held, closed)", "least <= max(held, closed)", PROGRESSION),
     # Margins of both readings.
     ("mtl/robustness.py", "np.inf if is_upper else -np.inf", "-np.inf", ROBUSTNESS),
     ("mtl/robustness.py", "return axes, -table", "return axes, table", ROBUSTNESS),
@@ -76,7 +76,7 @@ MUTANTS = (
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
     # A timeline ends where the next one begins; a part has its own values, grid and first state.
     ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PARTS),
-    ("mtl/evaluator.py", "known[rows.part] for name", "known[0 * rows.part] for name", PARTS),
+    ("mtl/evaluator.py", "known[part] for name", "known[0 * part] for name", PARTS),
     ("states/part_states.py", "np.maximum(steps.left(part, due), self._begun[part])", "steps.left(part, due)", PARTS),
     ("states/kept_samples.py", "(best >= 0) & (own[best] == part)", "best >= 0", PARTS),
     # SEQ is strict; EQUALS is of both times.

@@ -11,18 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from formula_drawing import OBJECTS, SORT, FormulaDrawing
+from formula_drawing import OBJECTS, SORT, OneObjectDrawing
 
 from dyknow.languages.mtl.ast import Report
 from dyknow.languages.mtl.checked import (
-    Atom,
     CheckedMonitor,
     Constant,
     Kind,
     ObjectConstant,
-    ObjectVariable,
     Parameter,
-    Reading,
 )
 from dyknow.reasoning.mtl import evaluator
 from dyknow.reasoning.mtl.formulas import is_of_one_object, readings_of
@@ -37,21 +34,10 @@ from dyknow.streams.policies.policy import (
 )
 
 STREAMS = 2
-X = ObjectVariable("x")
 
 
-class Drawing(FormulaDrawing):
-    """Random monitors of one object, of which requests give a truth and an object."""
-
-    def atom(self, scope: list[str]) -> Atom:
-        draw = self.random
-        if draw.random() < 0.1:
-            return Atom(
-                "=", X, draw.choice([ObjectConstant(OBJECTS[0]), Parameter("o", Kind.OBJECT)])
-            )
-        reading = Reading(f"urn:{draw.choice('pq')}", (X,), Kind.TRUTH, None)
-        wanted = draw.choice([Constant(True, Kind.TRUTH), Parameter("wanted", Kind.TRUTH)])
-        return Atom("=", reading, wanted)
+class Drawing(OneObjectDrawing):
+    """Random monitors of one object."""
 
     def monitor(self) -> CheckedMonitor:
         draw = self.random

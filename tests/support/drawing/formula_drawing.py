@@ -14,6 +14,7 @@ from dyknow.languages.mtl.checked import (
     ObjectConstant,
     ObjectVariable,
     Or,
+    Parameter,
     Previous,
     Quantified,
     Reading,
@@ -83,3 +84,20 @@ class FormulaDrawing:
     def sort(self) -> str:
         """That of the next quantifier."""
         return SORT
+
+
+X = ObjectVariable("x")
+
+
+class OneObjectDrawing(FormulaDrawing):
+    """Formulas of one object, ``x``, of which requests give a truth and an object."""
+
+    def atom(self, scope: list[str]) -> Atom:
+        draw = self.random
+        if draw.random() < 0.1:
+            return Atom(
+                "=", X, draw.choice([ObjectConstant(OBJECTS[0]), Parameter("o", Kind.OBJECT)])
+            )
+        reading = Reading(f"urn:{draw.choice('pq')}", (X,), Kind.TRUTH, None)
+        wanted = draw.choice([Constant(True, Kind.TRUTH), Parameter("wanted", Kind.TRUTH)])
+        return Atom("=", reading, wanted)

@@ -1,0 +1,295 @@
+"""Verdicts of a formula over the states of parts, each by itself, in one compiled call.
+
+The same moments as those of `evaluator.MonitorEvaluator`, by a program (`part_loop`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...languages.mtl.ast import Report
+from ...languages.mtl.checked import CheckedMonitor
+from ...streams.sample import Mask, Times
+from ...streams.time import TIME_MIN
+from ..states.states import States, Term
+from . import part_loop, sliced_program
+from .evaluator import (
+    MOST_STATES,
+    Constants,
+    PartValues,
+    TooManyStates,
+    Verdicts,
+    no_verdicts,
+)
+from .formulas import is_of_one_object, sorts_of
+from .nodes import END, Pass, Threshold, terms_of
+from .part_loop import (
+    AT_ONCE,
+    CONTROLS,
+    COUNT,
+    EMITTED,
+    IS_SINGLE,
+    LIMIT,
+    NEEDED,
+    OPEN,
+    PART_FIELDS,
+    PLACES,
+    REPORTS_ALL,
+    SEEN,
+    SETTLED,
+    SIDES,
+    STATE_FIELDS,
+    STOPPED_FOR,
+    TRUES,
+    UNKNOWNS,
+    UNREPORTED_UNKNOWN,
+    USED,
+)
+from .sliced_program import Compiler, Program
+from .timelines import Timelines
+
+ROWS: Final = 2048
+"""States of a part that are evaluated at once, unless more are kept: their tables fit into a core's
+cache."""
+SMALLEST: Final = 64
+"""Places for states, rows of the tables, and room for verdicts of a new evaluator."""
+
+
+def takes(monitor: CheckedMonitor) -> bool:
+    """Whether this evaluator takes a monitor whose objects have states of their own."""
+    is_small = len(Compiler(monitor).atoms) <= part_loop.MOST_ATOMS
+    return is_of_one_object(monitor) and is_small and not monitor.robustness
+
+
+class PartEvaluator:
+    """Verdicts of a monitor over the states of parts. Contract: `takes`.
+
+    Law (tests/laws/reasoning/test_part_evaluator.py): those of `MonitorEvaluator` for each part.
+
+    Cost: one call of a compiled loop, and for each part with new states those kept and new for each
+    node; `until` and `since` that times the states of an interval. Memory: 40 bytes a state kept,
+    at most four times. Kept are the states that `MonitorEvaluator` keeps.
+    """
+
+    def __init__(self, monitor: CheckedMonitor, *, limit: int = MOST_STATES) -> None:
+        self._monitor = monitor
+        self._limit = limit
+        self._sorts = sorts_of(monitor)
+        self._values = PartValues()
+        compiler = Compiler(monitor)
+        self._atoms = [(each, Threshold.of_atom(each, self._sorts)) for each in compiler.atoms]
+        programs = [compiler.program(has_two_readings=each) for each in (False, True)]
+        count = max(len(each.nodes) for each in programs)
+        self._nodes = np.zeros((len(programs), count, sliced_program.FIELDS), np.int64)
+        self._roots = np.zeros((len(programs), 5), np.int64)
+        self._remembered = np.zeros((len(programs), count), np.int64)
+        for place, program in enumerate(programs):
+            self._nodes[place, : len(program.nodes)] = packed = _packed(program)
+            roots = _roots(program)
+            self._roots[place] = *roots, len(packed)
+            self._remembered[place, : len(packed)] = _remembered(packed)
+        self._parts = _no_parts(1)
+        self._states = np.zeros((STATE_FIELDS, SMALLEST), np.int64)
+        self._make_rows(SMALLEST)
+        self._out = np.empty((SMALLEST, 6), np.int64)
+        self._control = np.zeros(CONTROLS, np.int64)
+        self._control[IS_SINGLE] = monitor.once
+        self._control[REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
+        self._control[AT_ONCE], self._control[LIMIT] = ROWS, limit
+        self._none = no_verdicts(1)
+
+    @property
+    def terms(self) -> frozenset[Term]:
+        """The terms whose values `push` needs."""
+        return terms_of(self._monitor.formula, self._sorts)
+
+    @property
+    def pending(self) -> int:
+        """The states kept."""
+        return int(self._parts[:, COUNT].sum())
+
+    @property
+    def states(self) -> States | None:
+        """None: the values of states are not kept."""
+        return None
+
+    @property
+    def states_of(self) -> NDArray[np.int64]:
+        """The number of states of each part by now."""
+        return self._parts[:, SEEN]
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a start seen by now has no verdict yet."""
+        return bool(self._parts[:, OPEN].any())
+
+    def is_open_of(self, part: int) -> bool:
+        """Whether a start of a part has no verdict yet."""
+        return bool(self._parts[part, OPEN])
+
+    def settled(self) -> NDArray[np.int64]:
+        """As `MonitorEvaluator.settled`."""
+        return self._parts[:, SETTLED : SETTLED + 1].copy()
+
+    def make_room_for(self, parts: int) -> None:
+        """Let there be so many parts."""
+        more = parts - len(self._parts)
+        if more > 0:
+            self._parts = np.concatenate([self._parts, _no_parts(max(16, more, len(self._parts)))])
+
+    def set_values(self, part: int, values: Constants) -> None:
+        """Give parameters of the formula, or its variable, their values for a part."""
+        self._values.put(part, values)
+
+    def verdicts_of(self, part: int) -> dict[int, int]:
+        """The number of verdicts of a part by now, by their value."""
+        counts = self._parts[part, UNKNOWNS : TRUES + 1].tolist()
+        return dict(zip((-1, 0, 1), counts, strict=True))
+
+    def drop(self, part: int) -> None:
+        """Forget the states of a part."""
+        self._parts[part, [COUNT, PLACES, OPEN, SETTLED]] = 0, 0, 0, TIME_MIN
+
+    def push(
+        self, states: States, left: Times | None = None, part: NDArray[np.int64] | None = None
+    ) -> Verdicts:
+        """As `MonitorEvaluator.push`."""
+        count = len(states.valid)
+        if not count:
+            return self._none
+        times = np.empty((3, count), np.int64)
+        times[0], times[1] = states.valid, states.horizon
+        times[2] = states.valid if left is None else left
+        part = np.zeros(count, np.int64) if part is None else np.ascontiguousarray(part)
+        return self._taken(self._given(states, part), times, part, is_new=True)
+
+    def advance(self, horizon: int | Times) -> Verdicts:
+        """As `MonitorEvaluator.advance`."""
+        part = np.flatnonzero(self._parts[:, OPEN])
+        if not len(part):
+            return self._none
+        times = np.empty((3, len(part)), np.int64)
+        times[1] = horizon if isinstance(horizon, int) else horizon[part]
+        return self._taken(np.empty((1, 0), np.uint8), times, part, is_new=False)
+
+    def end(self) -> Verdicts:
+        """Learn that no further state comes."""
+        return self.advance(END)
+
+    def _given(self, states: States, part: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """The atoms of states, as the loop reads them."""
+        given = np.empty((len(self._atoms) + 1, len(part)), np.uint8)
+        once = None
+        for row, (atom, threshold) in zip(given, self._atoms, strict=False):
+            known: Mask | None
+            if threshold is None:
+                once = once or Pass(states, self._sorts, _NO_TIMELINES, self._values.of(part))
+                _, holds, known = once.atom(atom)
+            else:
+                holds, known = threshold.of(states)
+            row[:] = holds.reshape(-1)
+            if known is not None:
+                row[~known.reshape(-1)] = part_loop.UNKNOWN
+        given[-1] = states.present[self._monitor.parameters[0][1]].reshape(-1)
+        return given
+
+    def _taken(
+        self, given: NDArray[np.uint8], times: Times, part: NDArray[np.int64], *, is_new: bool
+    ) -> Verdicts:
+        at, control = 0, self._control
+        while True:
+            at = part_loop.take(
+                self._nodes, self._roots, self._remembered, given, times, part, at, int(is_new),
+                self._states, self._parts, self._tables, self._scratch, control, self._out,
+            )  # fmt: skip
+            if at == len(part):
+                return self._verdicts()
+            self._make_room(int(control[STOPPED_FOR]), int(control[NEEDED]))
+
+    def _make_room(self, what: int, needed: int) -> None:
+        """Make room for what the loop stopped for."""
+        match what:
+            case part_loop.PLACES_WANTED:
+                used = int(np.maximum(2 * self._parts[:, COUNT], part_loop.FEWEST).sum())
+                states = np.empty((STATE_FIELDS, used + used // 2 + needed), np.int64)
+                self._control[USED] = part_loop.move(self._states, states, self._parts)
+                self._states = states
+            case part_loop.ROWS_WANTED:
+                self._make_rows(2 * needed)
+            case part_loop.ROOM_WANTED:
+                more = np.empty((max(needed, len(self._out)), self._out.shape[1]), np.int64)
+                self._out = np.concatenate([self._out, more])
+            case _:
+                raise TooManyStates(
+                    f"the formula needs more than {self._limit} states; give its intervals an end, "
+                    "or sample less often"
+                )
+
+    def _make_rows(self, rows: int) -> None:
+        """New tables, for so many states of a part."""
+        nodes = self._nodes.shape[1]
+        self._tables = np.empty((SIDES * nodes, rows), np.int64)
+        self._scratch = np.empty((4, max(rows, nodes, 4)), np.int64)
+
+    def _verdicts(self) -> Verdicts:
+        """The verdicts since the last time."""
+        count, trues, unknowns = self._control[_COUNTS].tolist()
+        if not (count or trues or unknowns):
+            return self._none
+        self._control[_COUNTS] = 0
+        # A copy: the loop writes there again.
+        part, start, decided, witness, left, value = self._out[:count].T.copy()
+        binding = np.zeros((count, 1), np.int64)
+        values = value.astype(np.int8)
+        unreported = {1: trues, -1: unknowns}
+        return Verdicts(part, start, decided, left, values, binding, witness, unreported=unreported)
+
+
+_COUNTS: Final = slice(EMITTED, UNREPORTED_UNKNOWN + 1)
+_NO_TIMELINES: Final = Timelines.one(0)
+
+
+def _no_parts(count: int) -> NDArray[np.int64]:
+    """Parts without states."""
+    parts = np.zeros((count, PART_FIELDS), np.int64)
+    parts[:, SETTLED] = TIME_MIN
+    return parts
+
+
+def _table(table: Any) -> Any:
+    """The number of a table of a program among those of the loop, which has `SIDES` a node."""
+    return table // sliced_program.TABLES * SIDES + table % sliced_program.TABLES
+
+
+def _packed(program: Program) -> NDArray[np.int64]:
+    """The nodes of a program, with the tables of the loop."""
+    nodes = program.nodes.copy()
+    columns = slice(sliced_program.LEFT_T, sliced_program.RIGHT_F + 1)
+    nodes[:, columns] = _table(nodes[:, columns])
+    return nodes
+
+
+def _roots(program: Program) -> list[int]:
+    lower, upper = program.lower, program.upper
+    return [_table(each) for each in (lower.true, lower.false, upper.true, upper.false)]
+
+
+def _remembered(nodes: NDArray[np.int64]) -> list[bool]:
+    """Whether each node is one of `formulas.is_remembered`."""
+    is_of_state: list[bool] = []
+    found = []
+    for node in nodes.tolist():
+        operation = node[sliced_program.OPERATION]
+        left = is_of_state[node[sliced_program.LEFT_T] // SIDES] if is_of_state else True
+        right = is_of_state[node[sliced_program.RIGHT_T] // SIDES] if is_of_state else True
+        has_end = node[sliced_program.END] != sliced_program.NO_END
+        found.append(operation == sliced_program.ONCE and not has_end and left)
+        is_of_state.append(
+            operation in (sliced_program.ATOM, sliced_program.TRUTH)
+            or (operation == sliced_program.OR and left and right)
+            or (operation == sliced_program.SPREAD and left)
+        )
+    return found

@@ -1,0 +1,222 @@
+"""The verdicts of parts in one compiled call are those by moments, with the same witnesses, however
+the states are cut into batches."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from formula_drawing import OBJECTS, SORT, OneObjectDrawing
+from numpy.typing import NDArray
+
+from dyknow.languages.mtl.ast import Interval, Report, Temporal
+from dyknow.languages.mtl.checked import CheckedMonitor, Constant, Kind, ObjectConstant, Within
+from dyknow.reasoning.mtl import part_evaluator
+from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates, Verdicts
+from dyknow.reasoning.mtl.formulas import is_of_one_object
+from dyknow.reasoning.mtl.part_evaluator import PartEvaluator, takes
+from dyknow.reasoning.states.states import States, Values
+from dyknow.streams.policies.policy import SynchronizationPolicy
+from dyknow.streams.time import TIME_MIN
+
+PARTS = 4
+TERMS = (("urn:p", (SORT,)), ("urn:q", (SORT,)))
+
+
+class Drawing(OneObjectDrawing):
+    """Random monitors of one object, and states of parts, from one seed."""
+
+    def __init__(self, seed: int, without_end: float) -> None:
+        super().__init__(seed)
+        self.numbers = np.random.default_rng(seed)
+        self.without_end = without_end
+
+    def interval(self) -> Interval:
+        found = super().interval()
+        return replace(found, end=None) if self.random.random() < self.without_end else found
+
+    def monitor(self, depth: int) -> CheckedMonitor:
+        draw = self.random
+        while True:
+            monitor = CheckedMonitor(
+                "m",
+                (("x", SORT),),
+                self.formula(depth, ["x"]),
+                SynchronizationPolicy(),
+                draw.choice([Report.VERDICTS, Report.VIOLATIONS]),
+                draw.random() < 0.1,
+                None,
+            )
+            if is_of_one_object(monitor):
+                return monitor
+
+    def trace(self, count: int) -> States:
+        """States of one object at irregular times, which is not there at some."""
+        valid = np.cumsum(self.numbers.choice([1, 1, 1, 2, 4, 9], count))
+        following = np.append(valid[1:], valid[-1] + 99)
+        horizon = np.minimum(valid + self.random.choice([0, 0, 1, 3]), following - 1)
+        truth, unknown = self.random.choice([0.05, 0.5, 0.95]), self.random.choice([0, 0, 0, 0.1])
+        present = self.numbers.random((count, 1)) >= self.random.choice([0, 0, 0.3])
+        values = {}
+        for term in TERMS:
+            known = self.numbers.random((count, 1)) >= unknown
+            values[term] = Values(self.numbers.random((count, 1)) < truth, known)
+        return States(valid, horizon, {SORT: [""]}, {SORT: present}, values)
+
+
+def joined(traces: list[States]) -> States:
+    """The states of all traces."""
+    return States(
+        np.concatenate([each.valid for each in traces]),
+        np.concatenate([each.horizon for each in traces]),
+        {SORT: [""]},
+        {SORT: np.concatenate([each.present[SORT] for each in traces])},
+        {
+            term: Values(
+                np.concatenate([each.values[term].values for each in traces]),
+                np.concatenate([each.values[term].known for each in traces]),
+            )
+            for term in TERMS
+        },
+    )
+
+
+def counts_of(found: Verdicts) -> dict[int, int]:
+    return {
+        value: int((found.value == value).sum()) + found.unreported.get(value, 0)
+        for value in (-1, 0, 1)
+    }
+
+
+def rows_of(found: Verdicts, report: Report) -> list[tuple[int, ...]]:
+    columns = (
+        found.part, found.start_time, found.decided_time, found.left, found.value,
+        found.witness_time,
+    )  # fmt: skip
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return [row for row in rows if report is Report.VERDICTS or row[4] == 0]
+
+
+class Comparison:
+    """Both evaluators over the same states."""
+
+    def __init__(self, seed: int, count: int, depth: int, without_end: float) -> None:
+        self.draw = draw = Drawing(seed, without_end)
+        self.monitor = draw.monitor(depth)
+        self.place = f"seed {seed}: {self.monitor}"
+        assert takes(self.monitor)
+        self.moments, self.compiled = MonitorEvaluator(self.monitor), PartEvaluator(self.monitor)
+        self.traces = [draw.trace(count) for _ in range(PARTS)]
+        self.done = [0] * PARTS
+        self.verdicts = 0
+        for part in range(PARTS):
+            values = {
+                "x": ObjectConstant(OBJECTS[part % 2]),
+                "o": ObjectConstant(OBJECTS[0]),
+                "wanted": Constant(part != 2, Kind.TRUTH),
+            }
+            for each in (self.moments, self.compiled):
+                each.make_room_for(part + 1)
+                each.set_values(part, values)
+
+    def play(self) -> int:
+        draw, count = self.draw.random, len(self.traces[0].valid)
+        while min(self.done) < count:
+            self.push(draw.choice([1, 1, 2, 5, 30]))
+            if draw.random() < 0.2:
+                self.compiled = pickle.loads(pickle.dumps(self.compiled))  # as a checkpoint does
+            if draw.random() < 0.3:
+                self.advance()
+            if draw.random() < 0.02:
+                part = draw.randrange(PARTS)
+                self.done[part] = count
+                for each in (self.moments, self.compiled):
+                    each.drop(part)
+        if draw.random() < 0.7:
+            self.same(self.moments.end(), self.compiled.end())
+        return self.verdicts
+
+    def push(self, most: int) -> None:
+        taken, parts = [], []
+        for part, trace in enumerate(self.traces):
+            begin = self.done[part]
+            count = min(self.draw.random.randrange(most + 1), len(trace.valid) - begin)
+            if count:
+                taken.append(trace.take(slice(begin, begin + count)))
+                parts.append(np.full(count, part, np.int64))
+                self.done[part] += count
+        if not taken:
+            return
+        states, part = joined(taken), np.concatenate(parts)
+        left = states.valid + 1000
+        self.same(self.moments.push(states, left, part), self.compiled.push(states, left, part))
+
+    def advance(self) -> None:
+        """The horizons go on without a state."""
+        reached: NDArray[np.int64] = np.full(len(self.moments.states_of), TIME_MIN)
+        for part, (trace, done) in enumerate(zip(self.traces, self.done, strict=True)):
+            if 0 < done < len(trace.valid):
+                most = int(trace.valid[done]) - 1
+                last = int(trace.horizon[done - 1])
+                reached[part] = min(last + self.draw.random.randrange(4), most)
+        compiled = np.full(len(self.compiled.states_of), TIME_MIN)
+        compiled[:PARTS] = reached[:PARTS]
+        self.same(self.moments.advance(reached), self.compiled.advance(compiled))
+
+    def same(self, a: Verdicts, b: Verdicts) -> None:
+        report, there = self.monitor.report, range(PARTS)
+        assert rows_of(b, report) == rows_of(a, report), self.place
+        assert counts_of(b) == counts_of(a), self.place
+        for part in there:
+            assert self.compiled.verdicts_of(part) == self.moments.verdicts_of(part), self.place
+        assert self.compiled.is_open == self.moments.is_open, self.place
+        assert [*map(self.compiled.is_open_of, there)] == [*map(self.moments.is_open_of, there)]
+        if self.moments.states is not None:
+            assert (self.compiled.settled()[:PARTS] == self.moments.settled()[:PARTS]).all()
+        assert (self.compiled.states_of[:PARTS] == self.moments.states_of[:PARTS]).all()
+        assert self.compiled.pending <= self.moments.pending, self.place
+        self.verdicts += len(a)
+
+
+@pytest.mark.parametrize("block", range(6))
+def test_short_traces(block: int) -> None:
+    seeds = range(block * 50, block * 50 + 50)
+    assert sum(Comparison(seed, 9, 3, 0.1).play() for seed in seeds) > 1_000
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_long_traces(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Places, rows and room are made again and again; parts of a batch are taken in turn."""
+    monkeypatch.setattr(part_evaluator, "SMALLEST", 4 if block % 2 else part_evaluator.SMALLEST)
+    monkeypatch.setattr(part_evaluator, "ROWS", 3 if block % 2 else part_evaluator.ROWS)
+    seeds = range(10_000 + block * 12, 10_000 + block * 12 + 12)
+    assert sum(Comparison(seed, 150, 2 + block % 3, 0.1).play() for seed in seeds) > 3_000
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_long_past(block: int) -> None:
+    """Of a past without end some states are remembered."""
+    seeds = range(20_000 + block * 15, 20_000 + block * 15 + 15)
+    assert sum(Comparison(seed, 40, 2 + block % 3, 0.6).play() for seed in seeds) > 1_000
+
+
+def test_states_of_an_interval_without_end_are_limited() -> None:
+    draw = Drawing(1, 0)
+    formula = Within(Temporal.ALWAYS, Interval(0, None), draw.formula(0, ["x"]))
+    monitor = CheckedMonitor(
+        "m", (("x", SORT),), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
+    )
+    trace = draw.trace(12)
+    nothing = {
+        term: Values(each.values | True, each.known | True) for term, each in trace.values.items()
+    }
+    present = {SORT: trace.present[SORT] | True}
+    states = States(trace.valid, trace.horizon, trace.objects, present, nothing)
+    running = PartEvaluator(monitor, limit=10)
+    running.set_values(0, {"wanted": Constant(True, Kind.TRUTH)})
+    running.push(states.take(slice(0, 10)))
+    assert running.pending == 10
+    with pytest.raises(TooManyStates, match="more than 10 states"):
+        running.push(states.take(slice(10, 12)))
