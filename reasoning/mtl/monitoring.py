@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -67,6 +67,10 @@ class Reported:
         )
 
 
+_Binding: TypeAlias = tuple[Any, ...]
+"""The objects of the parameters."""
+
+
 class Monitoring:
     """The verdicts of a monitor over samples of ``sources`` streams, numbered from 0.
 
@@ -113,8 +117,11 @@ class Monitoring:
         )
         self._parts: dict[str, int] = {}
         """The parts of objects that have states of their own, by IRI."""
+        self._names: NDArray[Any] = np.empty(0, object)
+        """The IRIs of the objects that have states of their own, by their parts."""
         self._objects: list[NDArray[Any]] = [np.empty(0, object) for _ in monitor.parameters]
-        """The IRIs of each parameter's objects, by their places; one for each part."""
+        """The IRIs of each parameter's objects, by their places, where states are shared."""
+        self._nothing = _joined((), len(monitor.parameters))
         self._verdicts = dict.fromkeys(WORDS, 0)
         # A single start is a run by itself.
         has_runs = monitor.report is Report.CHANGES and not monitor.once
@@ -246,10 +253,13 @@ class Monitoring:
         return replace(states, objects=dict.fromkeys(states.objects, tuple(objects)))
 
     def _part(self, iri: str) -> int:
-        if iri not in self._parts:
-            self._parts[iri] = len(self._parts)
-            self._begin_part(self._parts[iri], iri, {})
-        return self._parts[iri]
+        part = self._parts.setdefault(iri, len(self._parts))
+        if part == len(self._names):
+            self._names = np.concatenate([self._names, np.empty(max(16, part), object)])
+        if self._names[part] is None:
+            self._names[part] = iri
+            self._begin_part(part, iri, {})
+        return part
 
     def _begin_part(self, part: int, iri: str, values: Constants) -> None:
         """Let there be a part for an object, with its ``values`` of the formula's parameters."""
@@ -259,11 +269,6 @@ class Monitoring:
         if compares_objects(self.monitor.formula):
             values = {**values, self.monitor.parameters[0][0]: ObjectConstant(iri)}
         self._evaluator.set_values(part, values)
-
-    @property
-    def _names(self) -> NDArray[Any]:
-        """The IRIs of the parts."""
-        return np.array(list(self._parts), object)
 
     def _decided(
         self, made: Iterator[MadeStates], latest: int | Times, tick: int | None
@@ -276,9 +281,7 @@ class Monitoring:
         return found
 
     def _push(self, made: MadeStates) -> Reported:
-        if self.has_own_states:
-            self._objects = [self._names]
-        else:
+        if not self.has_own_states:
             sorts = [sort for _, sort in self.monitor.parameters]
             self._objects = [np.array(made.states.objects[sort], object) for sort in sorts]
         return self._reported(self._evaluator.push(made.states, made.left, made.part), None)
@@ -287,6 +290,8 @@ class Monitoring:
         """The verdicts at ``moment``, or when their deciding states left."""
         for value, count in found.unreported.items():
             self._verdicts[value] += count
+        if not len(found):
+            return self._nothing
         available = found.left if moment is None else np.full(len(found), moment, np.int64)
         start = found.start_time
         return Reported(
@@ -303,11 +308,21 @@ class Monitoring:
     def _objects_of(self, found: Verdicts) -> NDArray[Any]:
         """The IRIs of each parameter's objects, shape ``(parameters, n)``."""
         if self.has_own_states:
-            return self._objects[0][found.part].reshape(1, -1)
+            return self._names[found.part].reshape(1, -1)
         columns = [names[found.binding[:, i]] for i, names in enumerate(self._objects)]
         return np.stack(columns) if columns else np.empty((0, len(found)), object)
 
+    def _place_of(self, binding: _Binding) -> tuple[int, ...]:
+        """The place of a binding in `MonitorEvaluator.settled`."""
+        if self.has_own_states:
+            return self._parts[binding[0]], 0
+        sorts = [sort for _, sort in self.monitor.parameters]
+        return 0, *map(self._shared.place, sorts, binding)
+
     def _report(self, found: Sequence[Reported]) -> Reported:
+        found = [each for each in found if len(each)]
+        if not found and self._runs is None:
+            return self._nothing
         joined = _in_order(_joined(found, len(self.monitor.parameters)))
         for value in WORDS:
             self._verdicts[value] += int(np.count_nonzero(joined.value == value))
@@ -315,8 +330,7 @@ class Monitoring:
             return joined.take(joined.value == 0)
         if self._runs is not None and self.states:
             settled = self._evaluator.settled()
-            before = settled[:, 0] if self.has_own_states else settled[0]
-            return self._runs.take(joined, self._objects, before)
+            return self._runs.take(joined, lambda binding: int(settled[self._place_of(binding)]))
         return joined
 
 
@@ -341,10 +355,6 @@ class _Run(NamedTuple):
     witness: int
 
 
-_Binding: TypeAlias = tuple[Any, ...]
-"""The objects of the parameters."""
-
-
 class _Runs:
     """Runs of equal verdicts of one binding, each reported once the verdict after it is known."""
 
@@ -354,19 +364,15 @@ class _Runs:
         self._open: dict[_Binding, _Run] = {}
         """By objects: the run that may go on."""
 
-    def take(
-        self, found: Reported, names: Sequence[NDArray[Any]], before: NDArray[np.int64]
-    ) -> Reported:
-        """Take verdicts. ``names``: the objects of each parameter; ``before``: by their places, the
-        valid time before which no start of a binding is without a verdict."""
+    def take(self, found: Reported, before: Callable[[_Binding], int]) -> Reported:
+        """Take verdicts. ``before``: the valid time before which no start of a binding is without
+        a verdict."""
         columns = found.valid, found.value, found.decided, found.available, found.witness
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             self._held.setdefault(tuple(found.objects[:, i]), []).append(_Start(*row))
         ended: list[tuple[_Binding, _Run]] = []
-        for place in np.ndindex(*map(len, names)):
-            binding = tuple(own[at] for own, at in zip(names, place, strict=True))
-            if binding in self._held:
-                ended += self._release(binding, int(before[place]))
+        for binding in list(self._held):
+            ended += self._release(binding, before(binding))
         return _of_runs(ended, len(found.objects))
 
     def rest(self, moment: int) -> Reported:

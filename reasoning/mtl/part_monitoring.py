@@ -14,7 +14,7 @@ from ...languages.mtl.checked import CheckedMonitor
 from ...streams.sample import Times
 from ..states.part_departures import PartDepartures, Parts
 from ..states.part_states import CommonSteps, StepsOfParts
-from .evaluator import Constants, MonitorEvaluator
+from .evaluator import Constants, MonitorEvaluator, Verdicts
 from .monitoring import WORDS, Monitoring, Reported
 from .part_evaluator import PartEvaluator
 
@@ -101,9 +101,11 @@ class PartMonitoring(Monitoring):
         made = self._own.advance(watermark, steps)
         return self._report(self._decided(made, steps.latest, watermark if by_clock else None))
 
-    @property
-    def _names(self) -> NDArray[Any]:
-        return np.arange(self._count)
+    def _objects_of(self, found: Verdicts) -> NDArray[Any]:
+        return found.part.reshape(1, -1)
+
+    def _place_of(self, binding: tuple[Any, ...]) -> tuple[int, ...]:
+        return int(binding[0]), 0
 
 
 @dataclass(frozen=True, slots=True)

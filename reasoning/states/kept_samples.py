@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...streams.sample import Times
 from ...streams.time import TIME_MIN
-from .part_departures import search
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,40 +101,6 @@ class KeptSamples:
         keep[winners[winners >= 0]] = True
         self._rows = rows.take(keep)
         return values.reshape(count, *shape), valid.reshape(count, *shape), until
-
-    def at_parts(
-        self, due: Times, left: Times, part: NDArray[np.int64], begin: NDArray[np.int64]
-    ) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        """The same for states of parts, of which the samples' places are the numbers. The states
-        are in order of part: those of part p are ``begin[p] .. begin[p + 1] - 1``; shape
-        ``(n,)``."""
-        rows = self._rows
-        if not len(rows.valid):
-            return np.zeros(len(due), rows.values.dtype), np.full(len(due), TIME_MIN, np.int64)
-        rows = rows.take(np.lexsort((rows.valid, rows.places[:, 0])))
-        own = np.ascontiguousarray(rows.places[:, 0])
-        first = np.maximum(
-            search(begin, due, own, rows.valid), search(begin, left, own, rows.available)
-        )
-        counts = np.flatnonzero(first < begin[own + 1])
-        best = np.full(len(due), -1, np.int64)
-        best[first[counts]] = counts
-        # Rows are in order of parts, so one of an earlier part stands for no sample.
-        np.maximum.accumulate(best, out=best)
-        is_own = (best >= 0) & (own[best] == part)
-        last = begin[1:][begin[1:] > begin[:-1]] - 1
-        keep = first >= begin[own + 1]
-        keep[best[last[is_own[last]]]] = True
-        found = rows.values[best], np.where(is_own, rows.valid[best], TIME_MIN)
-        self._rows = rows.take(keep)
-        return found
-
-    def drop(self, place: int) -> None:
-        """Forget the samples with this first place."""
-        self._rows = self._rows.take(self._rows.places[:, 0] != place)
-        self._waiting = [
-            (source, rows.take(rows.places[:, 0] != place)) for source, rows in self._waiting
-        ]
 
 
 def _no_rows(variables: int) -> Rows:

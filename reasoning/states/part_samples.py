@@ -1,4 +1,4 @@
-"""The samples that the states of parts may need, and the times of states to come, in compiled loops.
+"""The samples that states of parts may need, and the times of states to come, in compiled loops.
 
 Each part has a list for each term, of samples in order of valid time, then of arrival; and one of
 the times at which states are to leave. All are in one array:
@@ -26,38 +26,36 @@ from .states import Term
 VALID, AVAILABLE, NEXT, BEFORE = range(4)
 FIELDS: Final = 4
 FIRST, LAST = range(2)
-# The first place that is free, or -1; the places used by now; the samples.
-FREE, USED, LIVE = range(3)
-CONTROLS: Final = 3
+# The first place that is free, or -1; the places used by now; the samples; parts with times.
+FREE, USED, LIVE, PENDING = range(4)
+CONTROLS: Final = 4
 SMALLEST: Final = 16
 
 
 class PartSamples:
-    """Samples of terms of one object each; an object is a part, by its number.
+    """Samples of terms of one object each, and times of states to come; an object is a part, by its
+    number.
 
-    Cost: O(1) for each new sample and state where samples of a part come in order of valid time,
-    however many parts there are. Memory: 32 bytes a sample, up to twice, and its value.
+    Cost: O(1) for each new sample and state, however many parts there are, where the samples of a
+    part come in order of valid time. Memory: 32 bytes a sample or time, and the value; as many as
+    there have been at once, up to twice.
     """
 
-    def __init__(self, terms: Sequence[Term], *, has_times: bool) -> None:
-        """``has_times``: whether there are states at the valid times of samples."""
+    def __init__(self, terms: Sequence[Term]) -> None:
         self._lists = {term: number for number, term in enumerate(terms)}
-        count = len(terms) + 1
-        self._has_times = has_times
         self._waiting: list[list[tuple[int, Times, Times, Parts, NDArray[Any]]]] = [
             [] for _ in terms
         ]
-        """Samples that are not before the watermark: source, available, valid, part, value."""
-        self._values: list[NDArray[Any]] = [np.zeros(SMALLEST) for _ in terms]
+        """The samples that are not before the watermark: source, available, valid, part, value."""
+        self._values: list[NDArray[Any]] = [np.zeros(0) for _ in terms]
         """The values of samples, by their places."""
+        count = len(terms) + 1
         self._samples = np.zeros((count, FIELDS, SMALLEST), np.int64)
         self._ends = np.full((count, 0, 2), -1, np.int64)
         self._control = np.zeros((count, CONTROLS), np.int64)
         self._control[:, FREE] = -1
-        self._pending = np.zeros(SMALLEST, np.int64)
-        """Parts with times of states to come."""
-        self._is_pending = np.zeros(0, np.uint8)
-        self._pending_count = 0
+        self._pending = np.zeros((2, 0), np.int64)
+        """Parts with times; for each part whether it is among these."""
 
     def __len__(self) -> int:
         waiting = sum(len(each[1]) for rows in self._waiting for each in rows)
@@ -68,28 +66,305 @@ class PartSamples:
         more = parts - self._ends.shape[1]
         ends = np.full((len(self._ends), more, 2), -1, np.int64)
         self._ends = np.concatenate([self._ends, ends], axis=1)
-        self._is_pending = np.concatenate([self._is_pending, np.zeros(more, np.uint8)])
+        self._pending = np.concatenate([self._pending, np.zeros((2, more), np.int64)], axis=1)
 
     def add(
         self, term: Term, source: int, available: Times, valid: Times, part: Parts,
         values: NDArray[Any],
     ) -> None:  # fmt: skip
         """Take samples of a term from a stream, in order of available time."""
-        self._waiting[self._lists[term]].append((source, available, valid, part, values))
+        if len(valid):
+            self._waiting[self._lists[term]].append((source, available, valid, part, values))
 
     def enter(self, watermark: int) -> tuple[Times, Times, Parts] | None:
         """Let the samples in that are available before ``watermark``; return their available and
-        valid times and parts, or None if there are none."""
+        valid times and parts; None: there are none."""
         new = []
-        for number, waiting in enumerate(self._waiting):
-            if waiting:
-                due = self._take_due(number, watermark)
-                if due is not None:
-                    available, valid, part, values = due
-                    places = self._entered(number, available, valid, part)
-                    self._put_values(number, places, values)
-                    new.append((available, valid, part))
+        for number in range(len(self._waiting)):
+            due = self._take_due(number, watermark)
+            if due is not None:
+                available, valid, part, values = due
+                self._put(number, available, valid, part, values)
+                new.append((available, valid, part))
         if len(new) < 2:
             return new[0] if new else None
         available, valid, part = (np.concatenate(each) for each in zip(*new, strict=True))
         return available, valid, part
+
+    def add_times(self, part: Parts, valid: Times) -> None:
+        """Take times at which states of parts are to leave; each once."""
+        self._make_places(len(self._waiting), len(valid))
+        arrays = self._samples, self._ends, self._control, self._pending
+        _run(_add_times, part, valid, *arrays)
+
+    def due(self, limits: Times | None) -> tuple[Times, Parts]:
+        """Remove the times before the limit of their part, or before that of all (one limit); None:
+        all times. Return them in order of parts and time."""
+        most = int(self._control[-1, LIVE])
+        due, part = np.empty((2, most), np.int64)
+        if most:
+            arrays = self._samples, self._ends, self._control, self._pending
+            is_all = int(limits is None)
+            given = np.empty(1, np.int64) if limits is None else np.ascontiguousarray(limits)
+            count = int(_run(_due, given, is_all, *arrays, due, part))
+            due, part = due[:count], part[:count]
+        if np.count_nonzero(part[1:] < part[:-1]):
+            order = np.argsort(part, kind="stable")
+            due, part = due[order], part[order]
+        return due, part
+
+    def at(
+        self, due: Times, left: Times, part: Parts
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The samples that stand for each term at states, which leave at ``left``: their places
+        (`values`) and valid times (`TIME_MIN`: none); shape ``(terms, n)``. Of a part's samples
+        that are valid at a state, and available when it leaves, it is the newest by valid time,
+        then by arrival. Forgets the samples that no later state needs. Contract: states are in
+        order of parts and time."""
+        found = np.empty((2, len(self._waiting), len(due)), np.int64)
+        given = (np.ascontiguousarray(each) for each in (due, left, part))
+        _run(_at, *given, self._samples, self._ends, self._control, found)
+        return found[0], found[1]
+
+    def values(self, term: Term, places: NDArray[np.int64]) -> NDArray[Any]:
+        """The values of samples of a term at these places. Contract: since `at` no sample came."""
+        number = self._lists[term]
+        known = self._values[number]
+        return known[places[number]] if len(known) else np.zeros(places.shape[1])
+
+    def drop(self, part: int) -> None:
+        """Forget the samples and times of a part."""
+        _run(_drop, part, self._samples, self._ends, self._control)
+        for number, waiting in enumerate(self._waiting):
+            rest = []
+            for source, *columns in waiting:
+                others = columns[2] != part
+                available, valid, parts, values = (each[others] for each in columns)
+                if len(valid):
+                    rest.append((source, available, valid, parts, values))
+            self._waiting[number] = rest
+
+    def _take_due(
+        self, number: int, watermark: int
+    ) -> tuple[Times, Times, Parts, NDArray[Any]] | None:
+        """Remove the samples of a term that are available before ``watermark``; in order of
+        available time, source and arrival."""
+        waiting = self._waiting[number]
+        if not waiting:
+            return None
+        due, rest = [], []
+        for source, *columns in sorted(waiting, key=_source_of):
+            cut = int(columns[0].searchsorted(watermark, "left"))
+            if cut:
+                due.append([each[:cut] for each in columns])
+            if cut < len(columns[0]):
+                available, valid, part, values = (each[cut:] for each in columns)
+                rest.append((source, available, valid, part, values))
+        self._waiting[number] = rest
+        if not due:
+            return None
+        columns = due[0]
+        if len(due) > 1:
+            columns = [np.concatenate(each) for each in zip(*due, strict=True)]
+            order = np.argsort(columns[0], kind="stable")
+            columns = [each[order] for each in columns]
+        return columns[0], columns[1], columns[2], columns[3]
+
+    def _put(
+        self, number: int, available: Times, valid: Times, part: Parts, values: NDArray[Any]
+    ) -> None:
+        self._make_places(number, len(valid))
+        places = np.empty(len(valid), np.int64)
+        given = (np.ascontiguousarray(each) for each in (part, valid, available))
+        _run(_put, number, *given, self._samples, self._ends, self._control, places)
+        known = self._values[number]
+        if len(known) < self._samples.shape[2] or known.dtype != values.dtype:
+            grown = np.zeros(self._samples.shape[2], values.dtype)
+            grown[: len(known)] = known
+            known = self._values[number] = grown
+        known[places] = values
+
+    def _make_places(self, number: int, more: int) -> None:
+        """Let a list have places for so many more."""
+        places = self._samples.shape[2]
+        needed = int(self._control[number, LIVE]) + more
+        if needed > places:
+            grown = np.zeros((*self._samples.shape[:2], 2 * needed), np.int64)
+            grown[:, :, :places] = self._samples
+            self._samples = grown
+
+
+def _source_of(waiting: tuple[int, Times, Times, Parts, NDArray[Any]]) -> int:
+    return waiting[0]
+
+
+def _run(kernel: Kernel, *arguments: Any) -> Any:
+    return (kernel if JIT else kernel.py_func)(*arguments)
+
+
+# -- compiled --------------------------------------------------------------------------------
+
+
+def _place_before(number: Any, part: Any, valid: Any, samples: Any, ends: Any) -> Any:
+    """The last place in a list that is not valid later, or -1."""
+    place = ends[number, part, LAST]
+    while place >= 0 and samples[number, VALID, place] > valid:
+        place = samples[number, BEFORE, place]
+    return place
+
+
+def _insert(
+    number: Any, part: Any, before: Any, valid: Any, available: Any, samples: Any, ends: Any,
+    control: Any,
+) -> Any:  # fmt: skip
+    """Put a sample into a list, after the place ``before``; return its own."""
+    place = control[number, FREE]
+    if place >= 0:
+        control[number, FREE] = samples[number, NEXT, place]
+    else:
+        place = control[number, USED]
+        control[number, USED] += 1
+    control[number, LIVE] += 1
+    after = samples[number, NEXT, before] if before >= 0 else ends[number, part, FIRST]
+    samples[number, VALID, place], samples[number, AVAILABLE, place] = valid, available
+    samples[number, NEXT, place], samples[number, BEFORE, place] = after, before
+    if before >= 0:
+        samples[number, NEXT, before] = place
+    else:
+        ends[number, part, FIRST] = place
+    if after >= 0:
+        samples[number, BEFORE, after] = place
+    else:
+        ends[number, part, LAST] = place
+    return place
+
+
+def _remove_first(number: Any, part: Any, samples: Any, ends: Any, control: Any) -> None:
+    """Take the first sample out of a list that has one."""
+    place = ends[number, part, FIRST]
+    after = samples[number, NEXT, place]
+    ends[number, part, FIRST] = after
+    if after >= 0:
+        samples[number, BEFORE, after] = -1
+    else:
+        ends[number, part, LAST] = -1
+    samples[number, NEXT, place] = control[number, FREE]
+    control[number, FREE] = place
+    control[number, LIVE] -= 1
+
+
+def _put_loop(
+    number: Any, part: Any, valid: Any, available: Any, samples: Any, ends: Any, control: Any,
+    places: Any,
+) -> None:  # fmt: skip
+    for i in range(len(part)):
+        before = _place_before(number, part[i], valid[i], samples, ends)
+        places[i] = _insert(number, part[i], before, valid[i], available[i], samples, ends, control)
+
+
+def _add_times_loop(
+    part: Any, valid: Any, samples: Any, ends: Any, control: Any, pending: Any
+) -> None:
+    number = len(control) - 1
+    for i in range(len(part)):
+        own = part[i]
+        before = _place_before(number, own, valid[i], samples, ends)
+        if before >= 0 and samples[number, VALID, before] == valid[i]:
+            continue
+        _insert(number, own, before, valid[i], 0, samples, ends, control)
+        if not pending[1, own]:
+            pending[1, own] = 1
+            pending[0, control[number, PENDING]] = own
+            control[number, PENDING] += 1
+
+
+def _due_loop(
+    limits: Any, is_all: Any, samples: Any, ends: Any, control: Any, pending: Any, due: Any,
+    part: Any,
+) -> Any:  # fmt: skip
+    number, count, rest = len(control) - 1, 0, 0
+    for k in range(control[number, PENDING]):
+        own = pending[0, k]
+        limit = limits[own] if len(limits) > 1 else limits[0]
+        place = ends[number, own, FIRST]
+        while place >= 0 and (is_all or samples[number, VALID, place] < limit):
+            due[count], part[count] = samples[number, VALID, place], own
+            count += 1
+            _remove_first(number, own, samples, ends, control)
+            place = ends[number, own, FIRST]
+        if place >= 0:
+            pending[0, rest] = own
+            rest += 1
+        else:
+            pending[1, own] = 0
+    control[number, PENDING] = rest
+    return count
+
+
+def _at_loop(
+    due: Any, left: Any, part: Any, samples: Any, ends: Any, control: Any, found: Any
+) -> None:
+    for number in range(len(control) - 1):
+        best = -1
+        for i in range(len(due)):
+            own = part[i]
+            if i == 0 or part[i - 1] != own:
+                best = -1
+            place = samples[number, NEXT, best] if best >= 0 else ends[number, own, FIRST]
+            while place >= 0 and samples[number, VALID, place] <= due[i]:
+                if samples[number, AVAILABLE, place] <= left[i]:
+                    best = place
+                place = samples[number, NEXT, place]
+            found[0, number, i] = best
+            found[1, number, i] = samples[number, VALID, best] if best >= 0 else TIME_MIN
+            # Those before the last state's sample are older, also for each later state.
+            if best >= 0 and (i + 1 == len(due) or part[i + 1] != own):
+                while ends[number, own, FIRST] != best:
+                    _remove_first(number, own, samples, ends, control)
+
+
+def _drop_loop(part: Any, samples: Any, ends: Any, control: Any) -> None:
+    for number in range(len(control)):
+        while ends[number, part, FIRST] >= 0:
+            _remove_first(number, part, samples, ends, control)
+
+
+def _types() -> tuple[Any, Any, Any, Any]:
+    from numba import types
+
+    return types, types.int64[::1], types.int64[:, ::1], types.int64[:, :, ::1]
+
+
+def _put_signature() -> Any:
+    types, row, table, cube = _types()
+    times = types.Array(types.int64, 1, "C", readonly=True)
+    return types.void(types.int64, row, times, times, cube, cube, table, row)
+
+
+def _add_times_signature() -> Any:
+    types, row, table, cube = _types()
+    times = types.Array(types.int64, 1, "C", readonly=True)
+    return types.void(row, times, cube, cube, table, table)
+
+
+def _due_signature() -> Any:
+    types, row, table, cube = _types()
+    return types.int64(row, types.int64, cube, cube, table, table, row, row)
+
+
+def _at_signature() -> Any:
+    types, row, table, cube = _types()
+    return types.void(row, row, row, cube, cube, table, cube)
+
+
+def _drop_signature() -> Any:
+    types, _, table, cube = _types()
+    return types.void(types.int64, cube, cube, table)
+
+
+_IN_LOOPS: Final = _place_before, _insert, _remove_first
+_put = Kernel(_put_loop, _put_signature, allocates=False, calls=_IN_LOOPS)
+_add_times = Kernel(_add_times_loop, _add_times_signature, allocates=False, calls=_IN_LOOPS)
+_due = Kernel(_due_loop, _due_signature, allocates=False, calls=_IN_LOOPS)
+_at = Kernel(_at_loop, _at_signature, allocates=False, calls=_IN_LOOPS)
+_drop = Kernel(_drop_loop, _drop_signature, allocates=False, calls=_IN_LOOPS)

@@ -15,8 +15,8 @@ from ...streams.sample import Times
 from ...streams.time import TIME_MAX, TIME_MIN
 from ...streams.time_arithmetic import earlier, later
 from .departures import Steps
-from .kept_samples import KeptSamples, Rows
 from .part_departures import Parts
+from .part_samples import PartSamples
 from .state_maker import CELLS, MOST_STATES, MadeStates, TooManyDue, present_at, variables_of
 from .states import States, Term, Values
 
@@ -68,7 +68,8 @@ class PartStates:
     ) -> None:
         self._policy = policy
         self._present_for = present_for
-        self._kept = {term: KeptSamples(1) for term in terms}
+        self._terms = terms
+        self._samples = PartSamples(terms)
         self._sorts = {sort for term in terms for sort in variables_of(term)}
         self._count = 0
         self._has_grid = np.empty(0, np.bool_)
@@ -78,10 +79,6 @@ class PartStates:
         self._begun: Times = np.empty(0, np.int64)
         """The available time of the first instant of each part, where its grid begins with it."""
         self._greatest: Times = np.empty(0, np.int64)
-        self._candidates: Times = np.empty(0, np.int64)
-        """Times at which states will leave, without a grid, in order of their parts and time."""
-        self._parts: Parts = np.empty(0, np.int64)
-        """The parts of these."""
         self.late_of: NDArray[np.int64] = np.empty(0, np.int64)
         """The samples of each part that came after the state of their valid time had left."""
 
@@ -100,6 +97,7 @@ class PartStates:
         self._begun = np.concatenate([self._begun, none])
         self._greatest = np.concatenate([self._greatest, none])
         self.late_of = np.concatenate([self.late_of, np.zeros(more, np.int64)])
+        self._samples.make_room_for(len(self._next))
 
     def grid_of(self, part: int) -> int | None:
         """Return a time (ns) of the grid of a part, once it has begun."""
@@ -109,21 +107,18 @@ class PartStates:
     @property
     def retained(self) -> int:
         """The number of samples in memory."""
-        return sum(len(kept) for kept in self._kept.values())
+        return len(self._samples)
 
     def add(
         self, term: Term, source: int, available: Times, valid: Times, part: Parts,
         values: NDArray[Any],
     ) -> None:  # fmt: skip
         """Take samples of a term from a stream, as `StateMaker.add` does."""
-        self._kept[term].add(source, Rows(available, valid, part.reshape(-1, 1), values))
+        self._samples.add(term, source, available, valid, part, values)
 
     def drop(self, part: int) -> None:
         """Forget the samples of a part, and make no further state of it."""
-        for kept in self._kept.values():
-            kept.drop(part)
-        others = self._parts != part
-        self._candidates, self._parts = self._candidates[others], self._parts[others]
+        self._samples.drop(part)
         self._has_grid[part] = False
 
     def advance(self, watermark: int, steps: StepsOfParts) -> Iterator[MadeStates]:
@@ -131,10 +126,7 @@ class PartStates:
         each step comes once. Consume it at once."""
         self._enter(watermark, steps)
         if self._policy.period is None:
-            latest = np.broadcast_to(steps.latest, (self._count,))
-            is_due = self._candidates < latest[self._parts]
-            due, part = self._candidates[is_due], self._parts[is_due]
-            self._candidates, self._parts = self._candidates[~is_due], self._parts[~is_due]
+            due, part = self._samples.due(np.atleast_1d(np.asarray(steps.latest, np.int64)))
         else:
             due, part = self._grids(np.broadcast_to(steps.latest, (self._count,)))
         if not len(due):
@@ -145,31 +137,27 @@ class PartStates:
     def end(self, moment: int) -> Iterator[MadeStates]:
         """Make the last states, as `StateMaker.end` does."""
         if self._policy.period is None:
-            due, part = self._candidates, self._parts
-            self._candidates, self._parts = due[:0], part[:0]
+            due, part = self._samples.due(None)
         else:
             due, part = self._grids(later(self._greatest[: self._count], 1))
         return self._states(due, part, np.full(len(due), moment, np.int64))
 
     def _enter(self, watermark: int, steps: StepsOfParts) -> None:
         """Let the samples in that are available before the watermark."""
-        new = [kept.enter(watermark) for kept in self._kept.values()]
-        available = np.concatenate([rows.available for rows in new])
-        valid = np.concatenate([rows.valid for rows in new])
-        part = np.concatenate([rows.places[:, 0] for rows in new])
-        if not len(valid):
+        new = self._samples.enter(watermark)
+        if new is None:
             return
-        np.maximum.at(self._greatest, part, valid)
+        available, valid, part = new
         reached = steps.reached_before(part, available)
-        np.add.at(self.late_of, part[reached > valid], 1)
+        in_time = reached <= valid
+        if np.count_nonzero(in_time) < len(valid):
+            np.add.at(self.late_of, part[~in_time], 1)
         if self._policy.period is None:
             duration = self._policy.duration
-            in_time = (reached <= valid) & (valid >= duration.first) & (valid <= duration.last)
-            self._parts, self._candidates = _distinct(
-                np.concatenate([self._parts, part[in_time]]),
-                np.concatenate([self._candidates, valid[in_time]]),
-            )
+            in_time &= (valid >= duration.first) & (valid <= duration.last)
+            self._samples.add_times(part[in_time], valid[in_time])
             return
+        np.maximum.at(self._greatest, part, valid)
         is_first = ~self._has_grid[part]
         if is_first.any():
             part, available, valid = part[is_first], available[is_first], valid[is_first]
@@ -211,16 +199,14 @@ class PartStates:
             yield MadeStates(self._some(due[rows], part[rows], left[rows]), left[rows], part[rows])
 
     def _some(self, due: Times, part: Parts, left: Times) -> States:
-        begin = np.searchsorted(part, np.arange(self._count + 1))
-        last_valid = np.full(len(due), TIME_MIN, np.int64)
+        places, found = self._samples.at(due, left, part)
+        last_valid = found.max(axis=0, initial=TIME_MIN)
         values: dict[Term, Values] = {}
-        for term, kept in self._kept.items():
-            found, valid = kept.at_parts(due, left, part, begin)
+        for term, valid in zip(self._terms, found, strict=True):
             known = valid != TIME_MIN
             if self._policy.approximation is Approximation.NONE:
                 known &= valid == due
-            values[term] = Values(found[:, None], known[:, None])
-            np.maximum(last_valid, valid, out=last_valid)
+            values[term] = Values(self._samples.values(term, places)[:, None], known[:, None])
         period = self._policy.period
         horizon = due if period is None else later(due, period - 1)
         present = present_at(last_valid[:, None], due, period, self._present_for)
@@ -232,12 +218,3 @@ class PartStates:
             dict.fromkeys(self._sorts, present),
             values,
         )
-
-
-def _distinct(part: Parts, times: Times) -> tuple[Parts, Times]:
-    """The pairs without repetition, in order."""
-    order = np.lexsort((times, part))
-    part, times = part[order], times[order]
-    is_new = np.ones(len(part), np.bool_)
-    is_new[1:] = (part[1:] != part[:-1]) | (times[1:] != times[:-1])
-    return part[is_new], times[is_new]

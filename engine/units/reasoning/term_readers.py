@@ -77,6 +77,8 @@ class TermReader:
         all of which are wanted, where parts are evaluated."""
         column = batch.columns[self._input.field]
         present = column.present
+        if not np.count_nonzero(present):
+            return
         if parts is not None:
             rows = np.flatnonzero(present)
             times = batch.available[rows], batch.valid[rows]

@@ -150,6 +150,7 @@ def test_what_is_computed_for_it_begins_there_too(time, cut):
 
 @settings(LAWS, max_examples=40)
 @given(st.sampled_from(REQUESTS), rows, times, st.integers(1, 8))
+@example(REQUESTS[0], [("s", 0, "uav1", 0.0), ("s", 0.8, "uav1", 0.0)], 0.5, 1)
 def test_what_is_forgotten_is_refused_or_not_needed(ask, given_rows, time, kept):
     # Retention may cut an instant; each of these is one sample.
     given_rows = timed([(name, wait + 0.2, id, value) for name, wait, id, value in given_rows])
@@ -164,8 +165,8 @@ def test_what_is_forgotten_is_refused_or_not_needed(ask, given_rows, time, kept)
         stream = ask(short, since)
     except Forgotten:
         stream = None
-    oldest = [short.stream(name) for name in "st"]
-    lacks = [v.first_number > 1 and v.first_available > int(time * SECOND) for v in oldest]
+    gone = [[at for name, at, _ in given_rows if name == each][:-kept] for each in "st"]
+    lacks = [any(at >= time for at in each) for each in gone]
     if stream is None:
         assert any(lacks)
         return

@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
 STATES, MONITORING = "test_states.py", "test_monitoring.py"
-PARTS = "test_part_monitoring.py"
+PARTS, PART_EVALUATOR = "test_part_monitoring.py", "test_part_evaluator.py"
 SLICED = "test_sliced.py"
 EPSPARQL, SASE = "test_epsparql.py", "test_sase.py"
 RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
@@ -75,10 +75,25 @@ MUTANTS = (
     ("mtl/monitoring.py", "self._evaluator.advance(latest - 1)", "self._evaluator.advance(latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
     # A timeline ends where the next one begins; a part has its own values, grid and first state.
-    ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PARTS),
+    ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PART_EVALUATOR),
     ("mtl/evaluator.py", "known[part] for name", "known[0 * part] for name", PARTS),
     ("states/part_states.py", "np.maximum(steps.left(part, due), self._begun[part])", "steps.left(part, due)", PARTS),
-    ("states/kept_samples.py", "(best >= 0) & (own[best] == part)", "best >= 0", PARTS),
+    # Of a part's samples, the newest that has come counts; equal ones in the order of arrival.
+    ("states/part_samples.py", "if samples[number, AVAILABLE, place] <= left[i]:", "if True:", PARTS),
+    ("states/part_samples.py", "samples[number, VALID, place] > valid:", "samples[number, VALID, place] >= valid:", PARTS),
+    ("states/part_samples.py", "if before >= 0 and samples[number, VALID, before] == valid[i]:", "if False:", PARTS),
+    ("states/part_samples.py", 'np.argsort(columns[0], kind="stable")', "np.arange(len(columns[0]))", PARTS),
+    # A part in the compiled loop: its program, what it keeps, its first state, its witnesses.
+    ("mtl/part_loop.py", "program = 1 if unknown & ANY_UNKNOWN else 0", "program = 0", PART_EVALUATOR),
+    ("mtl/part_loop.py", "row = max(row - 1, 0)", "pass", PART_EVALUATOR),
+    ("mtl/part_loop.py", "row = back(valid, row, nodes[node, END])", "pass", PART_EVALUATOR),
+    ("mtl/part_loop.py", "if is_kept[row]:", "if False:", PART_EVALUATOR),
+    ("mtl/part_loop.py", "true[0], false[0] = NEVER, 0 if is_whole else NEVER", "true[0], false[0] = NEVER, NEVER", PART_EVALUATOR),
+    ("mtl/part_loop.py", "is_left = a >= b if side else a <= b", "is_left = a <= b", PART_EVALUATOR),
+    ("mtl/part_loop.py", "hint[0] == node and hint[1] <= row and by <= hint[2]", "hint[0] == node", PART_EVALUATOR),
+    ("mtl/part_loop.py", " or (closed == count - 1 and horizon[closed] == TIME_MAX)", "", PART_EVALUATOR),
+    ("mtl/part_evaluator.py", "has_end = node[sliced_program.END] != sliced_program.NO_END", "has_end = False", PART_EVALUATOR),
+    ("mtl/part_evaluator.py", "self._out[:count].T.copy()", "np.ascontiguousarray(self._out[:count].T)", PARTS),
     # SEQ is strict; EQUALS is of both times.
     ("patterns/compilation/epsparql_plans.py", "plan.Point(other, is_start=True), 1)", "plan.Point(other, is_start=True), 0)", EPSPARQL),
     ("patterns/compilation/epsparql_plans.py", "hulls=tuple(hulls)", "hulls=()", EPSPARQL),
