@@ -360,7 +360,7 @@ class Threshold:
                 return None
 
     def of(self, states: States) -> tuple[Mask, Mask | None]:
-        """As `Pass.atom`."""
+        """As `Pass.atom`, without the axes."""
         found = states.values[self.term]
         known = found.known
         holds = compare(self.operator, found.values, self.constant, known)

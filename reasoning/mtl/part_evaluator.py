@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Report
 from ...languages.mtl.checked import CheckedMonitor
-from ...streams.sample import Mask, Times
+from ...streams.sample import Times
 from ...streams.time import TIME_MIN
 from ..states.states import States, Term
 from . import part_loop, sliced_program
@@ -24,7 +24,7 @@ from .evaluator import (
     Verdicts,
     no_verdicts,
 )
-from .formulas import is_of_one_object, sorts_of
+from .formulas import is_of_one_object, reach_of, sorts_of
 from .nodes import END, Pass, Threshold, terms_of
 from .part_loop import (
     AT_ONCE,
@@ -33,22 +33,24 @@ from .part_loop import (
     EMITTED,
     IS_SINGLE,
     LIMIT,
+    MARGIN_TABLES,
     NEEDED,
     OPEN,
     PART_FIELDS,
     PLACES,
+    REACH,
     REPORTS_ALL,
     SEEN,
     SETTLED,
     SIDES,
-    STATE_FIELDS,
     STOPPED_FOR,
     TRUES,
     UNKNOWNS,
     UNREPORTED_UNKNOWN,
     USED,
 )
-from .sliced_program import Compiler, Program
+from .robustness import margin_of_atom
+from .sliced_program import LONGEST, Compiler, Program
 from .timelines import Timelines
 
 ROWS: Final = 2048
@@ -60,8 +62,7 @@ SMALLEST: Final = 64
 
 def takes(monitor: CheckedMonitor) -> bool:
     """Whether this evaluator takes a monitor whose objects have states of their own."""
-    is_small = len(Compiler(monitor).atoms) <= part_loop.MOST_ATOMS
-    return is_of_one_object(monitor) and is_small and not monitor.robustness
+    return is_of_one_object(monitor) and len(Compiler(monitor).atoms) <= part_loop.MOST_ATOMS
 
 
 class PartEvaluator:
@@ -88,14 +89,19 @@ class PartEvaluator:
         self._remembered = np.zeros((len(programs), count), np.int64)
         for place, program in enumerate(programs):
             self._nodes[place, : len(program.nodes)] = packed = _packed(program)
-            roots = _roots(program)
-            self._roots[place] = *roots, len(packed)
-            self._remembered[place, : len(packed)] = _remembered(packed)
+            self._roots[place] = *_roots(program), len(packed)
+            # The margin of a past without an end is that of all its states.
+            if not monitor.robustness:
+                self._remembered[place, : len(packed)] = _remembered(packed)
         self._parts = _no_parts(1)
-        self._states = np.zeros((STATE_FIELDS, SMALLEST), np.int64)
-        self._make_rows(SMALLEST)
-        self._out = np.empty((SMALLEST, 6), np.int64)
+        margins = len(self._atoms) if monitor.robustness else 0
+        self._states = np.zeros((part_loop.MARGINS + margins, SMALLEST), np.int64)
+        self._out = np.empty((SMALLEST, 7), np.int64)
         self._control = np.zeros(CONTROLS, np.int64)
+        self._control[MARGIN_TABLES] = SIDES * count if monitor.robustness else 0
+        reach = reach_of(monitor.formula)
+        self._control[REACH] = sliced_program.NO_END if reach is None else min(reach, LONGEST)
+        self._make_rows(SMALLEST)
         self._control[IS_SINGLE] = monitor.once
         self._control[REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
         self._control[AT_ONCE], self._control[LIMIT] = ROWS, limit
@@ -164,7 +170,7 @@ class PartEvaluator:
         times[0], times[1] = states.valid, states.horizon
         times[2] = states.valid if left is None else left
         part = np.zeros(count, np.int64) if part is None else np.ascontiguousarray(part)
-        return self._taken(self._given(states, part), times, part, is_new=True)
+        return self._taken(*self._given(states, part), times, part, is_new=True)
 
     def advance(self, horizon: int | Times) -> Verdicts:
         """As `MonitorEvaluator.advance`."""
@@ -173,37 +179,40 @@ class PartEvaluator:
             return self._none
         times = np.empty((3, len(part)), np.int64)
         times[1] = horizon if isinstance(horizon, int) else horizon[part]
-        return self._taken(np.empty((1, 0), np.uint8), times, part, is_new=False)
+        return self._taken(*_NOTHING_GIVEN, times, part, is_new=False)
 
     def end(self) -> Verdicts:
         """Learn that no further state comes."""
         return self.advance(END)
 
-    def _given(self, states: States, part: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """The atoms of states, as the loop reads them."""
+    def _given(
+        self, states: States, part: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        """The atoms of states and their margins, as the loop reads them."""
         given = np.empty((len(self._atoms) + 1, len(part)), np.uint8)
-        once = None
-        for row, (atom, threshold) in zip(given, self._atoms, strict=False):
-            known: Mask | None
-            if threshold is None:
-                once = once or Pass(states, self._sorts, _NO_TIMELINES, self._values.of(part))
-                _, holds, known = once.atom(atom)
-            else:
-                holds, known = threshold.of(states)
-            row[:] = holds.reshape(-1)
+        margins = np.empty((len(self._states) - part_loop.MARGINS, len(part)))
+        once = Pass(states, self._sorts, _NO_TIMELINES, self._values.of(part))
+        for i, (atom, threshold) in enumerate(self._atoms):
+            holds, known = threshold.of(states) if threshold else once.atom(atom)[1:]
+            given[i] = holds.reshape(-1)
             if known is not None:
-                row[~known.reshape(-1)] = part_loop.UNKNOWN
+                given[i, ~known.reshape(-1)] = part_loop.UNKNOWN
+            if len(margins):
+                margins[i] = margin_of_atom(once, atom)[1].reshape(-1)
         given[-1] = states.present[self._monitor.parameters[0][1]].reshape(-1)
-        return given
+        return given, margins
 
     def _taken(
-        self, given: NDArray[np.uint8], times: Times, part: NDArray[np.int64], *, is_new: bool
-    ) -> Verdicts:
+        self, given: NDArray[np.uint8], margins: NDArray[np.float64], times: Times,
+        part: NDArray[np.int64], *, is_new: bool,
+    ) -> Verdicts:  # fmt: skip
         at, control = 0, self._control
         while True:
+            states, tables, out = self._states, self._tables, self._out
             at = part_loop.take(
-                self._nodes, self._roots, self._remembered, given, times, part, at, int(is_new),
-                self._states, self._parts, self._tables, self._scratch, control, self._out,
+                self._nodes, self._roots, self._remembered, given, margins, times, part, at,
+                int(is_new), states, states.view(np.float64), self._parts, tables,
+                tables.view(np.float64), self._scratch, control, out, out.view(np.float64),
             )  # fmt: skip
             if at == len(part):
                 return self._verdicts()
@@ -214,7 +223,7 @@ class PartEvaluator:
         match what:
             case part_loop.PLACES_WANTED:
                 used = int(np.maximum(2 * self._parts[:, COUNT], part_loop.FEWEST).sum())
-                states = np.empty((STATE_FIELDS, used + used // 2 + needed), np.int64)
+                states = np.empty((len(self._states), used + used // 2 + needed), np.int64)
                 self._control[USED] = part_loop.move(self._states, states, self._parts)
                 self._states = states
             case part_loop.ROWS_WANTED:
@@ -231,8 +240,9 @@ class PartEvaluator:
     def _make_rows(self, rows: int) -> None:
         """New tables, for so many states of a part."""
         nodes = self._nodes.shape[1]
-        self._tables = np.empty((SIDES * nodes, rows), np.int64)
-        self._scratch = np.empty((4, max(rows, nodes, 4)), np.int64)
+        tables = SIDES * nodes + (nodes + 2 if self._control[MARGIN_TABLES] else 0)
+        self._tables = np.empty((tables, rows), np.int64)
+        self._scratch = np.empty((part_loop.SCRATCH, max(rows, nodes, 4)), np.int64)
 
     def _verdicts(self) -> Verdicts:
         """The verdicts since the last time."""
@@ -241,15 +251,18 @@ class PartEvaluator:
             return self._none
         self._control[_COUNTS] = 0
         # A copy: the loop writes there again.
-        part, start, decided, witness, left, value = self._out[:count].T.copy()
+        part, start, decided, witness, left, value, margin = self._out[:count].T.copy()
         binding = np.zeros((count, 1), np.int64)
-        values = value.astype(np.int8)
+        margins = margin.view(np.float64) if self._monitor.robustness else None
         unreported = {1: trues, -1: unknowns}
-        return Verdicts(part, start, decided, left, values, binding, witness, unreported=unreported)
+        return Verdicts(
+            part, start, decided, left, value.astype(np.int8), binding, witness, margins, unreported
+        )
 
 
 _COUNTS: Final = slice(EMITTED, UNREPORTED_UNKNOWN + 1)
 _NO_TIMELINES: Final = Timelines.one(0)
+_NOTHING_GIVEN: Final = np.empty((1, 0), np.uint8), np.empty((0, 0))
 
 
 def _no_parts(count: int) -> NDArray[np.int64]:

@@ -8,19 +8,24 @@ a program (`sliced_program`), with moments as `windows` has them.
              needs the first state alone that decides it (`formulas.is_remembered`)
 ``given``    uint8 (atoms + 1, n): of each new state `HOLDS` or `UNKNOWN` for each atom; last
              whether it may start
+``margins``  float64 (atoms, n): with robustness, by how much each atom holds (`robustness`)
 ``times``    int64 (3, n): of each new state its valid time, its horizon, and when it left
 ``part``     int64 (n,): the part of each new state, in order
-``states``   int64 (fields, places): the states kept; those of a part are one after the other
+``states``   int64 (fields, places): the states kept; those of a part are one after the other. The
+             fields of margins are floats
 ``parts``    int64 (parts, fields): where these are
-``tables``   int64 (2 tables a node, rows): moments; ``scratch`` int64 (4, rows)
+``tables``   int64 (tables, rows): moments, two tables a node; with robustness then margins, which
+             are floats, one a node and two. ``scratch`` int64 (8, rows)
 ``control``  int64: numbers, at the places below
-``out``      int64 (n, 6): verdicts: the part, the valid times of the start, of the deciding state
-             and of the witness, when the deciding state left, the value
+``out``      int64 (n, 7): verdicts: the part, the valid times of the start, of the deciding state
+             and of the witness, when the deciding state left, the value, and the margin, a float
 """
 
 from __future__ import annotations
 
 from typing import Any, Final
+
+import numpy as np
 
 from ...streams.jit import JIT, Kernel
 from ...streams.time import TIME_MAX, TIME_MIN
@@ -45,29 +50,37 @@ from .sliced_program import (
     UNTIL,
 )
 from .sliced_times import SEARCHES, ahead, back, behind, is_later, is_near, is_over, reach
-from .windows import deciding_state, least_in_queue, since_loop, until_loop
+from .windows import (
+    deciding_state,
+    least_in_queue,
+    since_loop,
+    since_of_margins_loop,
+    until_loop,
+    until_of_margins_loop,
+)
 
 NEVER: Final = 2**62
 HOLDS, UNKNOWN = 1, 2
+TIED: Final = 2
+"""In place of a value: moments say which it is."""
 MOST_ATOMS: Final = 31
 """An atom has two bits of a word."""
 ANY_UNKNOWN: Final = sum(UNKNOWN << 2 * atom for atom in range(MOST_ATOMS))
 # The fields of a state: its valid time, horizon, when it left, its atoms, whether its verdict is
-# out. All but the last two are times.
-VALID, HORIZON, LEFT, ATOMS, IS_DONE = range(5)
-STATE_FIELDS: Final = 5
+# out; with robustness the margin of each atom.
+VALID, HORIZON, LEFT, ATOMS, IS_DONE, MARGINS = range(6)
 # The fields of a part: its first place in ``states``, its states there, the places that it has; how
 # many states it had by now, how many of those kept are without a verdict, the valid time before
 # which each start has one; the verdicts by now.
 FIRST, COUNT, PLACES, SEEN, OPEN, SETTLED, UNKNOWNS, FALSES, TRUES = range(9)
 PART_FIELDS: Final = 9
 # Whether each part has one start only; the verdicts in ``out`` may be violations alone; the most
-# rows taken at once, and the most states of a part. Then what the loop says: places of ``states``
-# in use, verdicts in ``out``, true and unknown ones that are not, and what it stopped for, with the
-# number that is needed.
-IS_SINGLE, REPORTS_ALL, AT_ONCE, LIMIT, USED, EMITTED = range(6)
-UNREPORTED_TRUE, UNREPORTED_UNKNOWN, STOPPED_FOR, NEEDED = range(6, 10)
-CONTROLS: Final = 10
+# rows taken at once, and the most states of a part; the first table of margins, or 0; how far the
+# formula reaches. Then what the loop says: places of ``states`` in use, verdicts in ``out``, true
+# and unknown ones that are not, and what it stopped for, with the number that is needed.
+IS_SINGLE, REPORTS_ALL, AT_ONCE, LIMIT, MARGIN_TABLES, REACH, USED, EMITTED = range(8)
+UNREPORTED_TRUE, UNREPORTED_UNKNOWN, STOPPED_FOR, NEEDED = range(8, 12)
+CONTROLS: Final = 12
 NOTHING, PLACES_WANTED, ROWS_WANTED, ROOM_WANTED, IS_TOO_LONG = range(5)
 """What the loop may stop for: places in ``states``, rows of ``tables``, room in ``out``; a part has
 too many states."""
@@ -75,6 +88,10 @@ FEWEST: Final = 8
 """The places of a part with few states."""
 SIDES: Final = 2
 """The tables of a node: when it is true, and when it is false."""
+# The rows of ``scratch``: those of `_evaluate` and `_fill_margins`; then of each state when it is
+# decided (`NEVER`: it has no new verdict) and as what; for `_emit`.
+FIRST_ROWS, LAST_ROWS, CLOSED, QUEUE, DECIDED, VALUES, PLACE, HINT = range(8)
+SCRATCH: Final = 8
 
 
 def _bounds(
@@ -112,12 +129,8 @@ def _evaluate(
     scratch: Any,
 ) -> None:  # fmt: skip
     """Fill the tables of all nodes."""
-    first, last, closed, queue = (
-        scratch[0, :count],
-        scratch[1, :count],
-        scratch[2, :count],
-        scratch[3, :count],
-    )
+    first, last = scratch[FIRST_ROWS, :count], scratch[LAST_ROWS, :count]
+    closed, queue = scratch[CLOSED, :count], scratch[QUEUE, :count]
     for node in range(len(nodes)):
         operation, start, end = nodes[node, OPERATION], nodes[node, START], nodes[node, END]
         true, false = tables[SIDES * node, :count], tables[SIDES * node + 1, :count]
@@ -251,31 +264,130 @@ def _first_by(
     return found
 
 
-def _emit(
-    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any,
-    count: Any, parts: Any, tables: Any, scratch: Any, control: Any, out: Any,
-) -> None:  # fmt: skip
-    """Count the verdicts that are new; write those to report, in order of the deciding state, then
-    of the start."""
+def _decide_by_moments(roots: Any, is_done: Any, count: Any, tables: Any, scratch: Any) -> None:
+    """Write when the states that have no verdict yet are decided, and as what."""
     true, false = tables[roots[0]], tables[roots[3]]
     other_false, other_true = tables[roots[1]], tables[roots[2]]
-    decided, place, hint = scratch[0], scratch[1], scratch[2]
-    hint[0] = -1
-    for row in range(count):
-        place[row], decided[row] = 0, NEVER
     for row in range(count):
         moment = min(true[row], false[row])
         if roots[0] != roots[2]:
             moment = min(moment, max(other_false[row], other_true[row]))
-        if is_done[row] or moment >= NEVER:
+        scratch[DECIDED, row] = NEVER if is_done[row] else moment
+        value = 1 if true[row] <= moment else 0 if false[row] <= moment else -1
+        scratch[VALUES, row] = value
+
+
+def _fill_margins(
+    nodes: Any, valid: Any, atoms: Any, margins: Any, count: Any, tables: Any, scratch: Any
+) -> None:
+    """Fill the tables of margins, one a node, that of a negated operand being the opposite."""
+    first, last, queue = (
+        scratch[FIRST_ROWS, :count],
+        scratch[LAST_ROWS, :count],
+        scratch[QUEUE, :count],
+    )
+    for node in range(len(nodes)):
+        operation, start, end = nodes[node, OPERATION], nodes[node, START], nodes[node, END]
+        own = tables[node : node + 1, :count].T
+        left, right = nodes[node, LEFT_T] // SIDES, nodes[node, RIGHT_T] // SIDES
+        sign = 1 - 2 * (nodes[node, LEFT_T] % SIDES)
+        other = 1 - 2 * (nodes[node, RIGHT_T] % SIDES)
+        if operation == ATOM:
+            number = nodes[node, NUMBER]
+            for row in range(count):
+                own[row, 0] = margins[number, row]
+                if (atoms[row] >> (2 * number)) & UNKNOWN:
+                    own[row, 0] = np.inf if nodes[node, IS_UPPER] else -np.inf
+        elif operation == TRUTH:
+            for row in range(count):
+                own[row, 0] = np.inf
+        elif operation == OR:
+            for row in range(count):
+                own[row, 0] = max(sign * tables[left, row], other * tables[right, row])
+        elif operation == SPREAD:
+            for row in range(count):
+                own[row, 0] = sign * tables[left, row]
+        elif operation == PREVIOUS:
+            for row in range(count - 1, 0, -1):
+                own[row, 0] = sign * tables[left, row - 1]
+            own[0, 0] = -np.inf
+        else:
+            _bounds(valid, count, operation in (ONCE, SINCE), start, end, first, last)
+            operand = tables[left : left + 1, :count].T
+            if operation in (EVENTUALLY, ONCE):
+                # The greatest of the opposite is the opposite of the least.
+                least_in_queue(operand, first, last, queue, own, -sign, np.inf)
+                for row in range(count):
+                    own[row, 0] *= sign
+            else:
+                # Without the signs, in the two tables after those of nodes.
+                spare = tables[len(tables) - 2 :, :count]
+                for row in range(count):
+                    spare[0, row] = sign * tables[left, row]
+                    spare[1, row] = other * tables[right, row]
+                if operation == SINCE:
+                    since_of_margins_loop(spare[:1].T, spare[1:].T, first, last, own)
+                else:
+                    until_of_margins_loop(spare[:1].T, spare[1:].T, first, last, own)
+
+
+def _decide_by_margins(
+    roots: Any, is_done: Any, valid: Any, horizon: Any, count: Any, tables: Any, scratch: Any,
+    control: Any,
+) -> Any:  # fmt: skip
+    """As `_decide_by_moments`: once its interval is over, a verdict is the sign of its margin, or
+    `TIED`. Return whether moments are needed, for that or for a witness."""
+    _over(valid, horizon, count, control[REACH], scratch[CLOSED])
+    needs = False
+    for row in range(count):
+        closed = scratch[CLOSED, row]
+        scratch[DECIDED, row] = NEVER if is_done[row] else closed
+        if is_done[row] or closed >= NEVER:
+            continue
+        low, high = _margin(roots[0], row, tables), _margin(roots[2], row, tables)
+        value = 1 if low > 0 else 0 if high < 0 else -1
+        if low == 0 or high == 0:
+            value = TIED
+        scratch[VALUES, row] = value
+        needs = needs or value == TIED or value == 0 or (value == 1 and control[REPORTS_ALL])
+    return needs
+
+
+def _margin(table: Any, row: Any, tables: Any) -> Any:
+    """The margin of a node, or the opposite, at a row."""
+    return tables[table // SIDES, row] * (1 - 2 * (table % SIDES))
+
+
+def _break_ties(roots: Any, count: Any, tables: Any, scratch: Any) -> None:
+    """A margin of 0 does not tell `>` from `>=`: moments do."""
+    for row in range(count):
+        if scratch[DECIDED, row] < NEVER and scratch[VALUES, row] == TIED:
+            is_true, is_false = tables[roots[0], row] < NEVER, tables[roots[3], row] < NEVER
+            scratch[VALUES, row] = 1 if is_true else 0 if is_false else -1
+
+
+def _emit(
+    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any,
+    count: Any, parts: Any, tables: Any, margins: Any, scratch: Any, control: Any, out: Any,
+    out_margins: Any,
+) -> None:  # fmt: skip
+    """Count the verdicts that are new; write those to report, in order of the deciding state, then
+    of the start."""
+    decided, values, place = scratch[DECIDED], scratch[VALUES], scratch[PLACE]
+    hint = scratch[HINT]
+    hint[0] = -1
+    for row in range(count):
+        place[row] = 0
+    for row in range(count):
+        if decided[row] >= NEVER:
             continue
         is_done[row] = 1
-        value = 1 if true[row] <= moment else 0 if false[row] <= moment else -1
-        parts[own, UNKNOWNS + 1 + value] += 1
-        if value == 0 or control[REPORTS_ALL]:
-            decided[row] = moment
-            place[moment] += 1
-        elif value == 1:
+        parts[own, UNKNOWNS + 1 + values[row]] += 1
+        if values[row] == 0 or control[REPORTS_ALL]:
+            place[decided[row]] += 1
+            continue
+        decided[row] = NEVER
+        if values[row] == 1:
             control[UNREPORTED_TRUE] += 1
         else:
             control[UNREPORTED_UNKNOWN] += 1
@@ -291,15 +403,17 @@ def _emit(
             continue
         at = place[moment]
         place[moment] += 1
-        is_true, is_false = true[row] <= moment, false[row] <= moment
-        witness = -1
-        if is_true or is_false:
-            root = roots[0] if is_true else roots[3]
+        value, witness = values[row], -1
+        if value >= 0:
+            root = roots[0] if value else roots[3]
             witness = _witness(nodes, root, row, valid, horizon, count, tables, hint)
         out[at, 0], out[at, 1], out[at, 2] = own, valid[row], valid[moment]
         out[at, 3] = valid[witness] if witness >= 0 else TIME_MIN
-        out[at, 4] = left[moment]
-        out[at, 5] = 1 if is_true else 0 if is_false else -1
+        out[at, 4], out[at, 5] = left[moment], value
+        if control[MARGIN_TABLES]:
+            # Adding 0 makes 0 of -0.
+            margin = _margin(roots[0] if value == 1 else roots[2], row, margins) + 0.0
+            out_margins[at, 6] = margin if value >= 0 else np.nan
 
 
 def _keep(
@@ -348,7 +462,7 @@ def _keep(
     for row in range(keep - 1, -1, -1):
         if is_kept[row]:
             begin -= 1
-            for field in range(STATE_FIELDS):
+            for field in range(len(states)):
                 states[field, first + begin] = states[field, first + row]
     parts[part, FIRST] += begin
     parts[part, PLACES] -= begin
@@ -356,8 +470,8 @@ def _keep(
 
 
 def _add(
-    row: Any, end: Any, given: Any, times: Any, states: Any, place: Any, is_first: Any,
-    is_single: Any,
+    row: Any, end: Any, given: Any, margins: Any, times: Any, states: Any, state_margins: Any,
+    place: Any, is_first: Any, is_single: Any,
 ) -> None:  # fmt: skip
     """Put new states of a part into places."""
     for new in range(row, end):
@@ -366,6 +480,8 @@ def _add(
             atoms |= int(given[atom, new]) << 2 * atom
         states[VALID, place], states[HORIZON, place] = times[0, new], times[1, new]
         states[LEFT, place], states[ATOMS, place] = times[2, new], atoms
+        for atom in range(len(margins)):
+            state_margins[MARGINS + atom, place] = margins[atom, new]
         may_start = given[len(given) - 1, new] and (is_first or not is_single)
         states[IS_DONE, place] = 0 if may_start else 1
         is_first = False
@@ -377,8 +493,9 @@ def _stop(control: Any, what: Any, needed: Any) -> None:
 
 
 def _parts_loop(
-    nodes: Any, roots: Any, remembered: Any, given: Any, times: Any, part: Any, begin: Any,
-    is_new: Any, states: Any, parts: Any, tables: Any, scratch: Any, control: Any, out: Any,
+    nodes: Any, roots: Any, remembered: Any, given: Any, margins: Any, times: Any, part: Any,
+    begin: Any, is_new: Any, states: Any, state_margins: Any, parts: Any, tables: Any,
+    table_margins: Any, scratch: Any, control: Any, out: Any, out_margins: Any,
 ) -> Any:  # fmt: skip
     """Take states from ``begin`` on; or, without ``is_new``, the horizon of the last state of each
     of these parts. Return the one before which it stopped, or their number."""
@@ -410,14 +527,17 @@ def _parts_loop(
                 _stop(control, PLACES_WANTED, places)
                 return at
             control[USED] += places
-            for field in range(STATE_FIELDS):
+            for field in range(len(states)):
                 for row in range(kept):
                     states[field, to + row] = states[field, parts[own, FIRST] + row]
             parts[own, FIRST], parts[own, PLACES] = to, places
         first = parts[own, FIRST]
         if is_new:
             is_first = parts[own, SEEN] == 0
-            _add(at, end, given, times, states, first + kept, is_first, control[IS_SINGLE])
+            _add(
+                at, end, given, margins, times, states, state_margins, first + kept, is_first,
+                control[IS_SINGLE],
+            )  # fmt: skip
             parts[own, COUNT] = count
             parts[own, SEEN] += more
         else:
@@ -430,13 +550,25 @@ def _parts_loop(
         mine = slice(first, first + count)
         valid, horizon, left = states[VALID, mine], states[HORIZON, mine], states[LEFT, mine]
         used = nodes[program, : roots[program, 4]]
-        _evaluate(
-            used, valid, horizon, states[ATOMS, mine], count, parts[own, SEEN] == count,
-            tables, scratch,
-        )  # fmt: skip
+        atoms, is_done = states[ATOMS, mine], states[IS_DONE, mine]
+        is_whole, mine_margins = parts[own, SEEN] == count, table_margins[control[MARGIN_TABLES] :]
+        needs = True
+        if control[MARGIN_TABLES]:
+            _fill_margins(
+                used, valid, atoms, state_margins[MARGINS:, mine], count, mine_margins, scratch
+            )
+            needs = _decide_by_margins(
+                roots[program], is_done, valid, horizon, count, mine_margins, scratch, control
+            )
+        if needs:
+            _evaluate(used, valid, horizon, atoms, count, is_whole, tables, scratch)
+        if not control[MARGIN_TABLES]:
+            _decide_by_moments(roots[program], is_done, count, tables, scratch)
+        elif needs:
+            _break_ties(roots[program], count, tables, scratch)
         _emit(
-            own, used, roots[program], valid, horizon, left, states[IS_DONE, mine], count,
-            parts, tables, scratch, control, out,
+            own, used, roots[program], valid, horizon, left, is_done, count, parts, tables,
+            mine_margins, scratch, control, out, out_margins,
         )  # fmt: skip
         _keep(used, remembered[program], own, count, tables, scratch, states, parts)
         at = end
@@ -451,7 +583,7 @@ def _move_loop(old: Any, new: Any, parts: Any) -> Any:
         if not count:
             parts[part, PLACES] = 0
             continue
-        for field in range(STATE_FIELDS):
+        for field in range(len(old)):
             for row in range(count):
                 new[field, to + row] = old[field, first + row]
         places = max(FEWEST, 2 * count)
@@ -468,10 +600,10 @@ def _types() -> tuple[Any, Any, Any]:
 
 def _parts_signature() -> Any:
     types, table, row = _types()
-    number = types.int64
+    number, floats = types.int64, types.float64[:, ::1]
     return number(
-        types.int64[:, :, ::1], table, table, types.uint8[:, ::1], table, row, number, number,
-        table, table, table, table, row, table,
+        types.int64[:, :, ::1], table, table, types.uint8[:, ::1], floats, table, row, number,
+        number, table, floats, table, table, floats, table, row, table, floats,
     )  # fmt: skip
 
 
@@ -481,8 +613,10 @@ def _move_signature() -> Any:
 
 
 _CALLED: Final = (
-    *SEARCHES, least_in_queue, until_loop, since_loop, deciding_state, _bounds, _over, _evaluate,
-    _interval, _witness_of_until, _witness, _first_by, _emit, _keep, _add, _stop,
+    *SEARCHES, least_in_queue, until_loop, since_loop, until_of_margins_loop, since_of_margins_loop,
+    deciding_state, _bounds, _over, _evaluate, _interval, _witness_of_until, _witness, _first_by,
+    _decide_by_moments, _margin, _fill_margins, _decide_by_margins, _break_ties, _emit, _keep, _add,
+    _stop,
 )  # fmt: skip
 _parts = Kernel(_parts_loop, _parts_signature, allocates=False, calls=_CALLED)
 _move = Kernel(_move_loop, _move_signature, allocates=False)

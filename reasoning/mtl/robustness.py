@@ -89,9 +89,7 @@ class Margins:
                 assert_never(formula)
 
     def _atom(self, atom: Atom, is_upper: bool) -> tuple[Axes, Table]:
-        axes, a, b, known = self.once.operands(atom.left, atom.right)
-        with np.errstate(all="ignore"):
-            table = _margin(atom.operator, a, b, known)
+        axes, table, known = margin_of_atom(self.once, atom)
         shape = (self.once.rows, *np.broadcast_shapes(table.shape, known.shape)[1:])
         known = np.broadcast_to(known, shape)
         return axes, np.where(known, table, np.inf if is_upper else -np.inf)
@@ -122,6 +120,13 @@ class Margins:
 def _flat(table: Table) -> Table:
     """The same with one axis behind the states."""
     return table.reshape(len(table), int(np.prod(table.shape[1:], dtype=np.int64)))
+
+
+def margin_of_atom(once: Pass, atom: Atom) -> tuple[Axes, Table, Mask]:
+    """Return the margin of an atom at each state, and where it is known."""
+    axes, a, b, known = once.operands(atom.left, atom.right)
+    with np.errstate(all="ignore"):
+        return axes, _margin(atom.operator, a, b, known), known
 
 
 def _margin(operator: str, a: NDArray[Any], b: NDArray[Any], known: Mask) -> Table:

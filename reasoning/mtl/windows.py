@@ -276,7 +276,7 @@ def since_loop(
             out_false[start, column] = false
 
 
-def _until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
+def until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
     rows, columns = left.shape
     for column in range(columns):
         for start in range(rows):
@@ -291,7 +291,7 @@ def _until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: An
             out[start, column] = found
 
 
-def _since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
+def since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
     rows, columns = left.shape
     for column in range(columns):
         for start in range(rows):
@@ -451,8 +451,8 @@ _least_wide = Kernel(_least_wide_loop, _least_wide_signature)
 _least_wide_of_margins = Kernel(_least_wide_loop, _least_wide_of_margins_signature)
 _until = Kernel(until_loop, _until_signature)
 _since = Kernel(since_loop, _since_signature)
-_until_of_margins = Kernel(_until_of_margins_loop, _margins_signature)
-_since_of_margins = Kernel(_since_of_margins_loop, _margins_signature)
+_until_of_margins = Kernel(until_of_margins_loop, _margins_signature)
+_since_of_margins = Kernel(since_of_margins_loop, _margins_signature)
 _places = Kernel(_places_loop, _places_signature)
 _first_by = Kernel(_first_by_loop, _first_by_signature)
 _deciding = Kernel(_deciding_loop, _deciding_signature, calls=(deciding_state,))

@@ -8,11 +8,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from formula_drawing import OBJECTS, SORT, OneObjectDrawing
+from formula_drawing import OBJECTS, SORT, OneObjectDrawing, X
 from numpy.typing import NDArray
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
-from dyknow.languages.mtl.checked import CheckedMonitor, Constant, Kind, ObjectConstant, Within
+from dyknow.languages.mtl.checked import (
+    Atom,
+    CheckedMonitor,
+    Constant,
+    Kind,
+    ObjectConstant,
+    Reading,
+    Within,
+)
 from dyknow.reasoning.mtl import part_evaluator
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates, Verdicts
 from dyknow.reasoning.mtl.formulas import is_of_one_object
@@ -22,7 +30,7 @@ from dyknow.streams.policies.policy import SynchronizationPolicy
 from dyknow.streams.time import TIME_MIN
 
 PARTS = 4
-TERMS = (("urn:p", (SORT,)), ("urn:q", (SORT,)))
+TERMS = (("urn:p", (SORT,)), ("urn:q", (SORT,)), ("urn:n", (SORT,)))
 
 
 class Drawing(OneObjectDrawing):
@@ -37,6 +45,14 @@ class Drawing(OneObjectDrawing):
         found = super().interval()
         return replace(found, end=None) if self.random.random() < self.without_end else found
 
+    def atom(self, scope: list[str]) -> Atom:
+        draw = self.random
+        if draw.random() < 0.5:
+            return super().atom(scope)
+        reading = Reading("urn:n", (X,), Kind.NUMBER, None)
+        limit = Constant(float(draw.randrange(5)), Kind.NUMBER)
+        return Atom(draw.choice(["<", "<=", ">", ">=", "=", "!="]), reading, limit)
+
     def monitor(self, depth: int) -> CheckedMonitor:
         draw = self.random
         while True:
@@ -48,6 +64,7 @@ class Drawing(OneObjectDrawing):
                 draw.choice([Report.VERDICTS, Report.VIOLATIONS]),
                 draw.random() < 0.1,
                 None,
+                robustness=draw.random() < 0.3,
             )
             if is_of_one_object(monitor):
                 return monitor
@@ -62,7 +79,10 @@ class Drawing(OneObjectDrawing):
         values = {}
         for term in TERMS:
             known = self.numbers.random((count, 1)) >= unknown
-            values[term] = Values(self.numbers.random((count, 1)) < truth, known)
+            own = self.numbers.random((count, 1)) < truth
+            if term == TERMS[2]:
+                own = self.numbers.integers(0, 5, (count, 1)).astype(np.float64)
+            values[term] = Values(own, known)
         return States(valid, horizon, {SORT: [""]}, {SORT: present}, values)
 
 
@@ -95,7 +115,8 @@ def rows_of(found: Verdicts, report: Report) -> list[tuple[int, ...]]:
         found.part, found.start_time, found.decided_time, found.left, found.value,
         found.witness_time,
     )  # fmt: skip
-    rows = zip(*(column.tolist() for column in columns), strict=True)
+    margins = [] if found.robustness is None else [np.nan_to_num(found.robustness, nan=0.5)]
+    rows = zip(*(column.tolist() for column in (*columns, *margins)), strict=True)
     return [row for row in rows if report is Report.VERDICTS or row[4] == 0]
 
 
@@ -204,13 +225,14 @@ def test_long_past(block: int) -> None:
 
 def test_states_of_an_interval_without_end_are_limited() -> None:
     draw = Drawing(1, 0)
-    formula = Within(Temporal.ALWAYS, Interval(0, None), draw.formula(0, ["x"]))
+    formula = Within(Temporal.ALWAYS, Interval(0, None), OneObjectDrawing.atom(draw, ["x"]))
     monitor = CheckedMonitor(
         "m", (("x", SORT),), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
     )
     trace = draw.trace(12)
     nothing = {
-        term: Values(each.values | True, each.known | True) for term, each in trace.values.items()
+        term: Values(np.ones_like(each.values), each.known | True)
+        for term, each in trace.values.items()
     }
     present = {SORT: trace.present[SORT] | True}
     states = States(trace.valid, trace.horizon, trace.objects, present, nothing)
