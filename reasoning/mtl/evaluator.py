@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import prod
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +33,12 @@ from ...languages.mtl.checked import (
     Within,
 )
 from ...streams.sample import Mask, Times
-from ...streams.time import TIME_MAX, TIME_MIN
+from ...streams.time import TIME_MIN
 from ..states.states import States, Term
 from .formulas import earliest, looks_back, reach_of, remembered_by, sorts_of
 from .kept_states import KeptStates
 from .nodes import END, Pass, column, spread_node, terms_of
 from .robustness import Margins
-from .timelines import Timelines
 from .windows import NEVER, Moments
 from .witness import NONE, Witnesses
 
@@ -67,7 +66,7 @@ class TooManyStates(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdicts:
-    """Verdicts of a part, in order of the deciding state, then of the binding, then of the start.
+    """Verdicts, in order of parts, then of the deciding state, of the binding and of the start.
 
     All have shape ``(n,)``: ``start_time`` and ``decided_time`` are the valid times of two states
     of the ``part``, ``left`` when the deciding one left, ``value`` is 1 (true), 0 (false) or -1
@@ -114,42 +113,19 @@ class _Moments:
         return np.where(is_true, 1, np.where(self.false[places] <= moment, 0, -1)).astype(np.int8)
 
 
-class PartValues:
-    """The values of a formula's parameters, or of its variable, for each part."""
-
-    def __init__(self) -> None:
-        self._columns: dict[str, NDArray[Any]] = {}
-
-    def put(self, part: int, values: Constants) -> None:
-        """Give parameters their values for a part."""
-        for name, value in values.items():
-            constant = value.value if isinstance(value, Constant) else value.iri
-            known = self._columns.get(name)
-            if known is None or part >= len(known):
-                kind = object if isinstance(constant, str) else type(constant)
-                more = np.empty(max(16, part + 1), kind)
-                known = more if known is None else np.concatenate([known, more])
-                self._columns[name] = known
-            known[part] = constant
-
-    def of(self, part: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """The values at each state, by the parts of these."""
-        return {name: known[part] for name, known in self._columns.items()}
-
-
 class MonitorEvaluator:
-    """Verdicts of a monitor over states; where parts have states of their own, of each by itself.
+    """Verdicts of a monitor over states that all objects share.
 
     Law (tests/laws/reasoning): each (binding, start) whose objects are present at the start has one
     verdict, at the state at which progression by the definition determines it, however the states
     are cut into batches. After `end` each has one.
 
-    Cost: O(states kept + new states) numpy and compiled loops for each node and push, of the parts
-    that have new ones; `until` and `since` that times the states of an interval. Memory: 17 bytes a
-    node's binding and state kept. Kept are states from the oldest start without a verdict on, and
-    before it as far as the past operators look. Where an interval of the past has no end these are
-    the states that are remembered (`formulas.is_remembered`), of each object two at most; otherwise
-    all of them, at most ``limit`` of a part.
+    Cost: O(states kept + new states) numpy and compiled loops for each node and push; `until` and
+    `since` that times the states of an interval. Memory: 17 bytes a node's binding and state kept.
+    Kept are states from the oldest start without a verdict on, and before it as far as the past
+    operators look. Where an interval of the past has no end these are the states that are
+    remembered (`formulas.is_remembered`), of each object two at most; otherwise all of them, at
+    most ``limit``.
     """
 
     def __init__(self, monitor: CheckedMonitor, *, limit: int = MOST_STATES) -> None:
@@ -160,11 +136,8 @@ class MonitorEvaluator:
         self._looks_back = looks_back(monitor.formula)
         self._remembered = remembered_by(monitor)
         self._kept: KeptStates | None = None
-        self._values = PartValues()
-        self.states_of: NDArray[np.int64] = np.zeros(1, np.int64)
-        """The number of states of each part by now."""
-        self._verdicts_of = np.zeros((3, 1), np.int64)
-        """The verdicts of each part by now: unknown, false, true."""
+        self.seen = 0
+        """The number of states by now."""
 
     @property
     def terms(self) -> frozenset[Term]:
@@ -174,7 +147,7 @@ class MonitorEvaluator:
     @property
     def pending(self) -> int:
         """The states kept."""
-        return 0 if self._kept is None else len(self._kept.part)
+        return 0 if self._kept is None else len(self._kept.left)
 
     @property
     def states(self) -> States | None:
@@ -186,100 +159,55 @@ class MonitorEvaluator:
         """Whether a start seen by now has no verdict yet."""
         return self._kept is not None and not bool(self._kept.is_decided.all())
 
-    def is_open_of(self, part: int) -> bool:
-        """Whether a start of a part has no verdict yet."""
-        kept = self._kept
-        return kept is not None and not bool(kept.is_decided[kept.part == part].all())
-
     def settled(self) -> NDArray[np.int64]:
-        """For each part and binding the valid time before which each start has its verdict, shape
-        ``(parts, objects of each parameter in order)``; `TIME_MIN` for a part without states."""
+        """For each binding the valid time before which each start has its verdict, shape
+        ``(objects of each parameter in order)``. Contract: there was a state."""
         kept = self._kept
         assert kept is not None
-        is_decided = kept.is_decided
-        valid = kept.states.valid.reshape((-1,) + (1,) * (is_decided.ndim - 1))
-        found = np.full((len(self.states_of), *is_decided.shape[1:]), TIME_MIN, np.int64)
-        np.maximum.at(found, kept.part, np.broadcast_to(valid + 1, is_decided.shape))
-        np.minimum.at(found, kept.part, np.where(is_decided, TIME_MAX, valid))
-        order = [self._axes.index(name) + 1 for name, _ in self._monitor.parameters]
-        return found.transpose([0, *order])
+        valid = kept.states.valid.reshape((-1,) + (1,) * (kept.is_decided.ndim - 1))
+        found: NDArray[np.int64]
+        found = np.where(kept.is_decided, int(kept.states.valid[-1]) + 1, valid).min(axis=0)
+        return found.transpose([self._axes.index(name) for name, _ in self._monitor.parameters])
 
-    def make_room_for(self, parts: int) -> None:
-        """Let there be so many parts."""
-        more = parts - len(self.states_of)
-        if more > 0:
-            grown = np.zeros(max(16, more, len(self.states_of)), np.int64)
-            self.states_of = np.concatenate([self.states_of, grown])
-            words = np.zeros((3, len(grown)), np.int64)
-            self._verdicts_of = np.concatenate([self._verdicts_of, words], axis=1)
-
-    def set_values(self, part: int, values: Constants) -> None:
-        """Give parameters of the formula, or variables, their values for a part."""
-        self._values.put(part, values)
-
-    def verdicts_of(self, part: int) -> dict[int, int]:
-        """The number of verdicts of a part by now, by their value."""
-        return dict(zip((-1, 0, 1), self._verdicts_of[:, part].tolist(), strict=True))
-
-    def drop(self, part: int) -> None:
-        """Forget the states of a part."""
-        if self._kept is not None:
-            self._kept = self._kept.take(self._kept.part != part)
-
-    def push(
-        self, states: States, left: Times | None = None, part: NDArray[np.int64] | None = None
-    ) -> Verdicts:
-        """Take states; return the verdicts that they determine. ``left``: when each left; ``part``:
-        of which part each is, in order of parts and time; None: all are of one. Raises
-        `TooManyStates`."""
+    def push(self, states: States, left: Times | None = None) -> Verdicts:
+        """Take states, in order of time; return the verdicts that they determine. ``left``: when
+        each left. Raises `TooManyStates`."""
         count = len(states.valid)
         if not count:
             return no_verdicts(len(self._axes))
-        part = np.zeros(count, np.int64) if part is None else part
         left = states.valid if left is None else left
         most = self._most_at_once(states)
         if count <= most:
-            return self._pushed(states, left, part)
+            return self._pushed(states, left)
         cuts = [slice(start, start + most) for start in range(0, count, most)]
-        return concatenated([self._pushed(states.take(cut), left[cut], part[cut]) for cut in cuts])
+        return concatenated([self._pushed(states.take(cut), left[cut]) for cut in cuts])
 
-    def _pushed(self, states: States, left: Times, part: NDArray[np.int64]) -> Verdicts:
+    def _pushed(self, states: States, left: Times) -> Verdicts:
         count = len(states.valid)
         shape = tuple(states.present[self._sorts[name]].shape[1] for name in self._axes)
         is_decided = np.full((count, *shape), self._monitor.once)
-        if self._monitor.once:
-            # The first state of a part is its only start.
-            first = Timelines.of(part, self.states_of).first
-            is_decided[first[self.states_of[part[first]] == 0]] = False
-        rows = KeptStates(states, is_decided, part, left)
-        rest = None
+        if self._monitor.once and not self.seen:
+            # The first state of all is the only start.
+            is_decided[0] = False
+        rows = KeptStates(states, is_decided, left)
         if self._kept is not None:
-            mine, rest = self._kept.split(self._among(part))
-            rows = mine.followed_by(rows).by_part()
-        if len(rows.part) > self._limit and np.bincount(rows.part).max() > self._limit:
+            rows = self._kept.followed_by(rows)
+        if len(rows.left) > self._limit:
             raise TooManyStates(
                 f"the formula needs more than {self._limit} states; give its intervals an end, or "
                 "sample less often"
             )
-        self.states_of += np.bincount(part, minlength=len(self.states_of))
-        return self._decided(rows, rest)
+        self.seen += count
+        return self._decided(rows)
 
-    def advance(self, horizon: int | Times) -> Verdicts:
-        """Learn that every later state is valid after ``horizon``, which may be one for each
-        part."""
-        if not self.is_open:
-            return no_verdicts(len(self._axes))
+    def advance(self, horizon: int) -> Verdicts:
+        """Learn that every later state is valid after ``horizon``."""
         kept = self._kept
-        assert kept is not None
-        is_open = ~kept.is_decided.reshape(len(kept.part), -1).all(axis=1)
-        rows, rest = kept.split(self._among(kept.part[is_open]))
-        rows = rows.by_part()
-        last = np.flatnonzero(np.diff(rows.part, append=-1))
-        reached = horizon if isinstance(horizon, int) else horizon[rows.part[last]]
-        known = rows.states.horizon.copy()
-        known[last] = np.maximum(known[last], reached)
-        rows = replace(rows, states=replace(rows.states, horizon=known))
-        return self._decided(rows, rest)
+        if kept is None or not self.is_open:
+            return no_verdicts(len(self._axes))
+        known = kept.states.horizon.copy()
+        known[-1] = max(int(known[-1]), horizon)
+        return self._decided(replace(kept, states=replace(kept.states, horizon=known)))
 
     def end(self) -> Verdicts:
         """Learn that no further state comes."""
@@ -292,22 +220,11 @@ class MonitorEvaluator:
         most: int = max(1, CELLS // max(columns, 1), 4 * self.pending)
         return most
 
-    def _among(self, parts: NDArray[np.int64]) -> Mask:
-        """Whether each part is one of these."""
-        found = np.zeros(len(self.states_of), np.bool_)
-        found[parts] = True
-        return found
-
-    def _decided(self, rows: KeptStates, rest: KeptStates | None) -> Verdicts:
-        """The verdicts that these states determine; keep those that are needed, and the ``rest``.
-        Contract: they are in order of parts."""
-        timelines = Timelines.of(rows.part, self.states_of)
-        once = Pass(rows.states, self._sorts, timelines, self._values.of(rows.part))
+    def _decided(self, rows: KeptStates) -> Verdicts:
+        """The verdicts that these states determine; keep those that are needed."""
+        once = Pass(rows.states, self._sorts, is_whole=self.seen == len(rows.left))
         found = self._verdicts(rows, once)
-        if len(found):
-            np.add.at(self._verdicts_of, (found.value + 1, found.part), 1)
-        rows = self._needed(rows, once)
-        self._kept = rows if rest is None else rest.followed_by(rows)
+        self._kept = self._needed(rows, once)
         return found
 
     def _verdicts(self, rows: KeptStates, once: Pass) -> Verdicts:
@@ -338,7 +255,7 @@ class MonitorEvaluator:
         np.logical_or(rows.is_decided, new | ~is_there, out=rows.is_decided)
         binding = np.stack(columns, axis=1) if columns else np.empty((len(moment), 0), np.int64)
         return Verdicts(
-            rows.part[start],
+            np.zeros(len(start), np.int64),
             states.valid[start],
             states.valid[moment],
             rows.left[moment],
@@ -418,20 +335,18 @@ class MonitorEvaluator:
 
     def _needed(self, rows: KeptStates, once: Pass) -> KeptStates:
         """The states that a verdict to come needs."""
-        count, timelines = len(rows.part), once.timelines
+        count = len(rows.left)
         is_open = ~rows.is_decided.reshape(count, -1).all(axis=1)
         # The last state stays: `advance` raises its horizon, and past operators look back from it.
-        row = np.where(is_open, np.arange(count), timelines.end - 1)
-        oldest = np.minimum.reduceat(row, timelines.first)
-        keep = oldest
+        keep = int(is_open.argmax()) if is_open.any() else count - 1
         if self._looks_back:
-            keep = earliest(self._monitor.formula, oldest, partial(self._back, once))
-        if len(keep) == 1 and not self._remembered:
-            return rows.take(slice(int(keep[0]), None)) if keep[0] else rows
-        needed = np.arange(count) >= np.repeat(keep, np.diff(timelines.first, append=count))
-        if self._remembered:
-            # The past of an object to come is unknown.
-            needed[timelines.first] = True
+            row = np.array([keep])
+            keep = int(earliest(self._monitor.formula, row, partial(self._back, once))[0])
+        if not self._remembered:
+            return rows.take(slice(keep, None)) if keep else rows
+        needed = np.arange(count) >= keep
+        # The past of an object to come is unknown.
+        needed[0] = True
         for formula in self._remembered:
             needed[_first_decided(formula, once)] = True
         return rows if needed.all() else rows.take(needed)
@@ -445,23 +360,22 @@ class StateKeeper(MonitorEvaluator):
     """Keeps all states and decides nothing: an explanation evaluates them once. Raises
     `TooManyStates` for more than `MOST_VALUES` values of features."""
 
-    def _decided(self, rows: KeptStates, rest: KeptStates | None) -> Verdicts:
-        self._kept = rows if rest is None else rest.followed_by(rows)
-        kept = self._kept.states.values
-        if sum(each.values.size for each in kept.values()) > MOST_VALUES:
+    def _decided(self, rows: KeptStates) -> Verdicts:
+        self._kept = rows
+        if sum(each.values.size for each in rows.states.values.values()) > MOST_VALUES:
             raise TooManyStates("the states have too many values to keep all of them")
         return no_verdicts(len(self._axes))
 
 
 def _first_decided(formula: Within, once: Pass) -> NDArray[np.int64]:
-    """The first row of each timeline and object that decides `once`, or `historically`, for good,
-    in each reading. Contract: `is_remembered`."""
+    """The first row of each object that decides `once`, or `historically`, for good, in each
+    reading. Contract: `is_remembered`."""
     found = []
     for is_upper in (False,) if once.is_known(formula) else (False, True):
         operand = once.node(formula.operand, is_upper)
         moments = operand.true if formula.operator is Temporal.ONCE else operand.false
         rows = np.where(moments < NEVER, column(once.at, moments.ndim), once.rows)
-        found.append(np.minimum.reduceat(rows, once.timelines.first, axis=0).reshape(-1))
+        found.append(rows.min(axis=0).reshape(-1))
     first = np.concatenate(found)
     return first[first < once.rows]
 

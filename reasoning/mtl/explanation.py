@@ -17,7 +17,6 @@ from ...rdf.namespaces import shorten
 from ..states.states import States
 from .formulas import earliest, parts_of, reach_of, readings_of, sorts_of
 from .nodes import Axes, Pass
-from .timelines import Timelines
 from .windows import NEVER
 
 MOST_ROWS: Final = 10_000
@@ -71,7 +70,7 @@ def explain_verdict(
         raise NoStart("there is no state at this time", around)
     places = _places(monitor, states, row, objects)
     sorts = sorts_of(monitor)
-    once = Pass(states, sorts, Timelines.one(len(states.valid)))
+    once = Pass(states, sorts)
     explained = _Reader(once, places)
     root = explained.moments(monitor.formula)
     assert root is not None

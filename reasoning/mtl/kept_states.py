@@ -14,19 +14,17 @@ from ..states.states import States, Values
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptStates:
-    """States kept, as one `States`; for each whether the verdict of a binding is out, its part, and
-    when it left. Those of a part are in order."""
+    """States kept, as one `States`; for each whether the verdict of a binding is out, and when it
+    left."""
 
     states: States
     is_decided: Mask
-    part: NDArray[np.int64]
     left: Times
 
     def take(self, rows: Any) -> KeptStates:
         return KeptStates(
             self.states.take(rows),
             self.is_decided[rows],
-            self.part[rows],
             self.left[rows],
         )
 
@@ -49,20 +47,8 @@ class KeptStates:
                 values,
             ),
             _extended(self.is_decided, new.is_decided),
-            np.concatenate([self.part, new.part]),
             np.concatenate([self.left, new.left]),
         )
-
-    def by_part(self) -> KeptStates:
-        """The same in order of the parts."""
-        if np.count_nonzero(self.part[1:] < self.part[:-1]):
-            return self.take(np.argsort(self.part, kind="stable"))
-        return self
-
-    def split(self, is_of: Mask) -> tuple[KeptStates, KeptStates | None]:
-        """The states of these parts, and the others; None if there are none."""
-        mine = is_of[self.part]
-        return (self, None) if mine.all() else (self.take(mine), self.take(~mine))
 
 
 def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

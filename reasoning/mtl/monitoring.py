@@ -20,7 +20,7 @@ from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
 from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import compares_objects, objects_have_states
-from .part_evaluator import PartEvaluator, takes
+from .part_evaluator import PartEvaluator
 from .sliced_evaluator import SlicedEvaluator, is_sliced
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
@@ -131,7 +131,7 @@ class Monitoring:
         if not decides:
             return StateKeeper(self.monitor)
         if self.has_own_states:
-            return (PartEvaluator if takes(self.monitor) else MonitorEvaluator)(self.monitor)
+            return PartEvaluator(self.monitor)
         return (SlicedEvaluator if is_sliced(self.monitor) else MonitorEvaluator)(self.monitor)
 
     @property
@@ -150,11 +150,13 @@ class Monitoring:
     @property
     def states(self) -> int:
         """The number of states by now."""
-        return int(self._evaluator.states_of.sum())
+        return self._evaluator.seen
 
     @property
     def started(self) -> frozenset[str]:
         """The objects (IRIs) that have states of their own by now."""
+        if not isinstance(self._evaluator, PartEvaluator):
+            return frozenset()
         states_of = self._evaluator.states_of
         return frozenset(iri for iri, part in self._parts.items() if states_of[part])
 
@@ -264,7 +266,8 @@ class Monitoring:
     def _begin_part(self, part: int, iri: str, values: Constants) -> None:
         """Let there be a part for an object, with its ``values`` of the formula's parameters."""
         self._own.make_room_for(part + 1)
-        assert not isinstance(self._evaluator, SlicedEvaluator), "the states are not shared"
+        if not isinstance(self._evaluator, PartEvaluator):
+            return  # an explanation, of one object
         self._evaluator.make_room_for(part + 1)
         if compares_objects(self.monitor.formula):
             values = {**values, self.monitor.parameters[0][0]: ObjectConstant(iri)}
@@ -277,14 +280,22 @@ class Monitoring:
         reached at ``tick``."""
         found = [*map(self._push, made)]
         if tick is not None:
-            found.append(self._reported(self._evaluator.advance(latest - 1), tick))
+            if isinstance(self._evaluator, PartEvaluator):
+                verdicts = self._evaluator.advance(latest - 1)
+            else:
+                verdicts = self._evaluator.advance(int(latest) - 1)
+            found.append(self._reported(verdicts, tick))
         return found
 
     def _push(self, made: MadeStates) -> Reported:
         if not self.has_own_states:
             sorts = [sort for _, sort in self.monitor.parameters]
             self._objects = [np.array(made.states.objects[sort], object) for sort in sorts]
-        return self._reported(self._evaluator.push(made.states, made.left, made.part), None)
+        if isinstance(self._evaluator, PartEvaluator):
+            found = self._evaluator.push(made.states, made.left, made.part)
+        else:
+            found = self._evaluator.push(made.states, made.left)
+        return self._reported(found, None)
 
     def _reported(self, found: Verdicts, moment: int | None) -> Reported:
         """The verdicts at ``moment``, or when their deciding states left."""
@@ -313,11 +324,11 @@ class Monitoring:
         return np.stack(columns) if columns else np.empty((0, len(found)), object)
 
     def _place_of(self, binding: _Binding) -> tuple[int, ...]:
-        """The place of a binding in `MonitorEvaluator.settled`."""
+        """The place of a binding in what `settled` of the evaluator returns."""
         if self.has_own_states:
-            return self._parts[binding[0]], 0
+            return (self._parts[binding[0]],)
         sorts = [sort for _, sort in self.monitor.parameters]
-        return 0, *map(self._shared.place, sorts, binding)
+        return tuple(map(self._shared.place, sorts, binding))
 
     def _report(self, found: Sequence[Reported]) -> Reported:
         found = [each for each in found if len(each)]

@@ -36,7 +36,6 @@ from ...streams.time_arithmetic import earlier, later
 from ..states.states import States, Term
 from . import windows
 from .formulas import parts_of, readings_of
-from .timelines import Timelines
 from .windows import NEVER, Moments
 
 Axes: TypeAlias = tuple[str, ...]
@@ -68,10 +67,11 @@ class Pass:
 
     states: States
     sorts: Mapping[str, str]
-    timelines: Timelines
+    is_whole: bool = True
+    """Whether no state before these was dropped."""
     values: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """The value of each parameter at each state, where each timeline has one of its own: of a
-    template's parameter, or the object of a variable."""
+    """The value of each parameter at each state, where states have their own: of a template's
+    parameter, or the object of a variable."""
     memo: dict[tuple[int, bool], Node] = field(default_factory=dict)
     atoms: dict[int, tuple[Axes, Mask, Mask | None]] = field(default_factory=dict)
     known: dict[int, bool] = field(default_factory=dict)
@@ -171,9 +171,7 @@ class Pass:
         """The child at the state before; false at the first state of all."""
         known = column(self.at, child.true.ndim)
         true, false = np.roll(child.true, 1, axis=0), np.roll(child.false, 1, axis=0)
-        first = self.timelines.first
-        is_whole = column(self.timelines.is_whole, child.true.ndim)
-        true[first], false[first] = NEVER, np.where(is_whole, 0, NEVER)
+        true[0], false[0] = NEVER, 0 if self.is_whole else NEVER
         return Node(child.axes, np.maximum(true, known), np.maximum(false, known))
 
     def bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
@@ -184,18 +182,18 @@ class Pass:
         return found
 
     def _bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
-        valid, rows = self.states.valid, self.timelines
+        valid = self.states.valid
         if is_past:
-            last = rows.places(valid, earlier(valid, interval.start), after=True)
+            last = valid.searchsorted(earlier(valid, interval.start), "right")
             if interval.end is None:
-                return rows.begin, last
-            return rows.places(valid, earlier(valid, interval.end), after=False), last
+                return np.zeros(self.rows, np.int64), last
+            return valid.searchsorted(earlier(valid, interval.end), "left"), last
         first = self.at
         if interval.start:
-            first = rows.places(valid, later(valid, interval.start), after=False)
+            first = valid.searchsorted(later(valid, interval.start), "left")
         if interval.end is None:
-            return first, rows.end
-        return first, rows.places(valid, later(valid, interval.end), after=True)
+            return first, np.full(self.rows, self.rows)
+        return first, valid.searchsorted(later(valid, interval.end), "right")
 
     def back(self, formula: Formula, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """The first row that an operator of the past looks at from each of these rows."""
@@ -203,15 +201,14 @@ class Pass:
             case Within(_, interval) | Until(_, interval):
                 return np.minimum(rows, self.bounds(True, interval)[0][rows])
             case _:
-                return np.maximum(self.timelines.begin[rows], rows - 1)
+                return np.maximum(rows - 1, 0)
 
     def over(self, reach: int | None) -> Moments:
         """From which state on no later state is valid up to ``reach`` (ns) after each state; None:
         no later state comes at all."""
         end = np.full(self.rows, END) if reach is None else later(self.states.valid, reach)
-        closed = self.timelines.places(self.states.horizon, end, after=False)
-        is_open = closed == self.timelines.end
-        return np.where(is_open, NEVER, np.maximum(closed, self.at))
+        closed = self.states.horizon.searchsorted(end, "left")
+        return np.where(closed == self.rows, NEVER, np.maximum(closed, self.at))
 
     def _exists(self, variable: str, sort: str, child: Node) -> Node:
         """Over the objects of the sort that are there at each state."""

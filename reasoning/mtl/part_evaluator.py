@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...languages.mtl.ast import Report
-from ...languages.mtl.checked import CheckedMonitor
+from ...languages.mtl.checked import CheckedMonitor, Constant
 from ...streams.sample import Times
 from ...streams.time import TIME_MIN
 from ..states.states import States, Term
@@ -19,12 +19,11 @@ from . import part_loop, sliced_program
 from .evaluator import (
     MOST_STATES,
     Constants,
-    PartValues,
     TooManyStates,
     Verdicts,
     no_verdicts,
 )
-from .formulas import is_of_one_object, reach_of, sorts_of
+from .formulas import reach_of, sorts_of
 from .nodes import END, Pass, Threshold, terms_of
 from .part_loop import (
     AT_ONCE,
@@ -51,7 +50,6 @@ from .part_loop import (
 )
 from .robustness import margin_of_atom
 from .sliced_program import LONGEST, Compiler, Program
-from .timelines import Timelines
 
 ROWS: Final = 2048
 """States of a part that are evaluated at once, unless more are kept: their tables fit into a core's
@@ -60,13 +58,32 @@ SMALLEST: Final = 64
 """Places for states, rows of the tables, and room for verdicts of a new evaluator."""
 
 
-def takes(monitor: CheckedMonitor) -> bool:
-    """Whether this evaluator takes a monitor whose objects have states of their own."""
-    return is_of_one_object(monitor) and len(Compiler(monitor).atoms) <= part_loop.MOST_ATOMS
+class PartValues:
+    """The values of a formula's parameters, or of its variable, for each part."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, NDArray[Any]] = {}
+
+    def put(self, part: int, values: Constants) -> None:
+        """Give parameters their values for a part."""
+        for name, value in values.items():
+            constant = value.value if isinstance(value, Constant) else value.iri
+            known = self._columns.get(name)
+            if known is None or part >= len(known):
+                kind = object if isinstance(constant, str) else type(constant)
+                more = np.empty(max(16, part + 1), kind)
+                known = more if known is None else np.concatenate([known, more])
+                self._columns[name] = known
+            known[part] = constant
+
+    def of(self, part: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """The values at each state, by the parts of these."""
+        return {name: known[part] for name, known in self._columns.items()}
 
 
 class PartEvaluator:
-    """Verdicts of a monitor over the states of parts. Contract: `takes`.
+    """Verdicts of a monitor over the states of parts. Contract: they are about one
+    object (`formulas.is_of_one_object`).
 
     Law (tests/laws/reasoning/test_part_evaluator.py): those of `MonitorEvaluator` for each part.
 
@@ -94,8 +111,9 @@ class PartEvaluator:
             if not monitor.robustness:
                 self._remembered[place, : len(packed)] = _remembered(packed)
         self._parts = _no_parts(1)
+        words = part_loop.words_of(len(self._atoms))
         margins = len(self._atoms) if monitor.robustness else 0
-        self._states = np.zeros((part_loop.MARGINS + margins, SMALLEST), np.int64)
+        self._states = np.zeros((part_loop.ATOMS + words + margins, SMALLEST), np.int64)
         self._out = np.empty((SMALLEST, 7), np.int64)
         self._control = np.zeros(CONTROLS, np.int64)
         self._control[MARGIN_TABLES] = SIDES * count if monitor.robustness else 0
@@ -123,6 +141,11 @@ class PartEvaluator:
         return None
 
     @property
+    def seen(self) -> int:
+        """The number of states by now."""
+        return int(self._parts[:, SEEN].sum())
+
+    @property
     def states_of(self) -> NDArray[np.int64]:
         """The number of states of each part by now."""
         return self._parts[:, SEEN]
@@ -137,8 +160,9 @@ class PartEvaluator:
         return bool(self._parts[part, OPEN])
 
     def settled(self) -> NDArray[np.int64]:
-        """As `MonitorEvaluator.settled`."""
-        return self._parts[:, SETTLED : SETTLED + 1].copy()
+        """For each part the valid time before which each start has its verdict; `TIME_MIN` for one
+        without states."""
+        return self._parts[:, SETTLED]
 
     def make_room_for(self, parts: int) -> None:
         """Let there be so many parts."""
@@ -162,7 +186,8 @@ class PartEvaluator:
     def push(
         self, states: States, left: Times | None = None, part: NDArray[np.int64] | None = None
     ) -> Verdicts:
-        """As `MonitorEvaluator.push`."""
+        """As `MonitorEvaluator.push`; ``part``: of which part each state is, in order of parts and
+        time; None: all are of one."""
         count = len(states.valid)
         if not count:
             return self._none
@@ -173,13 +198,14 @@ class PartEvaluator:
         return self._taken(*self._given(states, part), times, part, is_new=True)
 
     def advance(self, horizon: int | Times) -> Verdicts:
-        """As `MonitorEvaluator.advance`."""
+        """As `MonitorEvaluator.advance`; the horizon may be one for each part."""
         part = np.flatnonzero(self._parts[:, OPEN])
         if not len(part):
             return self._none
         times = np.empty((3, len(part)), np.int64)
         times[1] = horizon if isinstance(horizon, int) else horizon[part]
-        return self._taken(*_NOTHING_GIVEN, times, part, is_new=False)
+        nothing = np.empty((len(self._atoms) + 1, 0), np.uint8), np.empty((0, 0))
+        return self._taken(*nothing, times, part, is_new=False)
 
     def end(self) -> Verdicts:
         """Learn that no further state comes."""
@@ -190,8 +216,8 @@ class PartEvaluator:
     ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         """The atoms of states and their margins, as the loop reads them."""
         given = np.empty((len(self._atoms) + 1, len(part)), np.uint8)
-        margins = np.empty((len(self._states) - part_loop.MARGINS, len(part)))
-        once = Pass(states, self._sorts, _NO_TIMELINES, self._values.of(part))
+        margins = np.empty((len(self._atoms) if self._monitor.robustness else 0, len(part)))
+        once = Pass(states, self._sorts, values=self._values.of(part))
         for i, (atom, threshold) in enumerate(self._atoms):
             holds, known = threshold.of(states) if threshold else once.atom(atom)[1:]
             given[i] = holds.reshape(-1)
@@ -261,8 +287,6 @@ class PartEvaluator:
 
 
 _COUNTS: Final = slice(EMITTED, UNREPORTED_UNKNOWN + 1)
-_NO_TIMELINES: Final = Timelines.one(0)
-_NOTHING_GIVEN: Final = np.empty((1, 0), np.uint8), np.empty((0, 0))
 
 
 def _no_parts(count: int) -> NDArray[np.int64]:

@@ -63,12 +63,12 @@ NEVER: Final = 2**62
 HOLDS, UNKNOWN = 1, 2
 TIED: Final = 2
 """In place of a value: moments say which it is."""
-MOST_ATOMS: Final = 31
-"""An atom has two bits of a word."""
-ANY_UNKNOWN: Final = sum(UNKNOWN << 2 * atom for atom in range(MOST_ATOMS))
-# The fields of a state: its valid time, horizon, when it left, its atoms, whether its verdict is
-# out; with robustness the margin of each atom.
-VALID, HORIZON, LEFT, ATOMS, IS_DONE, MARGINS = range(6)
+IN_A_WORD: Final = 31
+"""The atoms in a word, two bits each."""
+ANY_UNKNOWN: Final = sum(UNKNOWN << 2 * atom for atom in range(IN_A_WORD))
+# The fields of a state: its valid time, horizon, when it left, whether its verdict is out, and from
+# there on words of atoms; with robustness then the margin of each atom.
+VALID, HORIZON, LEFT, IS_DONE, ATOMS = range(5)
 # The fields of a part: its first place in ``states``, its states there, the places that it has; how
 # many states it had by now, how many of those kept are without a verdict, the valid time before
 # which each start has one; the verdicts by now.
@@ -92,6 +92,11 @@ SIDES: Final = 2
 # decided (`NEVER`: it has no new verdict) and as what; for `_emit`.
 FIRST_ROWS, LAST_ROWS, CLOSED, QUEUE, DECIDED, VALUES, PLACE, HINT = range(8)
 SCRATCH: Final = 8
+
+
+def words_of(atoms: int) -> int:
+    """The words for so many atoms."""
+    return (atoms + IN_A_WORD - 1) // IN_A_WORD
 
 
 def _bounds(
@@ -137,10 +142,10 @@ def _evaluate(
         left_t, left_f = nodes[node, LEFT_T], nodes[node, LEFT_F]
         right_t, right_f = nodes[node, RIGHT_T], nodes[node, RIGHT_F]
         if operation == ATOM:
-            shift = 2 * nodes[node, NUMBER]
+            word, shift = nodes[node, NUMBER] // IN_A_WORD, 2 * (nodes[node, NUMBER] % IN_A_WORD)
             wanted = HOLDS | UNKNOWN if nodes[node, IS_UPPER] else HOLDS
             for row in range(count):
-                holds = (atoms[row] >> shift) & wanted != 0
+                holds = (atoms[word, row] >> shift) & wanted != 0
                 true[row] = row if holds else NEVER
                 false[row] = NEVER if holds else row
         elif operation == TRUTH:
@@ -294,9 +299,10 @@ def _fill_margins(
         other = 1 - 2 * (nodes[node, RIGHT_T] % SIDES)
         if operation == ATOM:
             number = nodes[node, NUMBER]
+            word, shift = number // IN_A_WORD, 2 * (number % IN_A_WORD)
             for row in range(count):
                 own[row, 0] = margins[number, row]
-                if (atoms[row] >> (2 * number)) & UNKNOWN:
+                if (atoms[word, row] >> shift) & UNKNOWN:
                     own[row, 0] = np.inf if nodes[node, IS_UPPER] else -np.inf
         elif operation == TRUTH:
             for row in range(count):
@@ -475,13 +481,15 @@ def _add(
 ) -> None:  # fmt: skip
     """Put new states of a part into places."""
     for new in range(row, end):
-        atoms = 0
-        for atom in range(len(given) - 1):
-            atoms |= int(given[atom, new]) << 2 * atom
         states[VALID, place], states[HORIZON, place] = times[0, new], times[1, new]
-        states[LEFT, place], states[ATOMS, place] = times[2, new], atoms
+        states[LEFT, place] = times[2, new]
+        for field in range(ATOMS, len(states)):
+            states[field, place] = 0
+        for atom in range(len(given) - 1):
+            bits = int(given[atom, new]) << 2 * (atom % IN_A_WORD)
+            states[ATOMS + atom // IN_A_WORD, place] |= bits
         for atom in range(len(margins)):
-            state_margins[MARGINS + atom, place] = margins[atom, new]
+            state_margins[len(states) - len(margins) + atom, place] = margins[atom, new]
         may_start = given[len(given) - 1, new] and (is_first or not is_single)
         states[IS_DONE, place] = 0 if may_start else 1
         is_first = False
@@ -543,19 +551,26 @@ def _parts_loop(
         else:
             last = first + count - 1
             states[HORIZON, last] = max(states[HORIZON, last], times[1, at])
-        unknown = 0
-        for row in range(count):
-            unknown |= states[ATOMS, first + row]
+        words, unknown = (len(given) + IN_A_WORD - 2) // IN_A_WORD, 0
+        for field in range(ATOMS, ATOMS + words):
+            for row in range(count):
+                unknown |= states[field, first + row]
         program = 1 if unknown & ANY_UNKNOWN else 0
         mine = slice(first, first + count)
         valid, horizon, left = states[VALID, mine], states[HORIZON, mine], states[LEFT, mine]
         used = nodes[program, : roots[program, 4]]
-        atoms, is_done = states[ATOMS, mine], states[IS_DONE, mine]
+        atoms, is_done = states[ATOMS : ATOMS + words, mine], states[IS_DONE, mine]
         is_whole, mine_margins = parts[own, SEEN] == count, table_margins[control[MARGIN_TABLES] :]
         needs = True
         if control[MARGIN_TABLES]:
             _fill_margins(
-                used, valid, atoms, state_margins[MARGINS:, mine], count, mine_margins, scratch
+                used,
+                valid,
+                atoms,
+                state_margins[ATOMS + words :, mine],
+                count,
+                mine_margins,
+                scratch,
             )
             needs = _decide_by_margins(
                 roots[program], is_done, valid, horizon, count, mine_margins, scratch, control

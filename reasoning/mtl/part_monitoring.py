@@ -14,7 +14,7 @@ from ...languages.mtl.checked import CheckedMonitor
 from ...streams.sample import Times
 from ..states.part_departures import PartDepartures, Parts
 from ..states.part_states import CommonSteps, StepsOfParts
-from .evaluator import Constants, MonitorEvaluator, Verdicts
+from .evaluator import Constants, Verdicts
 from .monitoring import WORDS, Monitoring, Reported
 from .part_evaluator import PartEvaluator
 
@@ -31,7 +31,7 @@ class PartMonitoring(Monitoring):
     a grid.
     """
 
-    _evaluator: MonitorEvaluator | PartEvaluator
+    _evaluator: PartEvaluator
 
     def __init__(self, monitor: CheckedMonitor, sources: int) -> None:
         # Each part has a grid of its own, too.
@@ -105,7 +105,7 @@ class PartMonitoring(Monitoring):
         return found.part.reshape(1, -1)
 
     def _place_of(self, binding: tuple[Any, ...]) -> tuple[int, ...]:
-        return int(binding[0]), 0
+        return (int(binding[0]),)
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,7 +72,7 @@ class Margins:
             case Previous(operand):
                 axes, table = self.of(operand, is_upper)
                 found = np.roll(table, 1, axis=0)
-                found[self.once.timelines.first] = -np.inf
+                found[0] = -np.inf
                 return axes, found
             case Within(operator, interval, operand):
                 axes, table = self.of(operand, is_upper)

@@ -33,14 +33,12 @@ from .formulas import earliest, looks_back, sorts_of
 from .nodes import END, Pass, Threshold, terms_of
 from .sliced_program import Compiler, Program
 from .sliced_tables import CONTROLS
-from .timelines import Timelines
 
 ROWS: Final = 64
 """The least number of states that there is room for."""
 CELLS: Final = 1 << 12
 """Words of a table that are filled at once: some dozens of such tables fit into a core's cache."""
 _COUNTS: Final = [sliced_tables.EMITTED, sliced_tables.TRUES, sliced_tables.UNKNOWNS]
-_NO_TIMELINES: Final = Timelines.one(0)
 
 
 def bits_of_state(monitor: CheckedMonitor) -> int:
@@ -84,8 +82,8 @@ class SlicedEvaluator:
         """The columns in use of each domain."""
         self._last_unknown = -1
         """The row of the last state with an unknown atom."""
-        self.states_of: NDArray[np.int64] = np.zeros(1, np.int64)
-        """The number of states by now; a part as for `MonitorEvaluator`."""
+        self.seen = 0
+        """The number of states by now."""
         self._control = np.zeros(CONTROLS, np.int64)
         self._control[sliced_tables.IS_WHOLE] = 1
         self._control[sliced_tables.LOOKS_BACK] = self._looks_back
@@ -118,7 +116,7 @@ class SlicedEvaluator:
         return int(self._control[sliced_tables.OPEN]) < self._count
 
     def settled(self) -> NDArray[np.int64]:
-        """As `MonitorEvaluator.settled`, of one part."""
+        """As `MonitorEvaluator.settled`."""
         domain = self._compiler.root_domain
         rows = slice(int(self._control[sliced_tables.OPEN]), self._count)
         present = self._tables[self._control[sliced_tables.PRESENT] + domain, rows]
@@ -128,16 +126,13 @@ class SlicedEvaluator:
         after = np.append(self._valid[rows], self._valid[self._count - 1] + 1)
         is_open = np.concatenate([is_open, np.ones((1, is_open.shape[1]), np.bool_)])
         found: NDArray[np.int64] = after[is_open.argmax(axis=0)]
-        return found.reshape(1, -1) if self._monitor.parameters else found
+        return found if self._monitor.parameters else found[0]
 
-    def push(
-        self, states: States, left: Times | None = None, part: NDArray[np.int64] | None = None
-    ) -> Verdicts:
-        """As `MonitorEvaluator.push`; ``part`` must be None."""
+    def push(self, states: States, left: Times | None = None) -> Verdicts:
+        """As `MonitorEvaluator.push`."""
         count, at = len(states.valid), 0
         if not count:
             return self._none
-        assert part is None, "all objects share the states"
         left = states.valid if left is None else left
         self._widen(states)
         found = []
@@ -148,11 +143,10 @@ class SlicedEvaluator:
             at = cut.stop
         return found[0] if len(found) == 1 else concatenated(found)
 
-    def advance(self, horizon: int | Times) -> Verdicts:
-        """As `MonitorEvaluator.advance`; there is one horizon."""
+    def advance(self, horizon: int) -> Verdicts:
+        """As `MonitorEvaluator.advance`."""
         if not self.is_open:
             return self._none
-        assert isinstance(horizon, int), "all objects share the states"
         last = self._count - 1
         self._horizon[last] = max(int(self._horizon[last]), horizon)
         self._run(last, self._count, is_new=False)
@@ -177,10 +171,10 @@ class SlicedEvaluator:
         # A single start is the first state of all.
         done = self._tables[control[sliced_tables.DONE], rows]
         done[:] = ~np.uint64(0) if self._monitor.once else np.uint64(0)
-        if self._monitor.once and not self.states_of[0]:
+        if self._monitor.once and not self.seen:
             done[0] = 0
         is_unknown = self._take_atoms(states, rows)
-        self.states_of[0] += count
+        self.seen += count
         cut = begin
         if is_unknown is not None and is_unknown.any():
             unknown = np.flatnonzero(is_unknown) + begin
@@ -202,7 +196,7 @@ class SlicedEvaluator:
         once = found = None
         for number, (atom, threshold) in enumerate(self._atoms):
             if threshold is None:
-                once = once or Pass(states, self._sorts, _NO_TIMELINES)
+                once = once or Pass(states, self._sorts)
                 _, holds, known = once.atom(atom)
             else:
                 holds, known = threshold.of(states)

@@ -141,17 +141,6 @@ def deciding(
     return out
 
 
-def places(
-    times: Moments, limits: Moments, begin: Moments, end: Moments, *, after: bool
-) -> Moments:
-    """Return the first of the rows ``begin[i] .. end[i] - 1`` whose time is not before
-    ``limits[i]``, or with ``after`` is after it; ``end[i]`` if there is none. Contract and cost: as
-    for `timelines.Timelines.places`."""
-    out = np.empty(len(limits), np.int64)
-    _run(_places, times, limits, begin, end, int(after), out)
-    return out
-
-
 def _run(kernel: Kernel, *arguments: Any) -> None:
     arrays = [
         np.ascontiguousarray(a) if isinstance(a, np.ndarray) and not a.flags.c_contiguous else a
@@ -305,18 +294,6 @@ def since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any
             out[start, column] = found
 
 
-def _places_loop(times: Any, limits: Any, begin: Any, end: Any, after: Any, out: Any) -> None:
-    place = 0
-    for i in range(len(limits)):
-        place = max(place, begin[i])
-        # A difference of times may exceed 64 bits.
-        while place < end[i] and (
-            times[place] < limits[i] or (times[place] == limits[i] and after)
-        ):
-            place += 1
-        out[i] = place
-
-
 def _first_by_loop(table: Any, column: Any, first: Any, last: Any, by: Any, out: Any) -> None:
     for i in range(len(first)):
         out[i] = -1
@@ -440,11 +417,6 @@ def _deciding_signature() -> Any:
     return types.void(table, table, row, row, row, row, row, row, flag, flag, row)
 
 
-def _places_signature() -> Any:
-    _, _, row, types = _types()
-    return types.void(row, row, row, row, types.int64, row)
-
-
 _least_queue = Kernel(least_in_queue, _least_signature)
 _least_queue_of_margins = Kernel(least_in_queue, _least_of_margins_signature)
 _least_wide = Kernel(_least_wide_loop, _least_wide_signature)
@@ -453,6 +425,5 @@ _until = Kernel(until_loop, _until_signature)
 _since = Kernel(since_loop, _since_signature)
 _until_of_margins = Kernel(until_of_margins_loop, _margins_signature)
 _since_of_margins = Kernel(since_of_margins_loop, _margins_signature)
-_places = Kernel(_places_loop, _places_signature)
 _first_by = Kernel(_first_by_loop, _first_by_signature)
 _deciding = Kernel(_deciding_loop, _deciding_signature, calls=(deciding_state,))

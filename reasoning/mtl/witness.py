@@ -55,9 +55,8 @@ class Witnesses:
             case And(left, right) | Or(left, right):
                 return self._connected(isinstance(formula, Or), left, right, is_true, rows, places)
             case Previous(operand):
-                first = self.once.timelines.begin[rows]
-                found = self.of(operand, is_true, np.maximum(rows - 1, first), places)
-                return np.where(rows > first, found, NONE)
+                found = self.of(operand, is_true, np.maximum(rows - 1, 0), places)
+                return np.where(rows > 0, found, NONE)
             case Within(operator, _, operand):
                 is_some = operator in (Temporal.EVENTUALLY, Temporal.ONCE)
                 if is_some is not is_true:
@@ -102,7 +101,7 @@ class Witnesses:
         if not formula.is_past:
             # The end of all streams comes after the last state, and so after what fails there.
             closed = self.once.over(formula.interval.end)
-            last_row = self.once.timelines.end - 1
+            last_row = self.once.rows - 1
             is_end = (closed == last_row) & (self.once.states.horizon[last_row] == END)
             closed = np.where(is_end, windows.NEVER, closed)
         left, left_column = self._columns(formula.left, is_true, places, len(rows))

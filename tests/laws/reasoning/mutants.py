@@ -26,15 +26,15 @@ RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
 # ruff: noqa: E501
 MUTANTS = (
     # An interval [a, b] closes when the horizon is at its end, not later.
-    ("mtl/nodes.py", "self.states.horizon, end, after=False", "self.states.horizon, end, after=True", PROGRESSION),
+    ("mtl/nodes.py", 'self.states.horizon.searchsorted(end, "left")', 'self.states.horizon.searchsorted(end, "right")', PROGRESSION),
     # `eventually` is false only once its interval is closed.
     ("mtl/nodes.py", "known = self.at if is_past else self.over(interval.end)", "known = self.at", PROGRESSION),
     # Both ends belong to an interval.
-    ("mtl/nodes.py", "later(valid, interval.end), after=True", "later(valid, interval.end), after=False", PROGRESSION),
-    ("mtl/nodes.py", "later(valid, interval.start), after=False", "later(valid, interval.start), after=True", PROGRESSION),
-    ("mtl/nodes.py", "earlier(valid, interval.end), after=False", "earlier(valid, interval.end), after=True", PROGRESSION),
+    ("mtl/nodes.py", 'later(valid, interval.end), "right"', 'later(valid, interval.end), "left"', PROGRESSION),
+    ("mtl/nodes.py", 'later(valid, interval.start), "left"', 'later(valid, interval.start), "right"', PROGRESSION),
+    ("mtl/nodes.py", 'earlier(valid, interval.end), "left"', 'earlier(valid, interval.end), "right"', PROGRESSION),
     # `previous` is false at the first state of all.
-    ("mtl/nodes.py", "np.where(is_whole, 0, NEVER)", "NEVER", PROGRESSION),
+    ("mtl/nodes.py", "0 if self.is_whole else NEVER", "NEVER", PROGRESSION),
     # Nothing is known of a start before it.
     ("mtl/nodes.py", "np.maximum(true, self.at[:, None], out=true)", "pass", PROGRESSION),
     # A left part that fails makes `until` false at once.
@@ -46,10 +46,10 @@ MUTANTS = (
     # Unknown needs both readings.
     ("mtl/evaluator.py", "np.maximum(lower.false, upper.true)", "np.minimum(lower.false, upper.true)", PROGRESSION),
     # States that a later verdict needs are kept.
-    ("mtl/evaluator.py", "keep = earliest(self._monitor.formula, oldest, partial(self._back, once))", "pass", PROGRESSION),
+    ("mtl/evaluator.py", "keep = int(earliest(self._monitor.formula, row, partial(self._back, once))[0])", "pass", PROGRESSION),
     # Of a past without end the first state that decides it is remembered, in each reading; and the first of all.
     ("mtl/evaluator.py", "(False,) if once.is_known(formula) else (False, True)", "(False,)", PROGRESSION),
-    ("mtl/evaluator.py", "needed[timelines.first] = True", "pass", PROGRESSION),
+    ("mtl/evaluator.py", "needed[0] = True", "pass", PROGRESSION),
     # Parts of a batch are taken in turn.
     ("mtl/evaluator.py", "range(0, count, most)", "range(0, count - most, most)", PROGRESSION),
     # The state of a witness.
@@ -74,9 +74,8 @@ MUTANTS = (
     ("states/departures.py", "moments > last", "moments >= last", STATES),
     ("mtl/monitoring.py", "self._evaluator.advance(latest - 1)", "self._evaluator.advance(latest)", MONITORING),
     ("mtl/monitoring.py", "available=max(run.available, start.available)", "available=start.available", MONITORING),
-    # A timeline ends where the next one begins; a part has its own values, grid and first state.
-    ("mtl/nodes.py", "return rows.begin, last", "return np.zeros(self.rows, np.int64), last", PART_EVALUATOR),
-    ("mtl/evaluator.py", "known[part] for name", "known[0 * part] for name", PARTS),
+    # A part has its own values, grid and first state.
+    ("mtl/part_evaluator.py", "known[part] for name", "known[0 * part] for name", PARTS),
     ("states/part_states.py", "np.maximum(steps.left(part, due), self._begun[part])", "steps.left(part, due)", PARTS),
     # Of a part's samples, the newest that has come counts; equal ones in the order of arrival.
     ("states/part_samples.py", "if samples[number, AVAILABLE, place] <= left[i]:", "if True:", PARTS),
@@ -86,6 +85,9 @@ MUTANTS = (
     # A part in the compiled loop: its program, what it keeps, its first state, its witnesses.
     ("mtl/part_loop.py", "program = 1 if unknown & ANY_UNKNOWN else 0", "program = 0", PART_EVALUATOR),
     ("mtl/part_loop.py", "row = max(row - 1, 0)", "pass", PART_EVALUATOR),
+    ("mtl/part_loop.py", "if low == 0 or high == 0:", "if False:", PART_EVALUATOR),
+    ("mtl/part_loop.py", "spare[1, row] = other * tables[right, row]", "spare[1, row] = tables[right, row]", PART_EVALUATOR),
+    ("mtl/part_loop.py", "own[row, 0] = np.inf if nodes[node, IS_UPPER] else -np.inf", "own[row, 0] = -np.inf", PART_EVALUATOR),
     ("mtl/part_loop.py", "row = back(valid, row, nodes[node, END])", "pass", PART_EVALUATOR),
     ("mtl/part_loop.py", "if is_kept[row]:", "if False:", PART_EVALUATOR),
     ("mtl/part_loop.py", "true[0], false[0] = NEVER, 0 if is_whole else NEVER", "true[0], false[0] = NEVER, NEVER", PART_EVALUATOR),

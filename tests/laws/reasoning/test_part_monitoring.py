@@ -3,7 +3,6 @@ available, are those of a monitor of its own samples, with its values in the for
 
 from __future__ import annotations
 
-import dataclasses
 import pickle
 from collections import Counter
 from dataclasses import replace
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from formula_drawing import OBJECTS, SORT, OneObjectDrawing
+from formula_drawing import OBJECTS, SORT, OneObjectDrawing, filled
 
 from dyknow.languages.mtl.ast import Report
 from dyknow.languages.mtl.checked import (
@@ -19,7 +18,6 @@ from dyknow.languages.mtl.checked import (
     Constant,
     Kind,
     ObjectConstant,
-    Parameter,
 )
 from dyknow.reasoning.mtl import evaluator
 from dyknow.reasoning.mtl.formulas import is_of_one_object, readings_of
@@ -68,16 +66,6 @@ class Drawing(OneObjectDrawing):
             Duration(draw.choice([None, None, 0, 2]), draw.choice([None, None, 9, 20])),
             approximation=draw.choice([*Approximation]),
         )
-
-
-def filled(node: Any, values: dict[str, Any]) -> Any:
-    """The formula with values in place of parameters."""
-    if isinstance(node, Parameter):
-        return values[node.name]
-    if not dataclasses.is_dataclass(node):
-        return node
-    fields = [field.name for field in dataclasses.fields(node)]
-    return replace(node, **{name: filled(getattr(node, name), values) for name in fields})
 
 
 def told(found: Reported) -> list[tuple[Any, ...]]:

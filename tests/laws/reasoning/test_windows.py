@@ -45,21 +45,3 @@ def test_margins(columns: int) -> None:
         part = left[begin:end]
         assert least[row].tolist() == part.min(axis=0, initial=np.inf).tolist()
         assert greatest[row].tolist() == part.max(axis=0, initial=-np.inf).tolist()
-
-
-def test_places() -> None:
-    draw = random.Random(1)
-    for _ in range(200):
-        ends = [-(2**63), 2**63 - 1]
-        times, limits = (
-            np.array(
-                sorted(draw.choice([*ends, *range(-5, 9)]) for _ in range(draw.randint(0, 9)))
-            ).astype(np.int64)
-            for _ in "tl"
-        )
-        for after in (False, True):
-            begin = np.zeros(len(limits), np.int64)
-            end = np.full(len(limits), len(times))
-            found = windows.places(times, limits, begin, end, after=after)
-            side = "right" if after else "left"
-            assert found.tolist() == np.searchsorted(times, limits, side).tolist()

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import random
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 from dyknow.languages.mtl.ast import Interval, Temporal
 from dyknow.languages.mtl.checked import (
@@ -87,6 +91,16 @@ class FormulaDrawing:
 
 
 X = ObjectVariable("x")
+
+
+def filled(node: Any, values: Mapping[str, Any]) -> Any:
+    """The formula with values in place of parameters."""
+    if isinstance(node, Parameter):
+        return values[node.name]
+    if not dataclasses.is_dataclass(node):
+        return node
+    fields = [field.name for field in dataclasses.fields(node)]
+    return replace(node, **{name: filled(getattr(node, name), values) for name in fields})
 
 
 class OneObjectDrawing(FormulaDrawing):
