@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from ....rdf.namespaces import DYKNOW
 from ....reasoning.mtl.monitoring import Monitoring
 from ....reasoning.states.states import Term
 from ....streams.generator import StreamGenerator
-from ....streams.sample import Column, FieldType, SampleBatch
+from ....streams.sample import Column, FieldType, Mask, SampleBatch
 from ....streams.time import parse_time
 from ..merge import MergeInput, ObjectCodes
 
@@ -37,10 +37,16 @@ class TermInput:
 def term_readers(
     terms: Sequence[TermInput], dictionary: TermDictionary
 ) -> dict[StreamGenerator, list[TermReader]]:
-    """Return new readers of the terms, by stream."""
-    found: dict[StreamGenerator, list[TermReader]] = {}
+    """Return new readers of the terms, by stream; terms whose objects have the same names share
+    one."""
+    groups: dict[Hashable, list[TermInput]] = {}
     for each in terms:
-        found.setdefault(each.input.source, []).append(TermReader(each, dictionary))
+        input = each.input
+        key = input.source, input.objects, input.is_wanted, each.variables
+        groups.setdefault(key, []).append(each)
+    found: dict[StreamGenerator, list[TermReader]] = {}
+    for group in groups.values():
+        found.setdefault(group[0].input.source, []).append(TermReader(group, dictionary))
     return found
 
 
@@ -49,21 +55,21 @@ _UNKNOWN: Final = -2
 
 
 class TermReader:
-    """Reads the values of one term from one stream, always for the same monitor."""
+    """Reads the values of terms from one stream, always for the same monitor. Contract: the terms
+    have the same objects and variables."""
 
-    def __init__(self, input: TermInput, dictionary: TermDictionary) -> None:
-        self._term = input.term
-        self._kind = input.kind
-        self._variables = input.variables
-        self._input = input.input
+    def __init__(self, terms: Sequence[TermInput], dictionary: TermDictionary) -> None:
+        self._terms = terms
+        self._variables = terms[0].variables
         self._names: list[str] = []
         """IRIs by their codes."""
         self._code_of: dict[str, int] = {}
-        self._places = [np.empty(0, np.int64) for _ in input.variables]
-        """The places of objects in the monitor, by their codes, for each variable argument."""
+        self._places = [[np.empty(0, np.int64) for _ in self._variables] for _ in terms]
+        """The places of objects in the monitor, by their codes, for each term and variable."""
+        input = terms[0].input
         self._codes = [
-            ObjectCodes(object, dictionary, self._code, input.input.is_wanted if i == 0 else None)
-            for i, object in enumerate(input.input.objects)
+            ObjectCodes(object, dictionary, self._code, input.is_wanted if i == 0 else None)
+            for i, object in enumerate(input.objects)
         ]
 
     def read(
@@ -75,44 +81,52 @@ class TermReader:
     ) -> None:
         """Add the samples with a value and wanted objects. ``parts``: the numbers of the objects,
         all of which are wanted, where parts are evaluated."""
-        column = batch.columns[self._input.field]
-        present = column.present
-        if not np.count_nonzero(present):
-            return
-        if parts is not None:
+        encoded: tuple[list[NDArray[np.int32]], Mask] | None = None
+        for number, term in enumerate(self._terms):
+            column = batch.columns[term.input.field]
+            present = column.present
+            if not np.count_nonzero(present):
+                continue
+            if parts is None:
+                encoded = encoded or self._encoded(batch)
+                present = present & encoded[1]
             rows = np.flatnonzero(present)
+            if not len(rows):
+                continue
+            if parts is not None:
+                places = parts[rows].reshape(-1, 1)
+            else:
+                assert encoded is not None
+                places = np.empty((len(rows), len(self._variables)), np.int64)
+                for i, argument in enumerate(self._variables):
+                    own = encoded[0][argument][rows]
+                    places[:, i] = self._places_of(own, number, i, monitoring)
+            values = _values(term, column.take(rows))
             times = batch.available[rows], batch.valid[rows]
-            numbers = parts[rows].reshape(-1, 1)
-            monitoring.add(place, self._term, *times, numbers, self._values(column.take(rows)))
-            return
-        codes = []
-        for encoder in self._codes:
-            own, is_wanted = encoder.encode(batch)
-            codes.append(own)
-            present = present & is_wanted
-        rows = np.flatnonzero(present)
-        if not len(rows):
-            return
-        places = np.empty((len(rows), len(self._variables)), np.int64)
-        for i, argument in enumerate(self._variables):
-            places[:, i] = self._places_of(codes[argument][rows], i, monitoring)
-        values = self._values(column.take(rows))
-        monitoring.add(place, self._term, batch.available[rows], batch.valid[rows], places, values)
+            monitoring.add(place, term.term, *times, places, values)
+
+    def _encoded(self, batch: SampleBatch) -> tuple[list[NDArray[np.int32]], Mask]:
+        """The codes of the samples' objects, for each argument, and whether they are wanted."""
+        found = [encoder.encode(batch) for encoder in self._codes]
+        wanted = [is_wanted for _, is_wanted in found]
+        return [codes for codes, _ in found], np.logical_and.reduce(wanted)
 
     def _places_of(
-        self, codes: NDArray[np.int32], variable: int, monitoring: Monitoring
+        self, codes: NDArray[np.int32], term: int, variable: int, monitoring: Monitoring
     ) -> NDArray[np.int64]:
         """The places of objects by their codes; each is asked for once."""
-        table = self._places[variable]
+        table = self._places[term][variable]
         more = len(self._names) - len(table)
         if more > 0:
             more = max(more, len(table))
-            table = self._places[variable] = np.concatenate([table, np.full(more, _UNKNOWN)])
+            table = np.concatenate([table, np.full(more, _UNKNOWN)])
+            self._places[term][variable] = table
         found = table[codes]
         if len(found) and int(found.min()) == _UNKNOWN:
             # In the order in which they come.
             for code in dict.fromkeys(codes[found == _UNKNOWN].tolist()):
-                table[code] = monitoring.place(self._term, variable, self._names[code])
+                name = self._names[code]
+                table[code] = monitoring.place(self._terms[term].term, variable, name)
             found = table[codes]
         return found
 
@@ -122,24 +136,25 @@ class TermReader:
             self._names.append(iri)
         return code
 
-    def _values(self, column: Column) -> NDArray[Any]:
-        """The values as the formula compares them. Raises `ValueError` for another kind."""
-        match self._kind:
-            case Kind.NUMBER if column.type in _NUMBERS:
-                return np.asarray(self._input.conversion.apply(column.values.astype(np.float64)))
-            case Kind.TRUTH if column.type is FieldType.BOOLEAN:
-                return column.values
-            case Kind.TEXT if column.type is FieldType.STRING:
-                return np.array(column.tolist(), object)
-            case Kind.OBJECT if column.type is FieldType.STRING:
-                return _of_each(column, lambda text: object_iri(text, DYKNOW), object)
-            case Kind.TIME if column.type is FieldType.STRING:
-                return _of_each(column, parse_time, np.int64)
-            case _:
-                raise ValueError(
-                    f"field {self._input.field!r} of stream {self._input.source.name} is "
-                    f"{column.type}, and the formula needs a {self._kind}"
-                )
+
+def _values(term: TermInput, column: Column) -> NDArray[Any]:
+    """The values as the formula compares them. Raises `ValueError` for another kind."""
+    match term.kind:
+        case Kind.NUMBER if column.type in _NUMBERS:
+            return np.asarray(term.input.conversion.apply(column.values.astype(np.float64)))
+        case Kind.TRUTH if column.type is FieldType.BOOLEAN:
+            return column.values
+        case Kind.TEXT if column.type is FieldType.STRING:
+            return np.array(column.tolist(), object)
+        case Kind.OBJECT if column.type is FieldType.STRING:
+            return _of_each(column, lambda text: object_iri(text, DYKNOW), object)
+        case Kind.TIME if column.type is FieldType.STRING:
+            return _of_each(column, parse_time, np.int64)
+        case _:
+            raise ValueError(
+                f"field {term.input.field!r} of stream {term.input.source.name} is "
+                f"{column.type}, and the formula needs a {term.kind}"
+            )
 
 
 def _of_each(column: Column, convert: Callable[[str], Any], kind: Any) -> NDArray[Any]:
