@@ -21,9 +21,10 @@ from .evaluator import (
     Constants,
     TooManyStates,
     Verdicts,
+    concatenated,
     no_verdicts,
 )
-from .formulas import reach_of, sorts_of
+from .formulas import looks_back, reach_of, sorts_of
 from .nodes import END, Pass, Threshold, terms_of
 from .part_loop import (
     AT_ONCE,
@@ -32,6 +33,7 @@ from .part_loop import (
     EMITTED,
     IS_SINGLE,
     LIMIT,
+    LOOKS_BACK,
     MARGIN_TABLES,
     NEEDED,
     OPEN,
@@ -54,6 +56,8 @@ from .sliced_program import LONGEST, Compiler, Program
 ROWS: Final = 2048
 """States of a part that are evaluated at once, unless more are kept: their tables fit into a core's
 cache."""
+CUT: Final = 8192
+"""States whose atoms are compared at once."""
 SMALLEST: Final = 64
 """Places for states, rows of the tables, and room for verdicts of a new evaluator."""
 
@@ -119,6 +123,7 @@ class PartEvaluator:
         self._control[MARGIN_TABLES] = SIDES * count if monitor.robustness else 0
         reach = reach_of(monitor.formula)
         self._control[REACH] = sliced_program.NO_END if reach is None else min(reach, LONGEST)
+        self._control[LOOKS_BACK] = looks_back(monitor.formula)
         self._make_rows(SMALLEST)
         self._control[IS_SINGLE] = monitor.once
         self._control[REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
@@ -191,10 +196,18 @@ class PartEvaluator:
         count = len(states.valid)
         if not count:
             return self._none
-        times = np.empty((3, count), np.int64)
+        left = states.valid if left is None else left
+        part = np.zeros(count, np.int64) if part is None else part
+        cuts = [slice(start, start + CUT) for start in range(0, count, CUT)]
+        if len(cuts) == 1:
+            return self._pushed(states, left, part)
+        return concatenated([self._pushed(states.take(c), left[c], part[c]) for c in cuts])
+
+    def _pushed(self, states: States, left: Times, part: NDArray[np.int64]) -> Verdicts:
+        times = np.empty((3, len(part)), np.int64)
         times[0], times[1] = states.valid, states.horizon
-        times[2] = states.valid if left is None else left
-        part = np.zeros(count, np.int64) if part is None else np.ascontiguousarray(part)
+        times[2] = left
+        part = np.ascontiguousarray(part)
         return self._taken(*self._given(states, part), times, part, is_new=True)
 
     def advance(self, horizon: int | Times) -> Verdicts:

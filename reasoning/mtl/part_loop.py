@@ -76,11 +76,12 @@ FIRST, COUNT, PLACES, SEEN, OPEN, SETTLED, UNKNOWNS, FALSES, TRUES = range(9)
 PART_FIELDS: Final = 9
 # Whether each part has one start only; the verdicts in ``out`` may be violations alone; the most
 # rows taken at once, and the most states of a part; the first table of margins, or 0; how far the
-# formula reaches. Then what the loop says: places of ``states`` in use, verdicts in ``out``, true
-# and unknown ones that are not, and what it stopped for, with the number that is needed.
-IS_SINGLE, REPORTS_ALL, AT_ONCE, LIMIT, MARGIN_TABLES, REACH, USED, EMITTED = range(8)
-UNREPORTED_TRUE, UNREPORTED_UNKNOWN, STOPPED_FOR, NEEDED = range(8, 12)
-CONTROLS: Final = 12
+# formula reaches, and whether it looks back. Then what the loop says: places of ``states`` in use,
+# verdicts in ``out``, true and unknown ones that are not, and what it stopped for, with the number
+# that is needed.
+IS_SINGLE, REPORTS_ALL, AT_ONCE, LIMIT, MARGIN_TABLES, REACH, LOOKS_BACK = range(7)
+USED, EMITTED, UNREPORTED_TRUE, UNREPORTED_UNKNOWN, STOPPED_FOR, NEEDED = range(7, 13)
+CONTROLS: Final = 13
 NOTHING, PLACES_WANTED, ROWS_WANTED, ROOM_WANTED, IS_TOO_LONG = range(5)
 """What the loop may stop for: places in ``states``, rows of ``tables``, room in ``out``; a part has
 too many states."""
@@ -340,11 +341,12 @@ def _fill_margins(
 def _decide_by_margins(
     roots: Any, is_done: Any, valid: Any, horizon: Any, count: Any, tables: Any, scratch: Any,
     control: Any,
-) -> Any:  # fmt: skip
+) -> tuple[Any, Any]:  # fmt: skip
     """As `_decide_by_moments`: once its interval is over, a verdict is the sign of its margin, or
-    `TIED`. Return whether moments are needed, for that or for a witness."""
+    `TIED`. Return the rows of which moments are needed for that, or for a witness: the first, and
+    the one after the last."""
     _over(valid, horizon, count, control[REACH], scratch[CLOSED])
-    needs = False
+    low_row, high_row = count, 0
     for row in range(count):
         closed = scratch[CLOSED, row]
         scratch[DECIDED, row] = NEVER if is_done[row] else closed
@@ -355,8 +357,9 @@ def _decide_by_margins(
         if low == 0 or high == 0:
             value = TIED
         scratch[VALUES, row] = value
-        needs = needs or value == TIED or value == 0 or (value == 1 and control[REPORTS_ALL])
-    return needs
+        if value == TIED or value == 0 or (value == 1 and control[REPORTS_ALL]):
+            low_row, high_row = min(low_row, row), max(high_row, closed + 1)
+    return 0 if control[LOOKS_BACK] else low_row, high_row
 
 
 def _margin(table: Any, row: Any, tables: Any) -> Any:
@@ -364,21 +367,22 @@ def _margin(table: Any, row: Any, tables: Any) -> Any:
     return tables[table // SIDES, row] * (1 - 2 * (table % SIDES))
 
 
-def _break_ties(roots: Any, count: Any, tables: Any, scratch: Any) -> None:
+def _break_ties(roots: Any, begin: Any, end: Any, tables: Any, scratch: Any) -> None:
     """A margin of 0 does not tell `>` from `>=`: moments do."""
-    for row in range(count):
+    for row in range(begin, end):
         if scratch[DECIDED, row] < NEVER and scratch[VALUES, row] == TIED:
-            is_true, is_false = tables[roots[0], row] < NEVER, tables[roots[3], row] < NEVER
+            is_true = tables[roots[0], row - begin] < NEVER
+            is_false = tables[roots[3], row - begin] < NEVER
             scratch[VALUES, row] = 1 if is_true else 0 if is_false else -1
 
 
 def _emit(
     own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any,
-    count: Any, parts: Any, tables: Any, margins: Any, scratch: Any, control: Any, out: Any,
-    out_margins: Any,
+    count: Any, begin: Any, end: Any, parts: Any, tables: Any, margins: Any, scratch: Any,
+    control: Any, out: Any, out_margins: Any,
 ) -> None:  # fmt: skip
     """Count the verdicts that are new; write those to report, in order of the deciding state, then
-    of the start."""
+    of the start. ``tables`` have the rows from ``begin`` on, up to ``end``."""
     decided, values, place = scratch[DECIDED], scratch[VALUES], scratch[PLACE]
     hint = scratch[HINT]
     hint[0] = -1
@@ -412,9 +416,12 @@ def _emit(
         value, witness = values[row], -1
         if value >= 0:
             root = roots[0] if value else roots[3]
-            witness = _witness(nodes, root, row, valid, horizon, count, tables, hint)
+            witness = begin + _witness(
+                nodes, root, row - begin, valid[begin:end], horizon[begin:end], end - begin, tables,
+                hint,
+            )  # fmt: skip
         out[at, 0], out[at, 1], out[at, 2] = own, valid[row], valid[moment]
-        out[at, 3] = valid[witness] if witness >= 0 else TIME_MIN
+        out[at, 3] = valid[witness] if witness >= begin else TIME_MIN
         out[at, 4], out[at, 5] = left[moment], value
         if control[MARGIN_TABLES]:
             # Adding 0 makes 0 of -0.
@@ -470,9 +477,15 @@ def _keep(
             begin -= 1
             for field in range(len(states)):
                 states[field, first + begin] = states[field, first + row]
-    parts[part, FIRST] += begin
-    parts[part, PLACES] -= begin
-    parts[part, COUNT] -= begin
+    parts[part, COUNT] = count - begin
+    if count - begin > begin:
+        parts[part, FIRST] += begin
+        parts[part, PLACES] -= begin
+        return
+    # Moved to the front, fewer than those that go: then the part needs no other places.
+    for field in range(len(states)):
+        for row in range(count - begin):
+            states[field, first + row] = states[field, first + begin + row]
 
 
 def _add(
@@ -561,29 +574,28 @@ def _parts_loop(
         used = nodes[program, : roots[program, 4]]
         atoms, is_done = states[ATOMS : ATOMS + words, mine], states[IS_DONE, mine]
         is_whole, mine_margins = parts[own, SEEN] == count, table_margins[control[MARGIN_TABLES] :]
-        needs = True
+        begin_row, end_row = 0, count
         if control[MARGIN_TABLES]:
             _fill_margins(
-                used,
-                valid,
-                atoms,
-                state_margins[ATOMS + words :, mine],
-                count,
-                mine_margins,
+                used, valid, atoms, state_margins[ATOMS + words :, mine], count, mine_margins,
                 scratch,
-            )
-            needs = _decide_by_margins(
+            )  # fmt: skip
+            begin_row, end_row = _decide_by_margins(
                 roots[program], is_done, valid, horizon, count, mine_margins, scratch, control
             )
-        if needs:
-            _evaluate(used, valid, horizon, atoms, count, is_whole, tables, scratch)
-        if not control[MARGIN_TABLES]:
+        if begin_row < end_row:
+            rows = slice(begin_row, end_row)
+            _evaluate(
+                used, valid[rows], horizon[rows], atoms[:, rows], end_row - begin_row,
+                is_whole and begin_row == 0, tables, scratch,
+            )  # fmt: skip
+        if control[MARGIN_TABLES]:
+            _break_ties(roots[program], begin_row, end_row, tables, scratch)
+        else:
             _decide_by_moments(roots[program], is_done, count, tables, scratch)
-        elif needs:
-            _break_ties(roots[program], count, tables, scratch)
         _emit(
-            own, used, roots[program], valid, horizon, left, is_done, count, parts, tables,
-            mine_margins, scratch, control, out, out_margins,
+            own, used, roots[program], valid, horizon, left, is_done, count, begin_row, end_row,
+            parts, tables, mine_margins, scratch, control, out, out_margins,
         )  # fmt: skip
         _keep(used, remembered[program], own, count, tables, scratch, states, parts)
         at = end

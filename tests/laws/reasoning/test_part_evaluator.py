@@ -20,6 +20,7 @@ from dyknow.languages.mtl.checked import (
     Constant,
     Kind,
     ObjectConstant,
+    Or,
     Reading,
     Within,
 )
@@ -265,3 +266,24 @@ def test_a_formula_has_more_atoms_than_a_word() -> None:
         assert 0 < np.count_nonzero(found.value == 0) < len(found)
         wanted = MonitorEvaluator(monitor).push(trace)
         assert rows_of(found, Report.VERDICTS) == rows_of(wanted, Report.VERDICTS)
+
+
+def test_a_witness_is_the_first_state_that_is_known_by_then() -> None:
+    """At 2 s to 4 s it is q at 2 s; at 5 s it is known that p held from 0 s on."""
+    p, q = (
+        Atom("=", Reading(term, (X,), Kind.TRUTH, None), Constant(True, Kind.TRUTH))
+        for term, _ in TERMS[:2]
+    )
+    formula = Within(
+        Temporal.ONCE, Interval(0, 10), Or(Within(Temporal.ALWAYS, Interval(0, 5), p), q)
+    )
+    monitor = CheckedMonitor(
+        "m", (("x", SORT),), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
+    )
+    valid = np.arange(9)
+    known = np.ones((9, 1), np.bool_)
+    values = {TERMS[0]: Values(known, known), TERMS[1]: Values(valid[:, None] == 2, known)}
+    states = States(valid, valid, {SORT: [""]}, {SORT: known}, values)
+    found = PartEvaluator(monitor).push(states)
+    by_start = dict(zip(found.start_time.tolist(), found.witness_time.tolist(), strict=True))
+    assert by_start == {0: 0, 1: 0, 2: 2, 3: 2, 4: 2, 5: 0, 6: 0, 7: 0, 8: 0}
