@@ -24,6 +24,7 @@ from ...reasoning.mtl.formulas import (
 )
 from ...reasoning.mtl.monitoring import VERDICT
 from ...reasoning.mtl.nodes import term_of
+from ...reasoning.mtl.part_evaluator import bytes_of_state
 from ...reasoning.mtl.sliced_evaluator import bits_of_state, is_sliced
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Approximation
@@ -200,7 +201,9 @@ def explain_monitor(monitor: CheckedMonitor, *, has_own_states: bool | None = No
 
 def _memory(monitor: CheckedMonitor, reach: int | None, has_own_states: bool) -> str:
     """How many states are kept at most, and the bytes of each. ``reach``: that of the formula."""
-    if not has_own_states and is_sliced(monitor):
+    if has_own_states:
+        size = float(bytes_of_state(monitor))
+    elif is_sliced(monitor):
         size = bits_of_state(monitor) / 8
     else:
         size = float(BYTES_OF_NODE * count_of(monitor.formula))
@@ -219,7 +222,9 @@ def _memory(monitor: CheckedMonitor, reach: int | None, has_own_states: bool) ->
     else:
         states = f"at most {(reach + back) // period + 2:,} states"
     if remembered:
-        states += f" and {1 + 2 * len(remembered)} of the past without an end"
+        # In each reading; and the first of all, for objects to come.
+        others = 2 * len(remembered) + (not has_own_states)
+        states += f" and {others} of the past without an end"
     return f"{states}, {each}"
 
 

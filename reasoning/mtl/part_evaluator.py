@@ -62,6 +62,17 @@ SMALLEST: Final = 64
 """Places for states, rows of the tables, and room for verdicts of a new evaluator."""
 
 
+def bytes_of_state(monitor: CheckedMonitor) -> int:
+    """Return the bytes of a state that is kept."""
+    return 8 * _fields(monitor, len(Compiler(monitor).atoms))
+
+
+def _fields(monitor: CheckedMonitor, atoms: int) -> int:
+    """The fields of a state in the loop."""
+    margins = atoms if monitor.robustness else 0
+    return part_loop.ATOMS + part_loop.words_of(atoms) + margins
+
+
 class PartValues:
     """The values of a formula's parameters, or of its variable, for each part."""
 
@@ -115,9 +126,7 @@ class PartEvaluator:
             if not monitor.robustness:
                 self._remembered[place, : len(packed)] = _remembered(packed)
         self._parts = _no_parts(1)
-        words = part_loop.words_of(len(self._atoms))
-        margins = len(self._atoms) if monitor.robustness else 0
-        self._states = np.zeros((part_loop.ATOMS + words + margins, SMALLEST), np.int64)
+        self._states = np.zeros((_fields(monitor, len(self._atoms)), SMALLEST), np.int64)
         self._out = np.empty((SMALLEST, 7), np.int64)
         self._control = np.zeros(CONTROLS, np.int64)
         self._control[MARGIN_TABLES] = SIDES * count if monitor.robustness else 0
