@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from threading import RLock
-from typing import Any
+from threading import RLock, Timer
+from time import monotonic
+from typing import Any, Final
 
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
     os.environ.get("DYKNOW_JIT", "on").lower() not in ("off", "0", "false")
@@ -21,6 +23,45 @@ JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
 
 _COMPILING = RLock()
 _KERNELS: list[Kernel] = []
+_NOTICEABLE: Final = 2.0
+"""Seconds of compiling after which it is told."""
+
+
+class _Notice:
+    """Tells once, while loops are compiled, that this takes long."""
+
+    def __init__(self) -> None:
+        self.tell: Callable[[], None] | None = None
+        self._spent = 0.0
+
+    @contextmanager
+    def watch(self) -> Iterator[None]:
+        if self.tell is None:
+            yield
+            return
+        begun = monotonic()
+        timer = Timer(max(0.0, _NOTICEABLE - self._spent), self._tell_once)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            self._spent += monotonic() - begun
+
+    def _tell_once(self) -> None:
+        tell, self.tell = self.tell, None
+        if tell is not None:
+            tell()
+
+
+_NOTICE: Final = _Notice()
+
+
+def when_compiling(tell: Callable[[], None]) -> None:
+    """Call ``tell`` once, from another thread, when loops have been compiled for some seconds in
+    all."""
+    _NOTICE.tell = tell
 
 
 class Kernel:
@@ -70,7 +111,8 @@ class Kernel:
                 except RuntimeError:
                     # No directory for the cache (a read-only root, no home): compile at each start.
                     loop = njit(**self._options)(self.py_func)
-                loop.compile(self.signature())
+                with _NOTICE.watch():
+                    loop.compile(self.signature())
                 loop.disable_compile()
                 self._compiled = loop
             return self._compiled

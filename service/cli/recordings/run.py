@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..output import Json
+from ..output import Json, err
 from ..parameters import (
     Bounds,
     BoundsWord,
@@ -22,6 +22,8 @@ from ..parameters import (
     TimeUnit,
     table_options,
 )
+
+_COMPILING = "compiling loops; the next run finds them compiled"
 
 
 def run(
@@ -98,9 +100,11 @@ def run(
     """
     from ....languages.mtl import is_monitor
     from ....languages.patterns import is_pattern
+    from ....streams.jit import when_compiling
     from ..streams import read_text
     from .run_options import RunOptions
 
+    when_compiling(lambda: err().print(_COMPILING, style="dim"))
     text = read_text(query)
     options = RunOptions(
         text=text,
