@@ -15,6 +15,8 @@ from threading import RLock, Timer
 from time import monotonic
 from typing import Any, Final
 
+import numpy as np
+
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
     os.environ.get("DYKNOW_JIT", "on").lower() not in ("off", "0", "false")
 )
@@ -23,6 +25,10 @@ JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
 
 _COMPILING = RLock()
 _KERNELS: list[Kernel] = []
+FEW: Final = 256
+"""So many rows need no compiled loop."""
+PATIENCE = 0.3
+"""Seconds that a loop may take in plain Python before it is compiled."""
 _NOTICEABLE: Final = 2.0
 """Seconds of compiling after which it is told."""
 
@@ -87,11 +93,29 @@ class Kernel:
         self._calls = calls
         self._options: dict[str, Any] = {"nogil": True} | ({} if allocates else {"_nrt": False})
         self._compiled: Callable[..., Any] | None = None
+        self._interpreted = 0.0
+        """Seconds that it took in plain Python."""
         _KERNELS.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
         compiled = self._compiled or self.compile()
         return compiled(*arguments)
+
+    def run(self, *arguments: Any, size: int = FEW + 1) -> Any:
+        """Call it, or ``py_func`` where loops are not compiled.
+
+        ``size``: how much it has to do, in rows or the like. With `FEW` or less it runs in plain
+        Python while it is not compiled, for some tenths of a second in all: so that a first result
+        need not wait for the compiler."""
+        is_compiled = self._compiled is not None or size > FEW or self._interpreted >= PATIENCE
+        if JIT and is_compiled:
+            return self(*arguments)
+        begun = monotonic()
+        try:
+            with np.errstate(all="ignore"):  # as the compiled loop does
+                return self.py_func(*arguments)
+        finally:
+            self._interpreted += monotonic() - begun
 
     def compile(self) -> Callable[..., Any]:
         """The compiled function: made now, read from the cache, or known already."""

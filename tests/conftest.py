@@ -11,6 +11,11 @@ import pytest
 from hypothesis import settings
 from sweeping import WAYS, at_every_chance
 
+from dyknow.streams import jit
+
+# Tests are of compiled loops, however little they have to do.
+jit.PATIENCE = 0.0
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--sweeps", choices=WAYS, help="forget terms at every chance")
@@ -44,3 +49,9 @@ def sweeps(request: pytest.FixtureRequest) -> Iterator[None]:
         return
     with at_every_chance(way):
         yield
+
+
+@pytest.fixture
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loops run in plain Python, as those do that are not compiled yet (`Kernel.run`)."""
+    monkeypatch.setattr(jit, "JIT", False)

@@ -27,7 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...streams.jit import JIT, Kernel
+from ...streams.jit import Kernel
 from ...streams.time import TIME_MAX, TIME_MIN
 from .sliced_program import (
     ATOM,
@@ -53,10 +53,10 @@ from .sliced_times import SEARCHES, ahead, back, behind, is_later, is_near, is_o
 from .windows import (
     deciding_state,
     least_in_queue,
-    since_loop,
-    since_of_margins_loop,
-    until_loop,
-    until_of_margins_loop,
+    since_in_column,
+    since_of_margins_in_column,
+    until_in_column,
+    until_of_margins_in_column,
 )
 
 NEVER: Final = 2**62
@@ -135,11 +135,16 @@ def _evaluate(
     scratch: Any,
 ) -> None:  # fmt: skip
     """Fill the tables of all nodes."""
-    first, last = scratch[FIRST_ROWS, :count], scratch[LAST_ROWS, :count]
-    closed, queue = scratch[CLOSED, :count], scratch[QUEUE, :count]
+    first, last, closed, queue = (
+        scratch[FIRST_ROWS],
+        scratch[LAST_ROWS],
+        scratch[CLOSED],
+        scratch[QUEUE],
+    )
+    columns = tables.T
     for node in range(len(nodes)):
         operation, start, end = nodes[node, OPERATION], nodes[node, START], nodes[node, END]
-        true, false = tables[SIDES * node, :count], tables[SIDES * node + 1, :count]
+        true, false = SIDES * node, SIDES * node + 1
         left_t, left_f = nodes[node, LEFT_T], nodes[node, LEFT_F]
         right_t, right_f = nodes[node, RIGHT_T], nodes[node, RIGHT_F]
         if operation == ATOM:
@@ -147,54 +152,52 @@ def _evaluate(
             wanted = HOLDS | UNKNOWN if nodes[node, IS_UPPER] else HOLDS
             for row in range(count):
                 holds = (atoms[word, row] >> shift) & wanted != 0
-                true[row] = row if holds else NEVER
-                false[row] = NEVER if holds else row
+                tables[true, row] = row if holds else NEVER
+                tables[false, row] = NEVER if holds else row
         elif operation == TRUTH:
             for row in range(count):
-                true[row], false[row] = row, NEVER
+                tables[true, row], tables[false, row] = row, NEVER
         elif operation == OR:
             for row in range(count):
-                true[row] = min(tables[left_t, row], tables[right_t, row])
-                false[row] = max(tables[left_f, row], tables[right_f, row])
+                tables[true, row] = min(tables[left_t, row], tables[right_t, row])
+                tables[false, row] = max(tables[left_f, row], tables[right_f, row])
         elif operation == SPREAD:
             for row in range(count):
-                true[row], false[row] = tables[left_t, row], tables[left_f, row]
+                tables[true, row], tables[false, row] = tables[left_t, row], tables[left_f, row]
         elif operation == PREVIOUS:
             for row in range(count - 1, 0, -1):
-                true[row] = max(tables[left_t, row - 1], row)
-                false[row] = max(tables[left_f, row - 1], row)
-            true[0], false[0] = NEVER, 0 if is_whole else NEVER
-        elif operation in (EVENTUALLY, ONCE):
-            is_past = operation == ONCE
+                tables[true, row] = max(tables[left_t, row - 1], row)
+                tables[false, row] = max(tables[left_f, row - 1], row)
+            tables[true, 0], tables[false, 0] = NEVER, 0 if is_whole else NEVER
+        else:
+            is_past = operation in (ONCE, SINCE)
             _bounds(valid, count, is_past, start, end, first, last)
-            for side in range(SIDES):
-                operand = (left_t, left_f)[side]
-                sign = 1 - 2 * side
-                least_in_queue(
-                    tables[operand : operand + 1, :count].T, first, last, queue,
-                    tables[SIDES * node + side : SIDES * node + side + 1, :count].T, sign, NEVER,
-                )  # fmt: skip
-            # What is known of a start is not known before it; a future interval ends at it or
-            # later.
             if not is_past:
                 _over(valid, horizon, count, end, closed)
-            for row in range(count):
-                true[row] = max(true[row], row)
-                false[row] = max(false[row], row if is_past else closed[row])
-        else:
-            is_past = operation == SINCE
-            _bounds(valid, count, is_past, start, end, first, last)
-            given = (
-                tables[left_t : left_t + 1, :count].T, tables[left_f : left_f + 1, :count].T,
-                tables[right_t : right_t + 1, :count].T, tables[right_f : right_f + 1, :count].T,
-            )  # fmt: skip
-            out_true = tables[SIDES * node : SIDES * node + 1, :count].T
-            out_false = tables[SIDES * node + 1 : SIDES * node + 2, :count].T
-            if is_past:
-                since_loop(*given, first, last, out_true, out_false)
+            if operation == UNTIL:
+                until_in_column(
+                    columns, left_t, columns, left_f, columns, right_t, columns, right_f, count,
+                    first, last, closed, columns, true, columns, false,
+                )  # fmt: skip
+            elif operation == SINCE:
+                since_in_column(
+                    columns, left_t, columns, left_f, columns, right_t, columns, right_f, count,
+                    first, last, columns, true, columns, false,
+                )  # fmt: skip
             else:
-                _over(valid, horizon, count, end, closed)
-                until_loop(*given, first, last, closed, out_true, out_false)
+                for side in range(SIDES):
+                    operand = nodes[node, LEFT_T + side]
+                    sign = 1 - 2 * side
+                    least_in_queue(
+                        columns, operand, count, first, last, queue, columns, true + side, sign,
+                        NEVER,
+                    )  # fmt: skip
+                # What is known of a start is not known before it; a future interval ends at it or
+                # later.
+                for row in range(count):
+                    tables[true, row] = max(tables[true, row], row)
+                    at = row if is_past else closed[row]
+                    tables[false, row] = max(tables[false, row], at)
 
 
 def _interval(nodes: Any, node: Any, row: Any, valid: Any, count: Any) -> tuple[Any, Any]:
@@ -287,55 +290,56 @@ def _fill_margins(
     nodes: Any, valid: Any, atoms: Any, margins: Any, count: Any, tables: Any, scratch: Any
 ) -> None:
     """Fill the tables of margins, one a node, that of a negated operand being the opposite."""
-    first, last, queue = (
-        scratch[FIRST_ROWS, :count],
-        scratch[LAST_ROWS, :count],
-        scratch[QUEUE, :count],
-    )
+    first, last, queue = scratch[FIRST_ROWS], scratch[LAST_ROWS], scratch[QUEUE]
+    columns = tables.T
     for node in range(len(nodes)):
         operation, start, end = nodes[node, OPERATION], nodes[node, START], nodes[node, END]
-        own = tables[node : node + 1, :count].T
         left, right = nodes[node, LEFT_T] // SIDES, nodes[node, RIGHT_T] // SIDES
         sign = 1 - 2 * (nodes[node, LEFT_T] % SIDES)
         other = 1 - 2 * (nodes[node, RIGHT_T] % SIDES)
         if operation == ATOM:
             number = nodes[node, NUMBER]
             word, shift = number // IN_A_WORD, 2 * (number % IN_A_WORD)
+            unknown = np.inf if nodes[node, IS_UPPER] else -np.inf
             for row in range(count):
-                own[row, 0] = margins[number, row]
-                if (atoms[word, row] >> shift) & UNKNOWN:
-                    own[row, 0] = np.inf if nodes[node, IS_UPPER] else -np.inf
+                is_known = (atoms[word, row] >> shift) & UNKNOWN == 0
+                tables[node, row] = margins[number, row] if is_known else unknown
         elif operation == TRUTH:
             for row in range(count):
-                own[row, 0] = np.inf
+                tables[node, row] = np.inf
         elif operation == OR:
             for row in range(count):
-                own[row, 0] = max(sign * tables[left, row], other * tables[right, row])
+                tables[node, row] = max(sign * tables[left, row], other * tables[right, row])
         elif operation == SPREAD:
             for row in range(count):
-                own[row, 0] = sign * tables[left, row]
+                tables[node, row] = sign * tables[left, row]
         elif operation == PREVIOUS:
             for row in range(count - 1, 0, -1):
-                own[row, 0] = sign * tables[left, row - 1]
-            own[0, 0] = -np.inf
+                tables[node, row] = sign * tables[left, row - 1]
+            tables[node, 0] = -np.inf
         else:
             _bounds(valid, count, operation in (ONCE, SINCE), start, end, first, last)
-            operand = tables[left : left + 1, :count].T
             if operation in (EVENTUALLY, ONCE):
                 # The greatest of the opposite is the opposite of the least.
-                least_in_queue(operand, first, last, queue, own, -sign, np.inf)
+                least_in_queue(
+                    columns, left, count, first, last, queue, columns, node, -sign, np.inf
+                )
                 for row in range(count):
-                    own[row, 0] *= sign
+                    tables[node, row] *= sign
+                continue
+            # Without the signs, in the two tables after those of nodes.
+            a, b = len(tables) - 2, len(tables) - 1
+            for row in range(count):
+                tables[a, row] = sign * tables[left, row]
+                tables[b, row] = other * tables[right, row]
+            if operation == SINCE:
+                since_of_margins_in_column(
+                    columns, a, columns, b, count, first, last, columns, node
+                )
             else:
-                # Without the signs, in the two tables after those of nodes.
-                spare = tables[len(tables) - 2 :, :count]
-                for row in range(count):
-                    spare[0, row] = sign * tables[left, row]
-                    spare[1, row] = other * tables[right, row]
-                if operation == SINCE:
-                    since_of_margins_loop(spare[:1].T, spare[1:].T, first, last, own)
-                else:
-                    until_of_margins_loop(spare[:1].T, spare[1:].T, first, last, own)
+                until_of_margins_in_column(
+                    columns, a, columns, b, count, first, last, columns, node
+                )
 
 
 def _decide_by_margins(
@@ -640,20 +644,21 @@ def _move_signature() -> Any:
 
 
 _CALLED: Final = (
-    *SEARCHES, least_in_queue, until_loop, since_loop, until_of_margins_loop, since_of_margins_loop,
-    deciding_state, _bounds, _over, _evaluate, _interval, _witness_of_until, _witness, _first_by,
-    _decide_by_moments, _margin, _fill_margins, _decide_by_margins, _break_ties, _emit, _keep, _add,
+    *SEARCHES, least_in_queue, until_in_column, since_in_column, until_of_margins_in_column,
+    since_of_margins_in_column, deciding_state, _bounds, _over, _evaluate, _interval,
+    _witness_of_until, _witness, _first_by, _decide_by_moments, _margin, _fill_margins,
+    _decide_by_margins, _break_ties, _emit, _keep, _add,
     _stop,
 )  # fmt: skip
 _parts = Kernel(_parts_loop, _parts_signature, allocates=False, calls=_CALLED)
 _move = Kernel(_move_loop, _move_signature, allocates=False)
 
 
-def take(*arguments: Any) -> int:
-    """Run the loop over states, as `_parts_loop` says."""
-    return int((_parts if JIT else _parts.py_func)(*arguments))
+def take(*arguments: Any, count: int) -> int:
+    """Run the loop over ``count`` states, as `_parts_loop` says."""
+    return int(_parts.run(*arguments, size=count))
 
 
 def move(*arguments: Any) -> int:
     """Copy states, as `_move_loop` says."""
-    return int((_move if JIT else _move.py_func)(*arguments))
+    return int(_move.run(*arguments))

@@ -382,12 +382,13 @@ class SlicedEvaluator:
     # -- verdicts ----------------------------------------------------------------------------
 
     def _run(self, begin: int, end: int, *, is_new: bool = True) -> None:
+        size = (end - begin) * self._tables.shape[2]
         while begin < end:
-            begin = sliced_verdicts.run(
+            begin = sliced_verdicts.run.run(
                 self._tables, self._valid, self._horizon, self._program.nodes, self._words,
                 self._masks, self._full, self._stamp, self._changed, self._changes, self._first,
                 self._closed, self._spare, self._fresh, self._control, self._out, begin, end,
-                int(is_new),
+                int(is_new), size=size,
             )  # fmt: skip
             if begin < end:
                 self._out = np.concatenate([self._out, np.empty_like(self._out)])

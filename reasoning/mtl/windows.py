@@ -14,7 +14,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...streams.jit import JIT, Kernel
+from ...streams.jit import Kernel
 
 Moments = NDArray[np.int64]
 Table = TypeVar("Table", NDArray[np.int64], NDArray[np.float64])
@@ -146,31 +146,41 @@ def _run(kernel: Kernel, *arguments: Any) -> None:
         np.ascontiguousarray(a) if isinstance(a, np.ndarray) and not a.flags.c_contiguous else a
         for a in arguments
     ]
-    (kernel if JIT else kernel.py_func)(*arrays)
+    kernel.run(*arrays, size=max(each.size for each in arrays if isinstance(each, np.ndarray)))
+
+
+# Each loop takes a column of each table.
 
 
 def least_in_queue(
+    moments: Any, column: Any, rows: Any, first: Any, last: Any, queue: Any, out: Any, to: Any,
+    sign: Any, empty: Any,
+) -> None:  # fmt: skip
+    """Keep a queue of the rows that may still be the least of an interval."""
+    head = tail = row = 0
+    for start in range(rows):
+        while row < last[start]:
+            new = sign * moments[row, column]
+            while tail > head and sign * moments[queue[tail - 1], column] >= new:
+                tail -= 1
+            queue[tail] = row
+            tail += 1
+            row += 1
+        while head < tail and queue[head] < first[start]:
+            head += 1
+        out[start, to] = (
+            moments[queue[head], column]
+            if head < tail and queue[head] < last[start]
+            else sign * empty
+        )
+
+
+def _least_queue_loop(
     moments: Any, first: Any, last: Any, queue: Any, out: Any, sign: Any, empty: Any
 ) -> None:
-    """Keep a queue of the rows that may still be the least of an interval."""
     rows, columns = moments.shape
     for column in range(columns):
-        head = tail = row = 0
-        for start in range(rows):
-            while row < last[start]:
-                new = sign * moments[row, column]
-                while tail > head and sign * moments[queue[tail - 1], column] >= new:
-                    tail -= 1
-                queue[tail] = row
-                tail += 1
-                row += 1
-            while head < tail and queue[head] < first[start]:
-                head += 1
-            out[start, column] = (
-                moments[queue[head], column]
-                if head < tail and queue[head] < last[start]
-                else sign * empty
-            )
+        least_in_queue(moments, column, rows, first, last, queue, out, column, sign, empty)
 
 
 def _least_wide_loop(
@@ -211,87 +221,108 @@ def _least_wide_loop(
                 span *= 2
 
 
-def until_loop(
-    true_left: Any,
-    false_left: Any,
-    true_right: Any,
-    false_right: Any,
-    first: Any,
-    last: Any,
-    closed: Any,
-    out_true: Any,
-    out_false: Any,
-) -> None:
+def until_in_column(
+    true_left: Any, a: Any, false_left: Any, b: Any, true_right: Any, c: Any, false_right: Any,
+    d: Any, rows: Any, first: Any, last: Any, closed: Any, out_true: Any, to_true: Any,
+    out_false: Any, to_false: Any,
+) -> None:  # fmt: skip
+    for start in range(rows):
+        # When left is known to hold at all states before; when right is known to be false at all
+        # states of the interval before.
+        holds, ruled_out = -1, start
+        true, false = 2**62, 2**62
+        for state in range(start, last[start]):
+            if state >= first[start]:
+                true = min(true, max(true_right[state, c], holds))
+                ruled_out = max(ruled_out, false_right[state, d])
+            # If left fails here, no later state counts, seen or not.
+            false = min(false, max(ruled_out, false_left[state, b]))
+            holds = max(holds, true_left[state, a])
+        out_true[start, to_true] = true
+        out_false[start, to_false] = min(false, max(ruled_out, closed[start]))
+
+
+def _until_loop(
+    true_left: Any, false_left: Any, true_right: Any, false_right: Any, first: Any, last: Any,
+    closed: Any, out_true: Any, out_false: Any,
+) -> None:  # fmt: skip
     rows, columns = true_left.shape
-    for column in range(columns):
-        for start in range(rows):
-            # When left is known to hold at all states before; when right is known to be false at
-            # all states of the interval before.
-            holds, ruled_out = -1, start
-            true, false = 2**62, 2**62
-            for state in range(start, last[start]):
-                if state >= first[start]:
-                    true = min(true, max(true_right[state, column], holds))
-                    ruled_out = max(ruled_out, false_right[state, column])
-                # If left fails here, no later state counts, seen or not.
-                false = min(false, max(ruled_out, false_left[state, column]))
-                holds = max(holds, true_left[state, column])
-            out_true[start, column] = true
-            out_false[start, column] = min(false, max(ruled_out, closed[start]))
+    for i in range(columns):
+        until_in_column(
+            true_left, i, false_left, i, true_right, i, false_right, i, rows, first, last, closed,
+            out_true, i, out_false, i,
+        )  # fmt: skip
 
 
-def since_loop(
-    true_left: Any,
-    false_left: Any,
-    true_right: Any,
-    false_right: Any,
-    first: Any,
-    last: Any,
-    out_true: Any,
-    out_false: Any,
-) -> None:
+def since_in_column(
+    true_left: Any, a: Any, false_left: Any, b: Any, true_right: Any, c: Any, false_right: Any,
+    d: Any, rows: Any, first: Any, last: Any, out_true: Any, to_true: Any, out_false: Any,
+    to_false: Any,
+) -> None:  # fmt: skip
+    for start in range(rows):
+        holds, broken = -1, 2**62
+        true, false = 2**62, start
+        for state in range(start, first[start] - 1, -1):
+            if state < last[start]:
+                true = min(true, max(max(true_right[state, c], holds), start))
+                false = max(false, min(false_right[state, d], broken))
+            holds = max(holds, true_left[state, a])
+            broken = min(broken, false_left[state, b])
+        out_true[start, to_true] = true
+        out_false[start, to_false] = false
+
+
+def _since_loop(
+    true_left: Any, false_left: Any, true_right: Any, false_right: Any, first: Any, last: Any,
+    out_true: Any, out_false: Any,
+) -> None:  # fmt: skip
     rows, columns = true_left.shape
-    for column in range(columns):
-        for start in range(rows):
-            holds, broken = -1, 2**62
-            true, false = 2**62, start
-            for state in range(start, first[start] - 1, -1):
-                if state < last[start]:
-                    true = min(true, max(max(true_right[state, column], holds), start))
-                    false = max(false, min(false_right[state, column], broken))
-                holds = max(holds, true_left[state, column])
-                broken = min(broken, false_left[state, column])
-            out_true[start, column] = true
-            out_false[start, column] = false
+    for i in range(columns):
+        since_in_column(
+            true_left, i, false_left, i, true_right, i, false_right, i, rows, first, last, out_true,
+            i, out_false, i,
+        )  # fmt: skip
 
 
-def until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
+def until_of_margins_in_column(
+    left: Any, a: Any, right: Any, b: Any, rows: Any, first: Any, last: Any, out: Any, to: Any
+) -> None:
+    for start in range(rows):
+        # The least margin of left at the states before.
+        held, found = np.inf, -np.inf
+        for state in range(start, last[start]):
+            if state >= first[start]:
+                found = max(found, min(right[state, b], held))
+            held = min(held, left[state, a])
+            if held <= found:
+                break  # no later state has more
+        out[start, to] = found
+
+
+def _until_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
     rows, columns = left.shape
-    for column in range(columns):
-        for start in range(rows):
-            # The least margin of left at the states before.
-            held, found = np.inf, -np.inf
-            for state in range(start, last[start]):
-                if state >= first[start]:
-                    found = max(found, min(right[state, column], held))
-                held = min(held, left[state, column])
-                if held <= found:
-                    break  # no later state has more
-            out[start, column] = found
+    for i in range(columns):
+        until_of_margins_in_column(left, i, right, i, rows, first, last, out, i)
 
 
-def since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
+def since_of_margins_in_column(
+    left: Any, a: Any, right: Any, b: Any, rows: Any, first: Any, last: Any, out: Any, to: Any
+) -> None:
+    for start in range(rows):
+        held, found = np.inf, -np.inf
+        for state in range(start, first[start] - 1, -1):
+            if state < last[start]:
+                found = max(found, min(right[state, b], held))
+            held = min(held, left[state, a])
+            if held <= found:
+                break
+        out[start, to] = found
+
+
+def _since_of_margins_loop(left: Any, right: Any, first: Any, last: Any, out: Any) -> None:
     rows, columns = left.shape
-    for column in range(columns):
-        for start in range(rows):
-            held, found = np.inf, -np.inf
-            for state in range(start, first[start] - 1, -1):
-                if state < last[start]:
-                    found = max(found, min(right[state, column], held))
-                held = min(held, left[state, column])
-                if held <= found:
-                    break
-            out[start, column] = found
+    for i in range(columns):
+        since_of_margins_in_column(left, i, right, i, rows, first, last, out, i)
 
 
 def _first_by_loop(table: Any, column: Any, first: Any, last: Any, by: Any, out: Any) -> None:
@@ -417,13 +448,17 @@ def _deciding_signature() -> Any:
     return types.void(table, table, row, row, row, row, row, row, flag, flag, row)
 
 
-_least_queue = Kernel(least_in_queue, _least_signature)
-_least_queue_of_margins = Kernel(least_in_queue, _least_of_margins_signature)
+_COLUMNS: Final = (
+    least_in_queue, until_in_column, since_in_column, until_of_margins_in_column,
+    since_of_margins_in_column, deciding_state,
+)  # fmt: skip
+_least_queue = Kernel(_least_queue_loop, _least_signature, calls=_COLUMNS)
+_least_queue_of_margins = Kernel(_least_queue_loop, _least_of_margins_signature, calls=_COLUMNS)
 _least_wide = Kernel(_least_wide_loop, _least_wide_signature)
 _least_wide_of_margins = Kernel(_least_wide_loop, _least_wide_of_margins_signature)
-_until = Kernel(until_loop, _until_signature)
-_since = Kernel(since_loop, _since_signature)
-_until_of_margins = Kernel(until_of_margins_loop, _margins_signature)
-_since_of_margins = Kernel(since_of_margins_loop, _margins_signature)
+_until = Kernel(_until_loop, _until_signature, calls=_COLUMNS)
+_since = Kernel(_since_loop, _since_signature, calls=_COLUMNS)
+_until_of_margins = Kernel(_until_of_margins_loop, _margins_signature, calls=_COLUMNS)
+_since_of_margins = Kernel(_since_of_margins_loop, _margins_signature, calls=_COLUMNS)
 _first_by = Kernel(_first_by_loop, _first_by_signature)
-_deciding = Kernel(_deciding_loop, _deciding_signature, calls=(deciding_state,))
+_deciding = Kernel(_deciding_loop, _deciding_signature, calls=_COLUMNS)

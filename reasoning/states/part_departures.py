@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...streams.jit import JIT, Kernel
+from ...streams.jit import Kernel
 from ...streams.sample import Times
 from ...streams.time import TIME_MAX, TIME_MIN
 
@@ -55,7 +55,7 @@ def search(first: NDArray[np.int64], times: Times, part: Parts, wanted: Times) -
     part p are ``first[p] .. first[p + 1] - 1``. Cost: O(n log m)."""
     found = np.empty(len(part), np.int64)
     given = (np.ascontiguousarray(each) for each in (first, times, part, wanted))
-    (_search if JIT else _search.py_func)(*given, found)
+    _search.run(*given, found, size=len(part))
     return found
 
 
@@ -146,7 +146,7 @@ class PartDepartures:
         steps = np.empty((3, len(part)), np.int64)
         latest = before.copy()
         made = int(
-            (_advance if JIT else _advance.py_func)(
+            _advance.run(
                 source,
                 available,
                 valid,
@@ -158,6 +158,7 @@ class PartDepartures:
                 ceiling,
                 latest,
                 steps,
+                size=len(part),
             )
         )
         self._reached[:count] = latest

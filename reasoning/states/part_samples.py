@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...streams.jit import JIT, Kernel
+from ...streams.jit import Kernel
 from ...streams.sample import Times
 from ...streams.time import TIME_MIN
 from .part_departures import Parts
@@ -95,7 +95,7 @@ class PartSamples:
         """Take times at which states of parts are to leave; each once."""
         self._make_places(len(self._waiting), len(valid))
         arrays = self._samples, self._ends, self._control, self._pending
-        _run(_add_times, part, valid, *arrays)
+        _add_times.run(part, valid, *arrays, size=len(part))
 
     def due(self, limits: Times | None) -> tuple[Times, Parts]:
         """Remove the times before the limit of their part, or before that of all (one limit); None:
@@ -106,7 +106,7 @@ class PartSamples:
             arrays = self._samples, self._ends, self._control, self._pending
             is_all = int(limits is None)
             given = np.empty(1, np.int64) if limits is None else np.ascontiguousarray(limits)
-            count = int(_run(_due, given, is_all, *arrays, due, part))
+            count = int(_due.run(given, is_all, *arrays, due, part, size=most))
             due, part = due[:count], part[:count]
         if np.count_nonzero(part[1:] < part[:-1]):
             order = np.argsort(part, kind="stable")
@@ -123,7 +123,7 @@ class PartSamples:
         order of parts and time."""
         found = np.empty((2, len(self._waiting), len(due)), np.int64)
         given = (np.ascontiguousarray(each) for each in (due, left, part))
-        _run(_at, *given, self._samples, self._ends, self._control, found)
+        _at.run(*given, self._samples, self._ends, self._control, found, size=len(due))
         return found[0], found[1]
 
     def values(self, term: Term, places: NDArray[np.int64]) -> NDArray[Any]:
@@ -134,7 +134,7 @@ class PartSamples:
 
     def drop(self, part: int) -> None:
         """Forget the samples and times of a part."""
-        _run(_drop, part, self._samples, self._ends, self._control)
+        _drop.run(part, self._samples, self._ends, self._control, size=1)
         for number, waiting in enumerate(self._waiting):
             rest = []
             for source, *columns in waiting:
@@ -176,7 +176,8 @@ class PartSamples:
         self._make_places(number, len(valid))
         places = np.empty(len(valid), np.int64)
         given = (np.ascontiguousarray(each) for each in (part, valid, available))
-        _run(_put, number, *given, self._samples, self._ends, self._control, places)
+        arrays = self._samples, self._ends, self._control, places
+        _put.run(number, *given, *arrays, size=len(valid))
         known = self._values[number]
         if len(known) < self._samples.shape[2] or known.dtype != values.dtype:
             grown = np.zeros(self._samples.shape[2], values.dtype)
@@ -196,10 +197,6 @@ class PartSamples:
 
 def _source_of(waiting: tuple[int, Times, Times, Parts, NDArray[Any]]) -> int:
     return waiting[0]
-
-
-def _run(kernel: Kernel, *arguments: Any) -> Any:
-    return (kernel if JIT else kernel.py_func)(*arguments)
 
 
 # -- compiled --------------------------------------------------------------------------------

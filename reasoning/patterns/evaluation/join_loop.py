@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.time import TIME_MAX, TIME_MIN
 from ..plans.network import INFINITE
 from ..plans.plan import MOST_ELEMENTS, NO_VALUE
@@ -580,9 +580,9 @@ def scratch(buffers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.f
 
 def join(*arguments: Any) -> int:
     """Run the join over rows, as `_join_loop` says."""
-    return int((_join if JIT else _join.py_func)(*arguments))
+    return int(_join.run(*arguments, size=len(arguments[0])))
 
 
 def ask(*arguments: Any) -> None:
     """Ask the probes of matches, as `_answers_loop` says."""
-    (_answers if JIT else _answers.py_func)(*arguments)
+    _answers.run(*arguments, size=len(arguments[0]))

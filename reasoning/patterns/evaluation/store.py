@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.time import TIME_MIN
 from ....streams.time_arithmetic import earlier
 from ..plans.plan import NO_VALUE
@@ -138,7 +138,7 @@ class Store:
         moved = np.zeros(int(marks[ROWS]), np.int64)
         sizes = np.zeros(2, np.int64)
         store = buffers, self.ends, self.rows, self.vectors, marks
-        _run(_mark, self.dead(), self.part_word, *store, moved, sizes)
+        _mark.run(self.dead(), self.part_word, *store, moved, sizes, size=len(moved))
         for root in roots:
             moved[root] = 1
         live = int(np.count_nonzero(moved))
@@ -149,7 +149,7 @@ class Store:
         places = np.empty((2, self._roomy(pool + 2 * len(buffers))), np.int64)
         new = np.empty((kept, self._vector_width), np.int64)
         heads = np.zeros(_heads(kept), np.int64)
-        _run(_copy, self.table, *store, moved, table, *places, new, heads)
+        _copy.run(self.table, *store, moved, table, *places, new, heads, size=len(moved))
         for root in roots:
             root[...] = moved[root]
         self.table, self.vectors, self.heads = table, new, heads
@@ -420,10 +420,6 @@ def _copy_signature() -> Any:
 
     row, table = _types()
     return types.void(table, table, row, row, table, row, row, table, row, row, table, row)
-
-
-def _run(kernel: Kernel, *arguments: Any) -> None:
-    (kernel if JIT else kernel.py_func)(*arguments)
 
 
 _mark = Kernel(_mark_loop, _mark_signature, allocates=False, calls=IN_LOOPS)

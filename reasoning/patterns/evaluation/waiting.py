@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.sample import Times
 
 Integers = NDArray[np.int64]
@@ -54,7 +54,7 @@ class Waiting:
         if needed > len(self._heap):
             self._resize(needed)
         new = np.concatenate([due[:, None], rows], axis=1)
-        (_push if JIT else _push.py_func)(self._heap, self._used, new)
+        _push.run(self._heap, self._used, new, size=len(new))
         self._used = needed
 
     def take(self, watermark: int) -> tuple[Integers, Times]:
@@ -62,7 +62,7 @@ class Waiting:
         if not self._used or int(self._heap[0, 0]) > watermark:
             return self._heap[:0, 1:], self._heap[:0, 0]
         out = np.empty((self._used, self.count + 1), np.int64)
-        count = int((_pop if JIT else _pop.py_func)(self._heap, self._used, watermark, out))
+        count = int(_pop.run(self._heap, self._used, watermark, out, size=self._used))
         self._used -= count
         if 8 * self._used < len(self._heap) > 16:
             self._resize(self._used)

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.time import TIME_MIN
 from ..evaluation.store import mix
 from ..plans.plan import NO_VALUE, ColumnType
@@ -97,8 +97,7 @@ class Changes:
         late = self.late
         source, records, made = self._records(rows)
         self._make_room(len(rows))
-        _run(
-            _changes,
+        _changes.run(
             source,
             rows.end,
             records,
@@ -107,6 +106,7 @@ class Changes:
             made,
             self._marks,
             self._most_keys,
+            size=len(rows),
         )
         numbers = made.view(np.float64)
         before: dict[str, Values] = {
@@ -159,7 +159,7 @@ class Changes:
         count = len(entries)
         ends, made = np.zeros(count, np.int64), np.zeros((count, 1), np.int64)
         source, marks = entries[:, SOURCE] - 1, np.array([0, 0, 0, TIME_MIN, 0], np.int64)
-        _run(_changes, source, ends, entries, layout, self._table, made, marks, count)
+        _changes.run(source, ends, entries, layout, self._table, made, marks, count, size=count)
 
 
 def _columns(sources: Sequence[Source], parts: tuple[Part, ...]) -> dict[str, bool]:
@@ -255,10 +255,6 @@ def _signature() -> Any:
     row, table = types.int64[::1], types.int64[:, ::1]
     ends = types.Array(types.int64, 1, "A", readonly=True)
     return types.void(row, ends, table, table, table, table, row, types.int64)
-
-
-def _run(kernel: Kernel, *arguments: Any) -> None:
-    (kernel if JIT else kernel.py_func)(*arguments)
 
 
 _changes = Kernel(_changes_loop, _signature, allocates=False, calls=(mix,))

@@ -17,9 +17,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
-
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ..evaluation.conditions import END
 from ..evaluation.join_loop import plus
 from ..evaluation.store import (
@@ -415,16 +413,9 @@ _sweep = Kernel(_sweep_loop, _sweep_signature, allocates=False, calls=_IN_LOOP)
 
 def run(*arguments: Any) -> int:
     """Run the loop over rows, as `_products_loop` says."""
-    return int(_called(_products, arguments))
+    return int(_products.run(*arguments, size=len(arguments[0])))
 
 
 def sweep(*arguments: Any) -> None:
     """Drop what is of no use any more, as `_sweep_loop` says."""
-    _called(_sweep, arguments)
-
-
-def _called(kernel: Kernel, arguments: tuple[Any, ...]) -> Any:
-    if JIT:
-        return kernel(*arguments)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return kernel.py_func(*arguments)
+    _sweep.run(*arguments)

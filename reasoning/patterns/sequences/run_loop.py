@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.time import TIME_MAX
 from ..evaluation.conditions import END, STACK, START, holds
 from ..evaluation.join_loop import CALLED, OPEN, VIOLATED, answer, plus
@@ -632,9 +632,9 @@ def scratch(
 
 def run(*arguments: Any) -> int:
     """Run the loop over rows, as `_runs_loop` says."""
-    return int((_runs if JIT else _runs.py_func)(*arguments))
+    return int(_runs.run(*arguments, size=len(arguments[0])))
 
 
 def ask(*arguments: Any) -> None:
     """Ask the probes of matches, as `_asks_loop` says."""
-    (_asks if JIT else _asks.py_func)(*arguments)
+    _asks.run(*arguments, size=len(arguments[0]))

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.time_arithmetic import earlier
 from ..evaluation.store import BUFFER, SMALLEST, VECTOR_KEYS, hashed, mix, vector_of
 from .run_packing import WORDS, PackedRuns
@@ -103,7 +103,8 @@ class Runs:
         runs = np.zeros((self.capacity + live + live // 2 + needed, self.runs.shape[1]), np.int64)
         lists, heads = self._empty_lists(int(counts[LISTS]), elements)
         least = earlier(watermarks, self.lasts)
-        _run(_copy_runs, self.runs, self.lists, least, part_key, runs, lists, heads, counts)
+        given = self.runs, self.lists, least, part_key, runs, lists, heads, counts
+        _copy_runs.run(*given, size=int(counts[USED]))
         self.runs, self.lists, self.heads = runs, lists, heads
         kept = (runs[: int(counts[USED])], *records)
         if self.packed.listed:
@@ -118,17 +119,13 @@ class Runs:
         moved[0] = 1
         for root in roots:
             moved[root] = 1
-        live = int(_run(_mark_nodes, self.nodes, moved))
+        live = int(_mark_nodes.run(self.nodes, moved, size=len(moved)))
         nodes = np.zeros((self.capacity + live + live // 2 + needed, 2), np.int64)
-        _run(_copy_nodes, self.nodes, moved, nodes)
+        _copy_nodes.run(self.nodes, moved, nodes, size=len(moved))
         for root in roots:
             root[...] = moved[root]
         self.nodes = nodes
         counts[NODES] = live
-
-
-def _run(kernel: Kernel, *arguments: Any) -> Any:
-    return (kernel if JIT else kernel.py_func)(*arguments)
 
 
 # -- in the compiled loops -------------------------------------------------------------------

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ..evaluation.conditions import END, START
 from ..evaluation.join_loop import plus
 from ..evaluation.store import (
@@ -341,4 +341,4 @@ _search = Kernel(_search_loop, _search_signature, allocates=False, calls=_IN_LOO
 
 def search(*arguments: Any) -> int:
     """Run the loop over rows, as `_search_loop` says."""
-    return int((_search if JIT else _search.py_func)(*arguments))
+    return int(_search.run(*arguments, size=len(arguments[0])))

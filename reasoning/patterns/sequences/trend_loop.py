@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ....streams.jit import JIT, Kernel
+from ....streams.jit import Kernel
 from ....streams.time import TIME_MAX, TIME_MIN
 from ..evaluation.conditions import END, STACK, START, compares, holds, number_at
 from ..evaluation.join_loop import plus
@@ -408,7 +408,4 @@ def scratch(
 
 def run(*arguments: Any) -> int:
     """Run the loop over rows, as `_trends_loop` says."""
-    if JIT:
-        return int(_trends(*arguments))
-    with np.errstate(over="ignore", invalid="ignore"):
-        return int(_trends.py_func(*arguments))
+    return int(_trends.run(*arguments, size=len(arguments[0])))

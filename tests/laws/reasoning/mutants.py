@@ -38,9 +38,9 @@ MUTANTS = (
     # Nothing is known of a start before it.
     ("mtl/nodes.py", "np.maximum(true, self.at[:, None], out=true)", "pass", PROGRESSION),
     # A left part that fails makes `until` false at once.
-    ("mtl/windows.py", "false = min(false, max(ruled_out, false_left[state, column]))", "pass", PROGRESSION),
+    ("mtl/windows.py", "false = min(false, max(ruled_out, false_left[state, b]))", "pass", PROGRESSION),
     # `since` looks back from its own state.
-    ("mtl/windows.py", "broken = min(broken, false_left[state, column])", "broken = false_left[state, column]", PROGRESSION),
+    ("mtl/windows.py", "broken = min(broken, false_left[state, b])", "broken = false_left[state, b]", PROGRESSION),
     # The queue drops what has left the interval.
     ("mtl/windows.py", "queue[head] < first[start]:", "queue[head] <= first[start]:", PROGRESSION),
     # Unknown needs both readings.
@@ -86,11 +86,11 @@ MUTANTS = (
     ("mtl/part_loop.py", "program = 1 if unknown & ANY_UNKNOWN else 0", "program = 0", PART_EVALUATOR),
     ("mtl/part_loop.py", "row = max(row - 1, 0)", "pass", PART_EVALUATOR),
     ("mtl/part_loop.py", "if low == 0 or high == 0:", "if False:", PART_EVALUATOR),
-    ("mtl/part_loop.py", "spare[1, row] = other * tables[right, row]", "spare[1, row] = tables[right, row]", PART_EVALUATOR),
-    ("mtl/part_loop.py", "own[row, 0] = np.inf if nodes[node, IS_UPPER] else -np.inf", "own[row, 0] = -np.inf", PART_EVALUATOR),
+    ("mtl/part_loop.py", "tables[b, row] = other * tables[right, row]", "tables[b, row] = tables[right, row]", PART_EVALUATOR),
+    ("mtl/part_loop.py", "unknown = np.inf if nodes[node, IS_UPPER] else -np.inf", "unknown = -np.inf", PART_EVALUATOR),
     ("mtl/part_loop.py", "row = back(valid, row, nodes[node, END])", "pass", PART_EVALUATOR),
     ("mtl/part_loop.py", "if is_kept[row]:", "if False:", PART_EVALUATOR),
-    ("mtl/part_loop.py", "true[0], false[0] = NEVER, 0 if is_whole else NEVER", "true[0], false[0] = NEVER, NEVER", PART_EVALUATOR),
+    ("mtl/part_loop.py", "tables[true, 0], tables[false, 0] = NEVER, 0 if is_whole else NEVER", "tables[true, 0], tables[false, 0] = NEVER, NEVER", PART_EVALUATOR),
     ("mtl/part_loop.py", "is_left = a >= b if side else a <= b", "is_left = a <= b", PART_EVALUATOR),
     ("mtl/part_loop.py", "hint[0] == node and hint[1] <= row and by <= hint[2]", "hint[0] == node", PART_EVALUATOR),
     ("mtl/part_loop.py", " or (closed == count - 1 and horizon[closed] == TIME_MAX)", "", PART_EVALUATOR),

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from random import Random
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -150,3 +152,10 @@ def test_without_sources_of_changes_only_late_rows_are_left_out() -> None:
     assert [row for row, _ in read(changes.push(rows_of(rows, KINDS)))] == [rows[0], rows[2]]
     assert changes.late == 1
     assert not len(changes.push(rows_of([], KINDS)))
+
+
+@pytest.mark.usefixtures("interpreted")
+@pytest.mark.parametrize("law", [test_values_before])
+def test_loops_that_are_not_compiled(law: Callable[[int], None]) -> None:
+    for seed in range(12):
+        law.hypothesis.inner_test(seed)  # type: ignore[attr-defined]

@@ -287,3 +287,8 @@ def test_a_witness_is_the_first_state_that_is_known_by_then() -> None:
     found = PartEvaluator(monitor).push(states)
     by_start = dict(zip(found.start_time.tolist(), found.witness_time.tolist(), strict=True))
     assert by_start == {0: 0, 1: 0, 2: 2, 3: 2, 4: 2, 5: 0, 6: 0, 7: 0, 8: 0}
+
+
+@pytest.mark.usefixtures("interpreted")
+def test_loops_that_are_not_compiled() -> None:
+    assert sum(Comparison(seed, 15, 3, 0.3).play() for seed in range(30_000, 30_040)) > 1_000

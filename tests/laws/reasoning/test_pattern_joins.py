@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
@@ -139,3 +140,10 @@ def test_the_drawing_has_matches(seed: int) -> None:
         case = PatternDrawing(1000 * seed + each)
         rich += bool(matches(case.plan, case.steps(10, 20)))
     assert rich >= 15
+
+
+@pytest.mark.usefixtures("interpreted")
+@pytest.mark.parametrize("law", [test_rows_in_any_order, test_rows_that_are_forgotten])
+def test_loops_that_are_not_compiled(law: Callable[[int], None]) -> None:
+    for seed in range(12):
+        law.hypothesis.inner_test(seed)  # type: ignore[attr-defined]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pattern_cuts import check_parts, found_in
@@ -92,3 +94,10 @@ def test_a_search_ends() -> None:
     assert len(found) == 0
     assert running.counters.cut_short == 1
     assert running.counters.candidates <= 2 * SEARCHED
+
+
+@pytest.mark.usefixtures("interpreted")
+@pytest.mark.parametrize("law", [test_repetition])
+def test_loops_that_are_not_compiled(law: Callable[[int], None]) -> None:
+    for seed in range(12):
+        law.hypothesis.inner_test(seed)  # type: ignore[attr-defined]

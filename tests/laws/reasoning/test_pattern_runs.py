@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
@@ -96,3 +97,10 @@ def test_the_drawing_has_matches(seed: int) -> None:
         case = RunDrawing(1000 * seed + each)
         rich += bool(run_matches(case.plan, case.steps(12, 20)))
     assert rich >= 12
+
+
+@pytest.mark.usefixtures("interpreted")
+@pytest.mark.parametrize("law", [test_runs, test_runs_that_are_forgotten])
+def test_loops_that_are_not_compiled(law: Callable[[int], None]) -> None:
+    for seed in range(12):
+        law.hypothesis.inner_test(seed)  # type: ignore[attr-defined]

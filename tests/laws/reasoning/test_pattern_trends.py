@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from random import Random
@@ -114,3 +115,10 @@ def test_memory_does_not_grow(way: type[Trends]) -> None:
         sizes.append(running.size)
     assert max(sizes[100:]) < 1.5 * max(sizes[:100])
     assert running.counters.matches > 1000
+
+
+@pytest.mark.usefixtures("interpreted")
+@pytest.mark.parametrize("law", [test_trends])
+def test_loops_that_are_not_compiled(law: Callable[[int], None]) -> None:
+    for seed in range(12):
+        law.hypothesis.inner_test(seed)  # type: ignore[attr-defined]

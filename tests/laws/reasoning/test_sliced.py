@@ -204,3 +204,9 @@ def test_states_of_an_interval_without_end_are_limited() -> None:
     running.push(states.take(slice(0, 100)))
     with pytest.raises(TooManyStates, match="more than 100 states"):
         running.push(states.take(slice(100, 200)))
+
+
+@pytest.mark.usefixtures("interpreted")
+def test_loops_that_are_not_compiled() -> None:
+    assert sum(compared(seed, 9, 3, 3) for seed in range(30_000, 30_040)) > 200
+    assert sum(compared(seed, 9, 70, 2) for seed in range(30_040, 30_050)) > 200
