@@ -103,8 +103,9 @@ class PartEvaluator:
     Law (tests/laws/reasoning/test_part_evaluator.py): those of `MonitorEvaluator` for each part.
 
     Cost: one call of a compiled loop, and for each part with new states those kept and new for each
-    node; `until` and `since` that times the states of an interval. Memory: 40 bytes a state kept,
-    at most four times. Kept are the states that `MonitorEvaluator` keeps.
+    node; `until` and `since` that times the states of an interval; `advance` looks at all parts.
+    Memory: `bytes_of_state` a state kept, at most four times, and 72 bytes a part. Kept are the
+    states that `MonitorEvaluator` keeps.
     """
 
     def __init__(self, monitor: CheckedMonitor, *, limit: int = MOST_STATES) -> None:
@@ -271,7 +272,8 @@ class PartEvaluator:
         """Make room for what the loop stopped for."""
         match what:
             case part_loop.PLACES_WANTED:
-                used = int(np.maximum(2 * self._parts[:, COUNT], part_loop.FEWEST).sum())
+                counts = self._parts[:, COUNT]
+                used = int(np.maximum(2 * counts, part_loop.FEWEST)[counts > 0].sum())
                 states = np.empty((len(self._states), used + used // 2 + needed), np.int64)
                 self._control[USED] = part_loop.move(self._states, states, self._parts)
                 self._states = states

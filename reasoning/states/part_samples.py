@@ -5,8 +5,9 @@ the times at which states are to leave. All are in one array:
 
 ``samples``  int64 (lists, fields, places): a sample or time is at a place; the terms' lists come
              first, that of times is the last
-``ends``     int64 (lists, parts, 2): the first and last place of each part's list, or -1
-``control``  int64 (lists, fields): `FREE`, `USED`, `LIVE`
+``ends``     int64 (lists, parts, fields): the first and last place of each part's list, or -1;
+             where the last sample was put in, and in which step that was
+``control``  int64 (lists, fields): see below
 """
 
 from __future__ import annotations
@@ -25,20 +26,25 @@ from .states import Term
 
 VALID, AVAILABLE, NEXT, BEFORE = range(4)
 FIELDS: Final = 4
-FIRST, LAST = range(2)
-# The first place that is free, or -1; the places used by now; the samples; parts with times.
-FREE, USED, LIVE, PENDING = range(4)
-CONTROLS: Final = 4
+FIRST, LAST, RECENT, STEP_OF = range(4)
+# The first place that is free, or -1; the places used by now; the samples; parts with times; the
+# number of the last step, in which samples or times were put in.
+FREE, USED, LIVE, PENDING, STEP = range(5)
+CONTROLS: Final = 5
 SMALLEST: Final = 16
+ROOMY: Final = 1024
+"""So many places stay, however few are used."""
 
 
 class PartSamples:
     """Samples of terms of one object each, and times of states to come; an object is a part, by its
     number.
 
-    Cost: O(1) for each new sample and state, however many parts there are, where the samples of a
-    part come in order of valid time. Memory: 32 bytes a sample or time, and the value; as many as
-    there have been at once, up to twice.
+    Cost: O(1) for each new sample and state, however many parts there are, where samples come in
+    order of valid time; otherwise a sort of the new ones, and a walk over those of the part that
+    are valid later, once for all new ones. Memory: for each list 32 bytes a place, and a value: as
+    many places as the longest list has had samples at once, up to twice; an eighth of them is in
+    use, or there are few.
     """
 
     def __init__(self, terms: Sequence[Term]) -> None:
@@ -51,7 +57,7 @@ class PartSamples:
         """The values of samples, by their places."""
         count = len(terms) + 1
         self._samples = np.zeros((count, FIELDS, SMALLEST), np.int64)
-        self._ends = np.full((count, 0, 2), -1, np.int64)
+        self._ends = np.full((count, 0, 4), -1, np.int64)
         self._control = np.zeros((count, CONTROLS), np.int64)
         self._control[:, FREE] = -1
         self._pending = np.zeros((2, 0), np.int64)
@@ -64,7 +70,7 @@ class PartSamples:
     def make_room_for(self, parts: int) -> None:
         """Let there be so many parts."""
         more = parts - self._ends.shape[1]
-        ends = np.full((len(self._ends), more, 2), -1, np.int64)
+        ends = np.full((len(self._ends), more, 4), -1, np.int64)
         self._ends = np.concatenate([self._ends, ends], axis=1)
         self._pending = np.concatenate([self._pending, np.zeros((2, more), np.int64)], axis=1)
 
@@ -79,6 +85,7 @@ class PartSamples:
     def enter(self, watermark: int) -> tuple[Times, Times, Parts] | None:
         """Let the samples in that are available before ``watermark``; return their available and
         valid times and parts; None: there are none."""
+        self._shrink()
         new = []
         for number in range(len(self._waiting)):
             due = self._take_due(number, watermark)
@@ -94,6 +101,8 @@ class PartSamples:
     def add_times(self, part: Parts, valid: Times) -> None:
         """Take times at which states of parts are to leave; each once."""
         self._make_places(len(self._waiting), len(valid))
+        if (order := _order(valid)) is not None:
+            part, valid = part[order], valid[order]
         arrays = self._samples, self._ends, self._control, self._pending
         _add_times.run(part, valid, *arrays, size=len(part))
 
@@ -174,6 +183,10 @@ class PartSamples:
         self, number: int, available: Times, valid: Times, part: Parts, values: NDArray[Any]
     ) -> None:
         self._make_places(number, len(valid))
+        if (order := _order(valid)) is not None:
+            available, valid, part, values = (
+                each[order] for each in (available, valid, part, values)
+            )
         places = np.empty(len(valid), np.int64)
         given = (np.ascontiguousarray(each) for each in (part, valid, available))
         arrays = self._samples, self._ends, self._control, places
@@ -194,6 +207,29 @@ class PartSamples:
             grown[:, :, :places] = self._samples
             self._samples = grown
 
+    def _shrink(self) -> None:
+        """Give places back that a large batch has needed."""
+        places, live = self._samples.shape[2], int(self._control[:, LIVE].max())
+        if places <= ROOMY or 8 * live >= places:
+            return
+        samples = np.zeros((*self._samples.shape[:2], max(ROOMY, 2 * live)), np.int64)
+        moved = np.zeros((len(samples), live), np.int64)
+        _pack.run(self._samples, samples, self._ends, self._control, moved, size=live)
+        self._samples = samples
+        for number, known in enumerate(self._values):
+            kept = np.zeros(samples.shape[2], known.dtype)
+            if len(known):
+                count = int(self._control[number, LIVE])
+                kept[:count] = known[moved[number, :count]]
+            self._values[number] = kept
+
+
+def _order(valid: Times) -> NDArray[np.int64] | None:
+    """The order of valid times, then of arrival; None: they are in order."""
+    if len(valid) < 2 or not np.count_nonzero(valid[1:] < valid[:-1]):
+        return None
+    return np.argsort(valid, kind="stable")
+
 
 def _source_of(waiting: tuple[int, Times, Times, Parts, NDArray[Any]]) -> int:
     return waiting[0]
@@ -202,9 +238,18 @@ def _source_of(waiting: tuple[int, Times, Times, Parts, NDArray[Any]]) -> int:
 # -- compiled --------------------------------------------------------------------------------
 
 
-def _place_before(number: Any, part: Any, valid: Any, samples: Any, ends: Any) -> Any:
-    """The last place in a list that is not valid later, or -1."""
+def _place_before(number: Any, part: Any, valid: Any, samples: Any, ends: Any, step: Any) -> Any:
+    """The last place in a list that is not valid later, or -1: from where the last one of this step
+    was put in on, or from the end back."""
     place = ends[number, part, LAST]
+    if place < 0 or samples[number, VALID, place] <= valid:
+        return place
+    recent = ends[number, part, RECENT]
+    if ends[number, part, STEP_OF] == step and samples[number, VALID, recent] <= valid:
+        place, after = recent, samples[number, NEXT, recent]
+        while samples[number, VALID, after] <= valid:
+            place, after = after, samples[number, NEXT, after]
+        return place
     while place >= 0 and samples[number, VALID, place] > valid:
         place = samples[number, BEFORE, place]
     return place
@@ -233,6 +278,7 @@ def _insert(
         samples[number, BEFORE, after] = place
     else:
         ends[number, part, LAST] = place
+    ends[number, part, RECENT], ends[number, part, STEP_OF] = place, control[number, STEP]
     return place
 
 
@@ -254,8 +300,9 @@ def _put_loop(
     number: Any, part: Any, valid: Any, available: Any, samples: Any, ends: Any, control: Any,
     places: Any,
 ) -> None:  # fmt: skip
+    control[number, STEP] += 1
     for i in range(len(part)):
-        before = _place_before(number, part[i], valid[i], samples, ends)
+        before = _place_before(number, part[i], valid[i], samples, ends, control[number, STEP])
         places[i] = _insert(number, part[i], before, valid[i], available[i], samples, ends, control)
 
 
@@ -263,9 +310,10 @@ def _add_times_loop(
     part: Any, valid: Any, samples: Any, ends: Any, control: Any, pending: Any
 ) -> None:
     number = len(control) - 1
+    control[number, STEP] += 1
     for i in range(len(part)):
         own = part[i]
-        before = _place_before(number, own, valid[i], samples, ends)
+        before = _place_before(number, own, valid[i], samples, ends, control[number, STEP])
         if before >= 0 and samples[number, VALID, before] == valid[i]:
             continue
         _insert(number, own, before, valid[i], 0, samples, ends, control)
@@ -320,6 +368,30 @@ def _at_loop(
                     _remove_first(number, own, samples, ends, control)
 
 
+def _pack_loop(samples: Any, new: Any, ends: Any, control: Any, moved: Any) -> None:
+    """Copy the lists to the first places of other arrays; ``moved`` gets where each was."""
+    for number in range(len(control)):
+        used = 0
+        for part in range(ends.shape[1]):
+            place = ends[number, part, FIRST]
+            if place < 0:
+                continue
+            ends[number, part, FIRST] = used
+            before = -1
+            while place >= 0:
+                new[number, VALID, used] = samples[number, VALID, place]
+                new[number, AVAILABLE, used] = samples[number, AVAILABLE, place]
+                new[number, BEFORE, used], new[number, NEXT, used] = before, -1
+                if before >= 0:
+                    new[number, NEXT, before] = used
+                moved[number, used] = place
+                before = used
+                used += 1
+                place = samples[number, NEXT, place]
+            ends[number, part, LAST] = before
+        control[number, USED], control[number, FREE] = used, -1
+
+
 def _drop_loop(part: Any, samples: Any, ends: Any, control: Any) -> None:
     for number in range(len(control)):
         while ends[number, part, FIRST] >= 0:
@@ -354,6 +426,11 @@ def _at_signature() -> Any:
     return types.void(row, row, row, cube, cube, table, cube)
 
 
+def _pack_signature() -> Any:
+    types, _, table, cube = _types()
+    return types.void(cube, cube, cube, table, table)
+
+
 def _drop_signature() -> Any:
     types, _, table, cube = _types()
     return types.void(types.int64, cube, cube, table)
@@ -364,4 +441,5 @@ _put = Kernel(_put_loop, _put_signature, allocates=False, calls=_IN_LOOPS)
 _add_times = Kernel(_add_times_loop, _add_times_signature, allocates=False, calls=_IN_LOOPS)
 _due = Kernel(_due_loop, _due_signature, allocates=False, calls=_IN_LOOPS)
 _at = Kernel(_at_loop, _at_signature, allocates=False, calls=_IN_LOOPS)
+_pack = Kernel(_pack_loop, _pack_signature, allocates=False)
 _drop = Kernel(_drop_loop, _drop_signature, allocates=False, calls=_IN_LOOPS)

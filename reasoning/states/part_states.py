@@ -54,9 +54,8 @@ class PartStates:
     number.
 
     Law (tests/laws/reasoning/test_part_monitoring.py, test_monitoring.py): the states of a part are
-    those that `StateMaker` makes of its own samples. Cost: a sort of the samples kept, however many
-    parts there are. Memory: a sample for each part, those valid later than its last state, and
-    `CELLS` values.
+    those that `StateMaker` makes of its own samples. Cost and memory: see `PartSamples`; of the
+    samples of a part one is kept, and those valid later than its last state.
     """
 
     def __init__(

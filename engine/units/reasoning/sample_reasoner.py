@@ -63,6 +63,8 @@ class SampleReasoner(ComputationalUnit):
         """The available time (ns) of the first sample read of each input."""
         self._readers: Mapping[StreamGenerator, Sequence[Any]] = {}
         """Readers of each input's samples, for the evaluation."""
+        self._advanced = TIME_MIN
+        """The watermark that the evaluation has reached."""
         self.went_on = False
         """Whether inputs went on after the end of all, so that a new evaluation began."""
 
@@ -125,6 +127,10 @@ class SampleReasoner(ComputationalUnit):
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
+        # The others may have gone on meanwhile: what comes before what they reached is late.
+        known = self._watermarks.get(source, TIME_MIN)
+        if self._advanced > known:
+            self._watermarks[source] = self._advanced
         if self.output.is_ended:
             self._begin_again()
 
@@ -184,6 +190,7 @@ class SampleReasoner(ComputationalUnit):
 
     def _advance(self, watermark: int, *, by_clock: bool = False) -> None:
         before = self.reasoning.late
+        self._advanced = max(self._advanced, watermark)
         self._emit(self.reasoning.advance(watermark, by_clock=by_clock))
         # Beside the samples that were late for the unit itself.
         self.late += self.reasoning.late - before

@@ -139,3 +139,22 @@ def test_only_the_last_time_is_explained(robots):
         robots.queries.why("low", ["r1"], 2 * second)()
     with pytest.raises(NoResult, match="went on"):
         robots.queries.why("drop", ["r1"], 1 * second)()
+
+
+def test_what_comes_before_what_was_reached_meanwhile_is_late(engine):
+    """A stream that had ended, even before its first sample, goes on behind the others."""
+    engine.annotate("stream a contains speed(UAV) = v [m.s-1] for every UAV = id")
+    engine.annotate("stream b contains altitude(UAV) = w [m] for every UAV = id")
+    view = engine.queries.register(
+        "monitor m(?x in UAV) = speed(?x) > 3 or altitude(?x) > 3 "
+        "with max delay 0s, report verdicts, use most recent"
+    )
+    engine.end("a")
+    feed(engine, "b", [(t, {"id": "u", "w": 9.0}) for t in (2, 3, 5)])
+    feed(engine, "a", [(t, {"id": "u", "v": 9.0}) for t in (2, 3)])
+    feed(engine, "b", [(6, {"id": "u", "w": 9.0})])
+    feed(engine, "a", [(7, {"id": "u", "v": 9.0})])
+    for name in "ab":
+        engine.end(name)
+    assert [int(start) for start, _ in samples(engine, view.stream)] == [2, 3, 5, 6, 7]
+    assert engine.queries.unit("m").late == 2
