@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from threading import RLock, Timer
 from time import monotonic
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -27,8 +27,8 @@ _COMPILING = RLock()
 _KERNELS: list[Kernel] = []
 FEW: Final = 256
 """So many rows need no compiled loop."""
-PATIENCE = 0.3
-"""Seconds that a loop may take in plain Python before it is compiled."""
+PATIENCE = 0.1
+"""Seconds that loops may take in plain Python, all together, before they are compiled."""
 _NOTICEABLE: Final = 2.0
 """Seconds of compiling after which it is told."""
 
@@ -80,6 +80,9 @@ class Kernel:
     call that is one, which is more than most of these functions do.
     """
 
+    interpreted: ClassVar[float] = 0.0
+    """Seconds that loops took in plain Python."""
+
     def __init__(
         self,
         py_func: Callable[..., Any],
@@ -93,8 +96,6 @@ class Kernel:
         self._calls = calls
         self._options: dict[str, Any] = {"nogil": True} | ({} if allocates else {"_nrt": False})
         self._compiled: Callable[..., Any] | None = None
-        self._interpreted = 0.0
-        """Seconds that it took in plain Python."""
         _KERNELS.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -105,9 +106,9 @@ class Kernel:
         """Call it, or ``py_func`` where loops are not compiled.
 
         ``size``: how much it has to do, in rows or the like. With `FEW` or less it runs in plain
-        Python while it is not compiled, for some tenths of a second in all: so that a first result
-        need not wait for the compiler."""
-        is_compiled = self._compiled is not None or size > FEW or self._interpreted >= PATIENCE
+        Python while it is not compiled, as long as there is `PATIENCE`: so that a first result need
+        not wait for the compiler."""
+        is_compiled = self._compiled is not None or size > FEW or Kernel.interpreted >= PATIENCE
         if JIT and is_compiled:
             return self(*arguments)
         begun = monotonic()
@@ -115,7 +116,7 @@ class Kernel:
             with np.errstate(all="ignore"):  # as the compiled loop does
                 return self.py_func(*arguments)
         finally:
-            self._interpreted += monotonic() - begun
+            Kernel.interpreted += monotonic() - begun
 
     def compile(self) -> Callable[..., Any]:
         """The compiled function: made now, read from the cache, or known already."""

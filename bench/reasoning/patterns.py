@@ -38,6 +38,9 @@ from dyknow.reasoning.patterns.plans.plan import (  # noqa: E402
 )
 from dyknow.reasoning.patterns.plans.rows import Rows  # noqa: E402
 from dyknow.reasoning.patterns.recognition.choice import evaluator_of  # noqa: E402
+from dyknow.streams import jit  # noqa: E402
+
+jit.PATIENCE = 0.0  # loops are compiled from the first call on
 
 RUNS = 3
 

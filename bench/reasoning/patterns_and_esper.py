@@ -23,6 +23,9 @@ from pattern_data import batches, data, sequence  # noqa: E402
 
 from dyknow.reasoning.patterns.plans.plan import PatternPlan, Selection  # noqa: E402
 from dyknow.reasoning.patterns.recognition.choice import evaluator_of  # noqa: E402
+from dyknow.streams import jit  # noqa: E402
+
+jit.PATIENCE = 0.0  # loops are compiled from the first call on
 
 RUNS = 3
 NEXT_MATCH = Selection.NEXT_MATCH

@@ -25,6 +25,9 @@ EVENTS = (
     "event(speed[?x]:(?, > 50 [m.s-1]), t1); event(altitude[?x]:(?, > 50 [m]), t2); "
     "t2 - t1 in [0s, 30s];"
 )
+from dyknow.streams import jit  # noqa: E402
+
+jit.PATIENCE = 0.0  # loops are compiled from the first call on
 PATTERNS = {
     "a chronicle of two events": f"chronicle c(?x) {{ {EVENTS} }}",
     "the same with noevent": f"chronicle c(?x) {{ {EVENTS} "

@@ -19,8 +19,11 @@ import numpy as np
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.planning import request_sharing
+from dyknow.streams import jit
 from dyknow.streams.sample import Column, FieldType, SampleBatch
 from dyknow.streams.string_pool import StringPool
+
+jit.PATIENCE = 0.0  # loops are compiled from the first call on
 
 SECOND = 10**9
 OBJECTS, WARM, BATCHES = 1_000, 4, 8

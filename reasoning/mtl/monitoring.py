@@ -79,7 +79,7 @@ class Monitoring:
     objects share the states. ``wider`` as for `StateMaker`.
 
     Law (tests/laws/reasoning): the verdicts do not depend on batch cuts. Cost: that of
-    `MonitorEvaluator`.
+    its evaluator (docs/explanation/design/0011-formulas.md).
     """
 
     def __init__(

@@ -240,13 +240,17 @@ class PartEvaluator:
         """The atoms of states and their margins, as the loop reads them."""
         given = np.empty((len(self._atoms) + 1, len(part)), np.uint8)
         margins = np.empty((len(self._atoms) if self._monitor.robustness else 0, len(part)))
-        once = Pass(states, self._sorts, values=self._values.of(part))
+        once = None
         for i, (atom, threshold) in enumerate(self._atoms):
-            holds, known = threshold.of(states) if threshold else once.atom(atom)[1:]
+            if threshold is None or len(margins):
+                once = once or Pass(states, self._sorts, values=self._values.of(part))
+                _, holds, known = once.atom(atom)
+            else:
+                holds, known = threshold.of(states)
             given[i] = holds.reshape(-1)
             if known is not None:
                 given[i, ~known.reshape(-1)] = part_loop.UNKNOWN
-            if len(margins):
+            if once is not None and len(margins):
                 margins[i] = margin_of_atom(once, atom)[1].reshape(-1)
         given[-1] = states.present[self._monitor.parameters[0][1]].reshape(-1)
         return given, margins

@@ -104,7 +104,7 @@ class Program:
 
 @dataclass(slots=True, eq=False)
 class Compiler:
-    """Makes the programs of a monitor. Contract: `is_sliced`.
+    """Makes the programs of a monitor. Contract: `is_sliced`, or it is about one object.
 
     ``domains``: the sorts whose objects are columns; the first is that of a closed formula, which
     has one column.
