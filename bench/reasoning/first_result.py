@@ -21,8 +21,8 @@ RECORDING = """time,id,v
 SSL = "stream a contains speed(UAV) = v [km.h-1] for every UAV = id"
 RULE = "always [0s, 10s] (speed(?x) > 50 -> eventually [0s, 5s] speed(?x) < 50)"
 TEXTS = {
-    "a formula": f"monitor m(?x in UAV) = {RULE}",
-    "a formula on a grid": f"monitor m(?x in UAV) = {RULE} with sample every 1s",
+    "a formula": f"monitor m(?x in UAV) = {RULE} with report verdicts",
+    "a formula on a grid": f"monitor m(?x in UAV) = {RULE} with sample every 1s, report verdicts",
     "a chronicle": "chronicle c(?x) { event(speed[?x]:(?, > 50), t1); "
     "event(speed[?x]:(?, < 50), t2); t2 - t1 in [1s, 30s]; }",
     "a SASE+ pattern": "PATTERN SEQ(speed a, speed b) WHERE skip_till_next_match [id] "
