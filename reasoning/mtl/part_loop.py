@@ -655,7 +655,7 @@ _move = Kernel(_move_loop, _move_signature, allocates=False)
 
 
 def take(*arguments: Any, count: int) -> int:
-    """Run the loop over ``count`` states, as `_parts_loop` says."""
+    """Run the loop, as `_parts_loop` says. ``count``: as ``size`` of `Kernel.run`."""
     return int(_parts.run(*arguments, size=count))
 
 
