@@ -29,7 +29,7 @@ FEW: Final = 256
 """So many rows need no compiled loop."""
 PATIENCE = 0.1
 """Seconds that loops may take in plain Python, all together, before they are compiled."""
-_NOTICEABLE: Final = 2.0
+NOTICEABLE = 2.0
 """Seconds of compiling after which it is told."""
 
 
@@ -40,13 +40,16 @@ class _Notice:
         self.tell: Callable[[], None] | None = None
         self._spent = 0.0
 
+    def begin(self, tell: Callable[[], None]) -> None:
+        self.tell, self._spent = tell, 0.0
+
     @contextmanager
     def watch(self) -> Iterator[None]:
         if self.tell is None:
             yield
             return
         begun = monotonic()
-        timer = Timer(max(0.0, _NOTICEABLE - self._spent), self._tell_once)
+        timer = Timer(max(0.0, NOTICEABLE - self._spent), self._tell_once)
         timer.daemon = True
         timer.start()
         try:
@@ -65,9 +68,9 @@ _NOTICE: Final = _Notice()
 
 
 def when_compiling(tell: Callable[[], None]) -> None:
-    """Call ``tell`` once, from another thread, when loops have been compiled for some seconds in
-    all."""
-    _NOTICE.tell = tell
+    """Call ``tell`` once, from another thread, when from now on loops have been compiled for
+    `NOTICEABLE` in all."""
+    _NOTICE.begin(tell)
 
 
 class Kernel:

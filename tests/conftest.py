@@ -13,8 +13,9 @@ from sweeping import WAYS, at_every_chance
 
 from dyknow.streams import jit
 
-# Tests are of compiled loops, however little they have to do.
+# Tests are of compiled loops, however little they have to do; that they are compiled is not told.
 jit.PATIENCE = 0.0
+jit.NOTICEABLE = 86_400.0
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -103,4 +103,4 @@ def test_long_compiling_is_told_once(kernel: Kernel, monkeypatch: pytest.MonkeyP
     jit.when_compiling(lambda: told.append("compiling"))
     kernel.compile()
     assert told == ["compiling"]
-    assert [(each.seconds <= jit._NOTICEABLE, each.is_over) for each in timers] == [(True, True)]
+    assert [(each.seconds <= jit.NOTICEABLE, each.is_over) for each in timers] == [(True, True)]
