@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...streams.sample import Times
-from ...streams.time import TIME_MIN
+from ...streams.time import TIME_MAX, TIME_MIN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,8 +35,10 @@ class Rows:
 class KeptSamples:
     """The samples of one term that states may need."""
 
-    def __init__(self, variables: int) -> None:
+    def __init__(self, variables: int, last: int = TIME_MAX) -> None:
+        """``last``: the time (ns) of the last state that there may be."""
         self._variables = variables
+        self._last = last
         self._waiting: list[tuple[int, Rows]] = []
         self._rows = self._none = _no_rows(variables)
         """Those of one valid time in order of available time, source and arrival."""
@@ -63,7 +65,9 @@ class KeptSamples:
         if len(due) > 1:
             # Stable: parts of one source came in order.
             new = new.take(np.argsort(new.available, kind="stable"))
-        self._rows = _joined([self._rows, new], self._variables)
+        # Samples that are valid later count for no state.
+        kept = new.take(new.valid <= self._last) if self._last < TIME_MAX else new
+        self._rows = _joined([self._rows, kept], self._variables)
         return new
 
     def at(

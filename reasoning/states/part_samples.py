@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...streams.jit import Kernel
 from ...streams.sample import Times
-from ...streams.time import TIME_MIN
+from ...streams.time import TIME_MAX, TIME_MIN
 from .part_departures import Parts
 from .states import Term
 
@@ -47,7 +47,9 @@ class PartSamples:
     use, or there are few.
     """
 
-    def __init__(self, terms: Sequence[Term]) -> None:
+    def __init__(self, terms: Sequence[Term], last: int = TIME_MAX) -> None:
+        """``last``: the time (ns) of the last state that there may be."""
+        self._last = last
         self._lists = {term: number for number, term in enumerate(terms)}
         self._waiting: list[list[tuple[int, Times, Times, Parts, NDArray[Any]]]] = [
             [] for _ in terms
@@ -91,8 +93,14 @@ class PartSamples:
             due = self._take_due(number, watermark)
             if due is not None:
                 available, valid, part, values = due
-                self._put(number, available, valid, part, values)
                 new.append((available, valid, part))
+                if np.count_nonzero(valid > self._last):
+                    # They count for no state.
+                    own = valid <= self._last
+                    available, valid, part, values = (
+                        each[own] for each in (available, valid, part, values)
+                    )
+                self._put(number, available, valid, part, values)
         if len(new) < 2:
             return new[0] if new else None
         available, valid, part = (np.concatenate(each) for each in zip(*new, strict=True))

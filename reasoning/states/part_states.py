@@ -68,7 +68,7 @@ class PartStates:
         self._policy = policy
         self._present_for = present_for
         self._terms = terms
-        self._samples = PartSamples(terms)
+        self._samples = PartSamples(terms, policy.duration.last)
         self._sorts = {sort for term in terms for sort in variables_of(term)}
         self._count = 0
         self._has_grid = np.empty(0, np.bool_)

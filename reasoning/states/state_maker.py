@@ -71,7 +71,8 @@ class StateMaker:
         self._policy = policy
         self._phase = grid
         self._present_for = present_for
-        self._kept = {term: KeptSamples(len(variables_of(term))) for term in terms}
+        last = policy.duration.last
+        self._kept = {term: KeptSamples(len(variables_of(term)), last) for term in terms}
         sorts = dict.fromkeys(sort for term in terms for sort in variables_of(term))
         self._wider = {sort: tuple((wider or {}).get(sort, ())) for sort in sorts}
         self._names: dict[str, list[str]] = {}

@@ -269,3 +269,16 @@ def test_a_text_that_is_not_known_yet_is_not_compared(engine, policy, option):
     assert told(engine, view) == [
         ("u1", 1, "unknown"), ("u1", 2, "true"), ("u1", 3, "true"), ("u1", 4, "false")
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("policy", ["any change", "sample every 1s"])
+def test_after_its_last_state_no_sample_is_kept(engine, policy):
+    engine.annotate("stream a contains speed(UAV) = v [km.h-1] for every UAV = id")
+    view = engine.queries.register(
+        f"monitor m(?x in UAV) = speed(?x) > 3 with {policy}, use most recent, "
+        "from 1000 to 5000, report verdicts"
+    )
+    feed(engine, "a", [(t, {"id": "u1", "v": 9.0}) for t in range(1, 200)])
+    assert engine.queries.unit("m").monitoring.retained < 5
+    engine.end("a")
+    assert told(engine, view) == [("u1", start, "true") for start in range(1, 6)]
