@@ -255,13 +255,13 @@ class Monitoring:
         return replace(states, objects=dict.fromkeys(states.objects, tuple(objects)))
 
     def _part(self, iri: str) -> int:
-        part = self._parts.setdefault(iri, len(self._parts))
-        if part == len(self._names):
-            self._names = np.concatenate([self._names, np.empty(max(16, part), object)])
-        if self._names[part] is None:
+        if iri not in self._parts:
+            part = self._parts[iri] = len(self._parts)
+            if part == len(self._names):
+                self._names = np.concatenate([self._names, np.empty(max(16, part), object)])
             self._names[part] = iri
             self._begin_part(part, iri, {})
-        return part
+        return self._parts[iri]
 
     def _begin_part(self, part: int, iri: str, values: Constants) -> None:
         """Let there be a part for an object, with its ``values`` of the formula's parameters."""

@@ -266,7 +266,7 @@ class PartEvaluator:
                 self._nodes, self._roots, self._remembered, given, margins, times, part, at,
                 int(is_new), states, states.view(np.float64), self._parts, tables,
                 tables.view(np.float64), self._scratch, control, out, out.view(np.float64),
-                count=max(len(part), states.shape[1] // 16),
+                size=max(len(part), states.shape[1] // 16),
             )  # fmt: skip
             if at == len(part):
                 return self._verdicts()

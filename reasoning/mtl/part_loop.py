@@ -51,6 +51,7 @@ from .sliced_program import (
 )
 from .sliced_times import SEARCHES, ahead, back, behind, is_later, is_near, is_over, reach
 from .windows import (
+    NEVER,
     deciding_state,
     least_in_queue,
     since_in_column,
@@ -59,7 +60,6 @@ from .windows import (
     until_of_margins_in_column,
 )
 
-NEVER: Final = 2**62
 HOLDS, UNKNOWN = 1, 2
 TIED: Final = 2
 """In place of a value: moments say which it is."""
@@ -647,16 +647,15 @@ _CALLED: Final = (
     *SEARCHES, least_in_queue, until_in_column, since_in_column, until_of_margins_in_column,
     since_of_margins_in_column, deciding_state, _bounds, _over, _evaluate, _interval,
     _witness_of_until, _witness, _first_by, _decide_by_moments, _margin, _fill_margins,
-    _decide_by_margins, _break_ties, _emit, _keep, _add,
-    _stop,
+    _decide_by_margins, _break_ties, _emit, _keep, _add, _stop,
 )  # fmt: skip
 _parts = Kernel(_parts_loop, _parts_signature, allocates=False, calls=_CALLED)
 _move = Kernel(_move_loop, _move_signature, allocates=False)
 
 
-def take(*arguments: Any, count: int) -> int:
-    """Run the loop, as `_parts_loop` says. ``count``: as ``size`` of `Kernel.run`."""
-    return int(_parts.run(*arguments, size=count))
+def take(*arguments: Any, size: int) -> int:
+    """Run the loop, as `_parts_loop` says. ``size``: as of `Kernel.run`."""
+    return int(_parts.run(*arguments, size=size))
 
 
 def move(*arguments: Any) -> int:

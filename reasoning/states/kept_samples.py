@@ -32,6 +32,45 @@ class Rows:
         )
 
 
+class WaitingSamples:
+    """Samples of a term that are not before the watermark."""
+
+    def __init__(self, variables: int) -> None:
+        self._variables = variables
+        self._none = _no_rows(variables)
+        self._rows: list[tuple[int, Rows]] = []
+        """With their sources."""
+
+    def __len__(self) -> int:
+        return sum(len(rows.valid) for _, rows in self._rows)
+
+    def add(self, source: int, rows: Rows) -> None:
+        self._rows.append((source, rows))
+
+    def take(self, watermark: int) -> Rows:
+        """Remove the samples that are available before ``watermark``; return them in order of
+        available time, source and arrival."""
+        if not self._rows:
+            return self._none
+        due, rest = [], []
+        for source, rows in sorted(self._rows, key=lambda each: each[0]):
+            cut = int(rows.available.searchsorted(watermark, "left"))
+            if cut:
+                due.append(rows.take(slice(None, cut)))
+            if cut < len(rows.available):
+                rest.append((source, rows.take(slice(cut, None))))
+        self._rows = rest
+        found = _joined(due, self._variables)
+        # Stable: parts of one source came in order.
+        return found.take(np.argsort(found.available, kind="stable")) if len(due) > 1 else found
+
+    def drop(self, place: int) -> None:
+        """Forget the samples with this first place."""
+        self._rows = [
+            (source, rows.take(rows.places[:, 0] != place)) for source, rows in self._rows
+        ]
+
+
 class KeptSamples:
     """The samples of one term that states may need."""
 
@@ -39,32 +78,19 @@ class KeptSamples:
         """``last``: the time (ns) of the last state that there may be."""
         self._variables = variables
         self._last = last
-        self._waiting: list[tuple[int, Rows]] = []
-        self._rows = self._none = _no_rows(variables)
+        self._waiting = WaitingSamples(variables)
+        self._rows = _no_rows(variables)
         """Those of one valid time in order of available time, source and arrival."""
 
     def __len__(self) -> int:
-        return len(self._rows.valid) + sum(len(rows.valid) for _, rows in self._waiting)
+        return len(self._rows.valid) + len(self._waiting)
 
     def add(self, source: int, rows: Rows) -> None:
-        self._waiting.append((source, rows))
+        self._waiting.add(source, rows)
 
     def enter(self, watermark: int) -> Rows:
         """Let the samples in that are available before ``watermark``; return them."""
-        due, rest = [], []
-        for source, rows in sorted(self._waiting, key=lambda each: each[0]):
-            cut = int(rows.available.searchsorted(watermark, "left"))
-            if cut:
-                due.append(rows.take(slice(None, cut)))
-            if cut < len(rows.available):
-                rest.append((source, rows.take(slice(cut, None))))
-        self._waiting = rest
-        if not due:
-            return self._none
-        new = _joined(due, self._variables)
-        if len(due) > 1:
-            # Stable: parts of one source came in order.
-            new = new.take(np.argsort(new.available, kind="stable"))
+        new = self._waiting.take(watermark)
         # Samples that are valid later count for no state.
         kept = new.take(new.valid <= self._last) if self._last < TIME_MAX else new
         self._rows = _joined([self._rows, kept], self._variables)
@@ -114,8 +140,8 @@ def _no_rows(variables: int) -> Rows:
 
 def _joined(parts: Sequence[Rows], variables: int) -> Rows:
     parts = [part for part in parts if len(part.valid)]
-    if not parts:
-        return _no_rows(variables)
+    if len(parts) < 2:
+        return parts[0] if parts else _no_rows(variables)
     lives = [part.life for part in parts if part.life is not None]
     return Rows(
         np.concatenate([part.available for part in parts]),

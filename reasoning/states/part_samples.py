@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ...streams.jit import Kernel
 from ...streams.sample import Times
 from ...streams.time import TIME_MAX, TIME_MIN
+from .kept_samples import Rows, WaitingSamples
 from .part_departures import Parts
 from .states import Term
 
@@ -51,10 +52,8 @@ class PartSamples:
         """``last``: the time (ns) of the last state that there may be."""
         self._last = last
         self._lists = {term: number for number, term in enumerate(terms)}
-        self._waiting: list[list[tuple[int, Times, Times, Parts, NDArray[Any]]]] = [
-            [] for _ in terms
-        ]
-        """The samples that are not before the watermark: source, available, valid, part, value."""
+        self._waiting = [WaitingSamples(1) for _ in terms]
+        """By lists; the places of samples are their parts."""
         self._values: list[NDArray[Any]] = [np.zeros(0) for _ in terms]
         """The values of samples, by their places."""
         count = len(terms) + 1
@@ -66,8 +65,7 @@ class PartSamples:
         """Parts with times; for each part whether it is among these."""
 
     def __len__(self) -> int:
-        waiting = sum(len(each[1]) for rows in self._waiting for each in rows)
-        return int(self._control[:-1, LIVE].sum()) + waiting
+        return int(self._control[:-1, LIVE].sum()) + sum(map(len, self._waiting))
 
     def make_room_for(self, parts: int) -> None:
         """Let there be so many parts."""
@@ -81,26 +79,22 @@ class PartSamples:
         values: NDArray[Any],
     ) -> None:  # fmt: skip
         """Take samples of a term from a stream, in order of available time."""
-        if len(valid):
-            self._waiting[self._lists[term]].append((source, available, valid, part, values))
+        rows = Rows(available, valid, part.reshape(-1, 1), values)
+        self._waiting[self._lists[term]].add(source, rows)
 
     def enter(self, watermark: int) -> tuple[Times, Times, Parts] | None:
         """Let the samples in that are available before ``watermark``; return their available and
         valid times and parts; None: there are none."""
         self._shrink()
         new = []
-        for number in range(len(self._waiting)):
-            due = self._take_due(number, watermark)
-            if due is not None:
-                available, valid, part, values = due
-                new.append((available, valid, part))
-                if np.count_nonzero(valid > self._last):
+        for number, waiting in enumerate(self._waiting):
+            rows = waiting.take(watermark)
+            if len(rows.valid):
+                new.append((rows.available, rows.valid, rows.places[:, 0]))
+                if np.count_nonzero(rows.valid > self._last):
                     # They count for no state.
-                    own = valid <= self._last
-                    available, valid, part, values = (
-                        each[own] for each in (available, valid, part, values)
-                    )
-                self._put(number, available, valid, part, values)
+                    rows = rows.take(rows.valid <= self._last)
+                self._put(number, rows)
         if len(new) < 2:
             return new[0] if new else None
         available, valid, part = (np.concatenate(each) for each in zip(*new, strict=True))
@@ -152,53 +146,19 @@ class PartSamples:
     def drop(self, part: int) -> None:
         """Forget the samples and times of a part."""
         _drop.run(part, self._samples, self._ends, self._control, size=1)
-        for number, waiting in enumerate(self._waiting):
-            rest = []
-            for source, *columns in waiting:
-                others = columns[2] != part
-                available, valid, parts, values = (each[others] for each in columns)
-                if len(valid):
-                    rest.append((source, available, valid, parts, values))
-            self._waiting[number] = rest
+        for waiting in self._waiting:
+            waiting.drop(part)
 
-    def _take_due(
-        self, number: int, watermark: int
-    ) -> tuple[Times, Times, Parts, NDArray[Any]] | None:
-        """Remove the samples of a term that are available before ``watermark``; in order of
-        available time, source and arrival."""
-        waiting = self._waiting[number]
-        if not waiting:
-            return None
-        due, rest = [], []
-        for source, *columns in sorted(waiting, key=_source_of):
-            cut = int(columns[0].searchsorted(watermark, "left"))
-            if cut:
-                due.append([each[:cut] for each in columns])
-            if cut < len(columns[0]):
-                available, valid, part, values = (each[cut:] for each in columns)
-                rest.append((source, available, valid, part, values))
-        self._waiting[number] = rest
-        if not due:
-            return None
-        columns = due[0]
-        if len(due) > 1:
-            columns = [np.concatenate(each) for each in zip(*due, strict=True)]
-            order = np.argsort(columns[0], kind="stable")
-            columns = [each[order] for each in columns]
-        return columns[0], columns[1], columns[2], columns[3]
-
-    def _put(
-        self, number: int, available: Times, valid: Times, part: Parts, values: NDArray[Any]
-    ) -> None:
-        self._make_places(number, len(valid))
-        if (order := _order(valid)) is not None:
-            available, valid, part, values = (
-                each[order] for each in (available, valid, part, values)
-            )
-        places = np.empty(len(valid), np.int64)
-        given = (np.ascontiguousarray(each) for each in (part, valid, available))
+    def _put(self, number: int, rows: Rows) -> None:
+        """Put samples into the lists of a term."""
+        self._make_places(number, len(rows.valid))
+        if (order := _order(rows.valid)) is not None:
+            rows = rows.take(order)
+        values, places = rows.values, np.empty(len(rows.valid), np.int64)
+        columns = rows.places[:, 0], rows.valid, rows.available
+        given = (np.ascontiguousarray(each) for each in columns)
         arrays = self._samples, self._ends, self._control, places
-        _put.run(number, *given, *arrays, size=len(valid))
+        _put.run(number, *given, *arrays, size=len(places))
         known = self._values[number]
         if len(known) < self._samples.shape[2] or known.dtype != values.dtype:
             grown = np.zeros(self._samples.shape[2], values.dtype)
@@ -237,10 +197,6 @@ def _order(valid: Times) -> NDArray[np.int64] | None:
     if len(valid) < 2 or not np.count_nonzero(valid[1:] < valid[:-1]):
         return None
     return np.argsort(valid, kind="stable")
-
-
-def _source_of(waiting: tuple[int, Times, Times, Parts, NDArray[Any]]) -> int:
-    return waiting[0]
 
 
 # -- compiled --------------------------------------------------------------------------------
