@@ -81,7 +81,7 @@ MUTANTS = (
     ("states/part_samples.py", "if samples[number, AVAILABLE, place] <= left[i]:", "if True:", PARTS),
     ("states/part_samples.py", "samples[number, VALID, place] > valid:", "samples[number, VALID, place] >= valid:", PARTS),
     ("states/part_samples.py", "if before >= 0 and samples[number, VALID, before] == valid[i]:", "if False:", MONITORING),
-    ("states/kept_samples.py", 'np.argsort(found.available, kind="stable")', "np.arange(len(found.available))", PARTS),
+    ("states/kept_samples.py", 'np.argsort(found.available, kind="stable")', "np.arange(len(found.available))", STATES),
     # A part in the compiled loop: its program, what it keeps, its first state, its witnesses.
     ("mtl/part_loop.py", "program = 1 if unknown & ANY_UNKNOWN else 0", "program = 0", PART_EVALUATOR),
     ("mtl/part_loop.py", "row = max(row - 1, 0)", "pass", PART_EVALUATOR),
