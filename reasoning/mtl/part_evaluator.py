@@ -15,7 +15,7 @@ from ...languages.mtl.checked import CheckedMonitor, Constant
 from ...streams.sample import Times
 from ...streams.time import TIME_MIN
 from ..states.states import States, Term
-from . import part_loop, sliced_program
+from . import part_layout, part_loop, sliced_program
 from .evaluator import (
     MOST_STATES,
     Constants,
@@ -26,15 +26,16 @@ from .evaluator import (
 )
 from .formulas import looks_back, reach_of, sorts_of
 from .nodes import END, Pass, Threshold, terms_of
+from .part_layout import CURSORS, SIDES
 from .part_loop import (
     AT_ONCE,
     CONTROLS,
     COUNT,
     EMITTED,
+    HAS_MARGINS,
     IS_SINGLE,
     LIMIT,
     LOOKS_BACK,
-    MARGIN_TABLES,
     NEEDED,
     OPEN,
     PART_FIELDS,
@@ -43,7 +44,6 @@ from .part_loop import (
     REPORTS_ALL,
     SEEN,
     SETTLED,
-    SIDES,
     STOPPED_FOR,
     TRUES,
     UNKNOWNS,
@@ -63,14 +63,21 @@ SMALLEST: Final = 64
 
 
 def bytes_of_state(monitor: CheckedMonitor) -> int:
-    """Return the bytes of a state that is kept."""
-    return 8 * _fields(monitor, len(Compiler(monitor).atoms))
+    """Return the most bytes of a state that is kept; fewer as long as no atom was unknown."""
+    compiler = Compiler(monitor)
+    nodes = max(len(each.nodes) for each in _programs(compiler))
+    return 8 * _fields(monitor, len(compiler.atoms), nodes)
 
 
-def _fields(monitor: CheckedMonitor, atoms: int) -> int:
+def _fields(monitor: CheckedMonitor, atoms: int, nodes: int) -> int:
     """The fields of a state in the loop."""
-    margins = atoms if monitor.robustness else 0
-    return part_loop.ATOMS + part_loop.words_of(atoms) + margins
+    more = atoms if monitor.robustness else nodes
+    return part_layout.ATOMS + part_layout.words_of(atoms) + more
+
+
+def _programs(compiler: Compiler) -> list[Program]:
+    """That of one reading, and that of both."""
+    return [compiler.program(has_two_readings=each) for each in (False, True)]
 
 
 class PartValues:
@@ -115,22 +122,26 @@ class PartEvaluator:
         self._values = PartValues()
         compiler = Compiler(monitor)
         self._atoms = [(each, Threshold.of_atom(each, self._sorts)) for each in compiler.atoms]
-        programs = [compiler.program(has_two_readings=each) for each in (False, True)]
+        programs = _programs(compiler)
         count = max(len(each.nodes) for each in programs)
         self._nodes = np.zeros((len(programs), count, sliced_program.FIELDS), np.int64)
         self._roots = np.zeros((len(programs), 5), np.int64)
-        self._remembered = np.zeros((len(programs), count), np.int64)
+        self._kinds = np.zeros((len(programs), count), np.int64)
         for place, program in enumerate(programs):
             self._nodes[place, : len(program.nodes)] = packed = _packed(program)
             self._roots[place] = *_roots(program), len(packed)
+            self._kinds[place, : len(packed)] = _kinds(packed)
+        if monitor.robustness:
             # The margin of a past without an end is that of all its states.
-            if not monitor.robustness:
-                self._remembered[place, : len(packed)] = _remembered(packed)
+            self._kinds &= ~part_layout.REMEMBERED
         self._parts = _no_parts(1)
-        self._states = np.zeros((_fields(monitor, len(self._atoms)), SMALLEST), np.int64)
+        self._cursors = np.zeros((1, count, CURSORS), np.int32)
+        # The program of both readings, with more nodes, is needed from the first unknown atom on.
+        fields = _fields(monitor, len(self._atoms), len(programs[0].nodes))
+        self._states = np.zeros((fields, SMALLEST), np.int64)
         self._out = np.empty((SMALLEST, 7), np.int64)
         self._control = np.zeros(CONTROLS, np.int64)
-        self._control[MARGIN_TABLES] = SIDES * count if monitor.robustness else 0
+        self._control[HAS_MARGINS] = monitor.robustness
         reach = reach_of(monitor.formula)
         self._control[REACH] = sliced_program.NO_END if reach is None else min(reach, LONGEST)
         self._control[LOOKS_BACK] = looks_back(monitor.formula)
@@ -183,7 +194,10 @@ class PartEvaluator:
         """Let there be so many parts."""
         more = parts - len(self._parts)
         if more > 0:
-            self._parts = np.concatenate([self._parts, _no_parts(max(16, more, len(self._parts)))])
+            more = max(16, more, len(self._parts))
+            self._parts = np.concatenate([self._parts, _no_parts(more)])
+            cursors = np.zeros((more, *self._cursors.shape[1:]), np.int32)
+            self._cursors = np.concatenate([self._cursors, cursors])
 
     def set_values(self, part: int, values: Constants) -> None:
         """Give parameters of the formula, or its variable, their values for a part."""
@@ -248,8 +262,9 @@ class PartEvaluator:
             else:
                 holds, known = threshold.of(states)
             given[i] = holds.reshape(-1)
-            if known is not None:
-                given[i, ~known.reshape(-1)] = part_loop.UNKNOWN
+            if known is not None and not known.all():
+                given[i, ~known.reshape(-1)] = part_layout.UNKNOWN
+                self._make_fields()
             if once is not None and len(margins):
                 margins[i] = margin_of_atom(once, atom)[1].reshape(-1)
         given[-1] = states.present[self._monitor.parameters[0][1]].reshape(-1)
@@ -263,9 +278,9 @@ class PartEvaluator:
         while True:
             states, tables, out = self._states, self._tables, self._out
             at = part_loop.take(
-                self._nodes, self._roots, self._remembered, given, margins, times, part, at,
-                int(is_new), states, states.view(np.float64), self._parts, tables,
-                tables.view(np.float64), self._scratch, control, out, out.view(np.float64),
+                self._nodes, self._roots, self._kinds, given, margins, times, part, at,
+                int(is_new), states, states.view(np.float64), self._parts, self._cursors,
+                tables, tables.view(np.float64), self._scratch, control, out, out.view(np.float64),
                 size=max(len(part), states.shape[1] // 16),
             )  # fmt: skip
             if at == len(part):
@@ -278,7 +293,8 @@ class PartEvaluator:
             case part_loop.PLACES_WANTED:
                 counts = self._parts[:, COUNT]
                 used = int(np.maximum(2 * counts, part_loop.FEWEST)[counts > 0].sum())
-                states = np.empty((len(self._states), used + used // 2 + needed), np.int64)
+                wide = _apart(used + used // 2 + needed)
+                states = np.empty((len(self._states), wide), np.int64)
                 self._control[USED] = part_loop.move(self._states, states, self._parts)
                 self._states = states
             case part_loop.ROWS_WANTED:
@@ -292,11 +308,19 @@ class PartEvaluator:
                     "or sample less often"
                 )
 
+    def _make_fields(self) -> None:
+        """Let states have the fields of the program of both readings."""
+        fields = _fields(self._monitor, len(self._atoms), self._nodes.shape[1])
+        more = fields - len(self._states)
+        if more:
+            others = np.empty((more, self._states.shape[1]), np.int64)
+            self._states = np.concatenate([self._states, others])
+
     def _make_rows(self, rows: int) -> None:
         """New tables, for so many states of a part."""
         nodes = self._nodes.shape[1]
-        tables = SIDES * nodes + (nodes + 2 if self._control[MARGIN_TABLES] else 0)
-        self._tables = np.empty((tables, rows), np.int64)
+        tables = 3 * nodes + 2 if self._control[HAS_MARGINS] else nodes
+        self._tables = np.empty((tables, _apart(rows)), np.int64)
         self._scratch = np.empty((part_loop.SCRATCH, max(rows, nodes, 4)), np.int64)
 
     def _verdicts(self) -> Verdicts:
@@ -316,6 +340,12 @@ class PartEvaluator:
 
 
 _COUNTS: Final = slice(EMITTED, UNREPORTED_UNKNOWN + 1)
+
+
+def _apart(width: int) -> int:
+    """At least so many columns, so that those of one number in two rows do not compete for the same
+    place in a core's cache."""
+    return width if width < 512 else width // 512 * 512 + 536
 
 
 def _no_parts(count: int) -> NDArray[np.int64]:
@@ -343,19 +373,30 @@ def _roots(program: Program) -> list[int]:
     return [_table(each) for each in (lower.true, lower.false, upper.true, upper.false)]
 
 
-def _remembered(nodes: NDArray[np.int64]) -> list[bool]:
-    """Whether each node is one of `formulas.is_remembered`."""
-    is_of_state: list[bool] = []
-    found = []
+def _kinds(nodes: NDArray[np.int64]) -> list[int]:
+    """What each node is, for the loop."""
+    found: list[int] = []
     for node in nodes.tolist():
         operation = node[sliced_program.OPERATION]
-        left = is_of_state[node[sliced_program.LEFT_T] // SIDES] if is_of_state else True
-        right = is_of_state[node[sliced_program.RIGHT_T] // SIDES] if is_of_state else True
-        has_end = node[sliced_program.END] != sliced_program.NO_END
-        found.append(operation == sliced_program.ONCE and not has_end and left)
-        is_of_state.append(
-            operation in (sliced_program.ATOM, sliced_program.TRUTH)
-            or (operation == sliced_program.OR and left and right)
-            or (operation == sliced_program.SPREAD and left)
-        )
+        operands = {
+            sliced_program.OR: (sliced_program.LEFT_T, sliced_program.RIGHT_T),
+            sliced_program.ONCE: (sliced_program.LEFT_T,),
+            sliced_program.SPREAD: (sliced_program.LEFT_T,),
+        }.get(operation, ())
+        is_over_states = all(found[node[each] // SIDES] & part_layout.OF_STATE for each in operands)
+        if operation in _OF_STATES and is_over_states:
+            found.append(part_layout.OF_STATE)
+        elif operation == sliced_program.ONCE and is_over_states:
+            has_end = node[sliced_program.END] != sliced_program.NO_END
+            found.append(0 if has_end else part_layout.REMEMBERED)
+        else:
+            found.append(0)
     return found
+
+
+_OF_STATES: Final = (
+    sliced_program.ATOM,
+    sliced_program.TRUTH,
+    sliced_program.OR,
+    sliced_program.SPREAD,
+)

@@ -1,21 +1,21 @@
-"""Verdicts of a formula over the states of parts, each by itself: a compiled loop over the nodes of
-a program (`sliced_program`), with moments as `windows` has them.
+"""Verdicts of a formula over the states of parts, each by itself: a compiled loop over new states
+and the nodes of a program (`sliced_program`).
 
 ``nodes``    int64 (programs, nodes, fields): the program of one reading, and of both
 ``roots``    int64 (programs, 5): the tables of the whole formula: true and false in the lower
              reading, then in the upper one; and the number of nodes
-``remembered``  int64 (programs, nodes): whether a node is one of a past without end of which it
-             needs the first state alone that decides it (`formulas.is_remembered`)
+``kinds``    int64 (programs, nodes): what each node is, `REMEMBERED` and `OF_STATE`
 ``given``    uint8 (atoms + 1, n): of each new state `HOLDS` or `UNKNOWN` for each atom; last
              whether it may start
 ``margins``  float64 (atoms, n): with robustness, by how much each atom holds (`robustness`)
 ``times``    int64 (3, n): of each new state its valid time, its horizon, and when it left
 ``part``     int64 (n,): the part of each new state, in order
-``states``   int64 (fields, places): the states kept; those of a part are one after the other. The
-             fields of margins are floats
-``parts``    int64 (parts, fields): where these are
-``tables``   int64 (tables, rows): moments, two tables a node; with robustness then margins, which
-             are floats, one a node and two. ``scratch`` int64 (8, rows)
+``states``   int64 (fields, places): the states kept (`part_layout`); those of a part are one after
+             the other. The fields of margins are floats
+``parts``    int64 (parts, fields): where these are; ``cursors`` int32 (parts, nodes, `CURSORS`)
+``tables``   int64 (tables, rows): the events of each node (`part_progression`); with robustness
+             then statuses, one a node, then margins, which are floats, one a node and two.
+             ``scratch`` int64 (6, rows)
 ``control``  int64: numbers, at the places below
 ``out``      int64 (n, 7): verdicts: the part, the valid times of the start, of the deciding state
              and of the witness, when the deciding state left, the value, and the margin, a float
@@ -28,58 +28,57 @@ from typing import Any, Final
 import numpy as np
 
 from ...streams.jit import Kernel
-from ...streams.time import TIME_MAX, TIME_MIN
+from ...streams.time import TIME_MIN
+from .part_layout import (
+    ATOMS,
+    CURSORS,
+    HORIZON,
+    IN_A_WORD,
+    IS_DONE,
+    LAST_POSSIBLE,
+    LAST_TRUE,
+    LEFT,
+    REMEMBERED,
+    UNKNOWN,
+    VALID,
+    is_by,
+    moment_of,
+    row_of,
+    when,
+    words_of,
+)
+from .part_margins import MARGINS, TIED, decide_by_margins, fill_margins, margin_of
+from .part_progression import PROGRESSION, fill, progress
+from .part_witness import WITNESS, witness
 from .sliced_program import (
     ATOM,
     END,
-    EVENTUALLY,
-    IS_UPPER,
-    LEFT_F,
     LEFT_T,
-    NUMBER,
     ONCE,
     OPERATION,
     OR,
     PREVIOUS,
-    RIGHT_F,
     RIGHT_T,
     SINCE,
-    SPREAD,
-    START,
     TRUTH,
     UNTIL,
 )
-from .sliced_times import SEARCHES, ahead, back, behind, is_later, is_near, is_over, reach
-from .windows import (
-    NEVER,
-    deciding_state,
-    least_in_queue,
-    since_in_column,
-    since_of_margins_in_column,
-    until_in_column,
-    until_of_margins_in_column,
-)
+from .sliced_times import SEARCHES, back
+from .windows import NEVER
 
-HOLDS, UNKNOWN = 1, 2
-TIED: Final = 2
-"""In place of a value: moments say which it is."""
-IN_A_WORD: Final = 31
-"""The atoms in a word, two bits each."""
-ANY_UNKNOWN: Final = sum(UNKNOWN << 2 * atom for atom in range(IN_A_WORD))
-# The fields of a state: its valid time, horizon, when it left, whether its verdict is out, and from
-# there on words of atoms; with robustness then the margin of each atom.
-VALID, HORIZON, LEFT, IS_DONE, ATOMS = range(5)
-# The fields of a part: its first place in ``states``, its states there, the places that it has; how
-# many states it had by now, how many of those kept are without a verdict, the valid time before
-# which each start has one; the verdicts by now.
-FIRST, COUNT, PLACES, SEEN, OPEN, SETTLED, UNKNOWNS, FALSES, TRUES = range(9)
-PART_FIELDS: Final = 9
+# The fields of a part: its first state in ``states``, its states, the places that it has and the
+# first of them; how many states it had by now, how many of those kept are without a verdict, and
+# the first of these; the valid time before which each start has one; the verdicts by now; the
+# program that its statuses are of, or -1, and the last row with an unknown atom, or -1.
+FIRST, COUNT, PLACES, PLACE, SEEN, OPEN, FIRST_OPEN, SETTLED, UNKNOWNS, FALSES, TRUES = range(11)
+PROGRAM, LAST_UNKNOWN = 11, 12
+PART_FIELDS: Final = 13
 # Whether each part has one start only; the verdicts in ``out`` may be violations alone; the most
-# rows taken at once, and the most states of a part; the first table of margins, or 0; how far the
-# formula reaches, and whether it looks back. Then what the loop says: places of ``states`` in use,
-# verdicts in ``out``, true and unknown ones that are not, and what it stopped for, with the number
-# that is needed.
-IS_SINGLE, REPORTS_ALL, AT_ONCE, LIMIT, MARGIN_TABLES, REACH, LOOKS_BACK = range(7)
+# rows taken at once, and the most states of a part; whether there are margins; how far the formula
+# reaches, and whether it looks back. Then what the loop says: places of ``states`` in use, verdicts
+# in ``out``, true and unknown ones that are not, and what it stopped for, with the number that is
+# needed.
+IS_SINGLE, REPORTS_ALL, AT_ONCE, LIMIT, HAS_MARGINS, REACH, LOOKS_BACK = range(7)
 USED, EMITTED, UNREPORTED_TRUE, UNREPORTED_UNKNOWN, STOPPED_FOR, NEEDED = range(7, 13)
 CONTROLS: Final = 13
 NOTHING, PLACES_WANTED, ROWS_WANTED, ROOM_WANTED, IS_TOO_LONG = range(5)
@@ -87,366 +86,174 @@ NOTHING, PLACES_WANTED, ROWS_WANTED, ROOM_WANTED, IS_TOO_LONG = range(5)
 too many states."""
 FEWEST: Final = 8
 """The places of a part with few states."""
-SIDES: Final = 2
-"""The tables of a node: when it is true, and when it is false."""
-# The rows of ``scratch``: those of `_evaluate` and `_fill_margins`; then of each state when it is
-# decided (`NEVER`: it has no new verdict) and as what; for `_emit`.
-FIRST_ROWS, LAST_ROWS, CLOSED, QUEUE, DECIDED, VALUES, PLACE, HINT = range(8)
-SCRATCH: Final = 8
+# The rows of ``scratch``: of each row when it is decided and as what, or for `_report` the new
+# verdicts; of `witness` and `fill_margins`; the events of each node; the hint of `witness`, which
+# outlasts a step.
+DECIDED, VALUES, MOMENTS, _, FOUND, HINT = range(6)
+SCRATCH: Final = 6
+FEW_VERDICTS: Final = 32
+"""So many are sorted by insertion."""
 
 
-def words_of(atoms: int) -> int:
-    """The words for so many atoms."""
-    return (atoms + IN_A_WORD - 1) // IN_A_WORD
-
-
-def _bounds(
-    valid: Any, count: Any, is_past: Any, start: Any, end: Any, first: Any, last: Any
-) -> None:
-    """Write the rows in the interval of each row: the first, and the one after the last."""
-    low = high = 0
-    for row in range(count):
-        if is_past:
-            while low < row and not is_near(valid, low, row, end):
-                low += 1
-            while high <= row and is_later(valid, high, row, start):
-                high += 1
-        else:
-            low, high = max(low, row), max(high, row)
-            while low < count and not is_later(valid, row, low, start):
-                low += 1
-            while high < count and is_near(valid, row, high, end):
-                high += 1
-        first[row], last[row] = low, high
-
-
-def _over(valid: Any, horizon: Any, count: Any, end: Any, closed: Any) -> None:
-    """Write from which row on no later state is valid up to ``end`` after each row."""
-    place = 0
-    for row in range(count):
-        place = max(place, row)
-        while place < count and not is_over(valid, row, end, horizon[place]):
-            place += 1
-        closed[row] = place if place < count else NEVER
-
-
-def _evaluate(
-    nodes: Any, valid: Any, horizon: Any, atoms: Any, count: Any, is_whole: Any, tables: Any,
-    scratch: Any,
+def _report(
+    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any, count:
+    Any, base: Any, statuses: Any, rows: Any, events: Any, found: Any, parts: Any, scratch: Any,
+    control: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Fill the tables of all nodes."""
-    first, last, closed, queue = (
-        scratch[FIRST_ROWS],
-        scratch[LAST_ROWS],
-        scratch[CLOSED],
-        scratch[QUEUE],
-    )
-    columns = tables.T
-    for node in range(len(nodes)):
-        operation, start, end = nodes[node, OPERATION], nodes[node, START], nodes[node, END]
-        true, false = SIDES * node, SIDES * node + 1
-        left_t, left_f = nodes[node, LEFT_T], nodes[node, LEFT_F]
-        right_t, right_f = nodes[node, RIGHT_T], nodes[node, RIGHT_F]
-        if operation == ATOM:
-            word, shift = nodes[node, NUMBER] // IN_A_WORD, 2 * (nodes[node, NUMBER] % IN_A_WORD)
-            wanted = HOLDS | UNKNOWN if nodes[node, IS_UPPER] else HOLDS
-            for row in range(count):
-                holds = (atoms[word, row] >> shift) & wanted != 0
-                tables[true, row] = row if holds else NEVER
-                tables[false, row] = NEVER if holds else row
-        elif operation == TRUTH:
-            for row in range(count):
-                tables[true, row], tables[false, row] = row, NEVER
-        elif operation == OR:
-            for row in range(count):
-                tables[true, row] = min(tables[left_t, row], tables[right_t, row])
-                tables[false, row] = max(tables[left_f, row], tables[right_f, row])
-        elif operation == SPREAD:
-            for row in range(count):
-                tables[true, row], tables[false, row] = tables[left_t, row], tables[left_f, row]
-        elif operation == PREVIOUS:
-            for row in range(count - 1, 0, -1):
-                tables[true, row] = max(tables[left_t, row - 1], row)
-                tables[false, row] = max(tables[left_f, row - 1], row)
-            tables[true, 0], tables[false, 0] = NEVER, 0 if is_whole else NEVER
-        else:
-            is_past = operation in (ONCE, SINCE)
-            _bounds(valid, count, is_past, start, end, first, last)
-            if not is_past:
-                _over(valid, horizon, count, end, closed)
-            if operation == UNTIL:
-                until_in_column(
-                    columns, left_t, columns, left_f, columns, right_t, columns, right_f, count,
-                    first, last, closed, columns, true, columns, false,
+    """Write the verdicts of the events of the whole formula, in order of the deciding state, then
+    of the start."""
+    new_rows, lower, upper = scratch[DECIDED], roots[0] >> 1, roots[2] >> 1
+    count_lower, count_upper = found[lower], found[upper] if upper != lower else 0
+    lowers = statuses[roots[0] >> 1, rows]
+    uppers = statuses[roots[2] >> 1, rows]
+    event = other = 0
+    while event < count_lower or other < count_upper:
+        one = events[lower, event] if event < count_lower else NEVER
+        another = events[upper, other] if other < count_upper else NEVER
+        now, new = when(min(one, another)), 0
+        while event < count_lower and when(events[lower, event]) == now:
+            new = _decided(
+                own, roots, lowers, uppers, events[lower, event], is_done, new_rows, new, parts,
+                control,
+            )  # fmt: skip
+            event += 1
+        while other < count_upper and when(events[upper, other]) == now:
+            new = _decided(
+                own, roots, lowers, uppers, events[upper, other], is_done, new_rows, new, parts,
+                control,
+            )  # fmt: skip
+            other += 1
+        if new > 1:
+            _sort(new_rows, new, is_done)
+        for place in range(new):
+            at = new_rows[place]
+            value, found_at = _value(roots, lowers, uppers, at, now), -1
+            if value >= 0:
+                found_at = witness(
+                    nodes, roots[0] if value else roots[3], at, valid, horizon, count, base,
+                    statuses, rows, scratch[MOMENTS : MOMENTS + 2], scratch[HINT],
                 )  # fmt: skip
-            elif operation == SINCE:
-                since_in_column(
-                    columns, left_t, columns, left_f, columns, right_t, columns, right_f, count,
-                    first, last, columns, true, columns, false,
-                )  # fmt: skip
-            else:
-                for side in range(SIDES):
-                    operand = nodes[node, LEFT_T + side]
-                    sign = 1 - 2 * side
-                    least_in_queue(
-                        columns, operand, count, first, last, queue, columns, true + side, sign,
-                        NEVER,
-                    )  # fmt: skip
-                # What is known of a start is not known before it; a future interval ends at it or
-                # later.
-                for row in range(count):
-                    tables[true, row] = max(tables[true, row], row)
-                    at = row if is_past else closed[row]
-                    tables[false, row] = max(tables[false, row], at)
+            _write(own, at, now - base, found_at, value, valid, left, control, out)
 
 
-def _interval(nodes: Any, node: Any, row: Any, valid: Any, count: Any) -> tuple[Any, Any]:
-    """The rows in the interval of one row: the first, and the one after the last."""
-    start, end = nodes[node, START], nodes[node, END]
-    if nodes[node, OPERATION] in (ONCE, SINCE):
-        return back(valid, row, end), behind(valid, row, start)
-    return ahead(valid, row, start, count), reach(valid, row, end, count)
+def _decided(
+    own: Any, roots: Any, lowers: Any, uppers: Any, event: Any, is_done: Any, rows: Any,
+    count: Any, parts: Any, control: Any,
+) -> Any:  # fmt: skip
+    """Add a start that has its verdict just now, if that is reported; return how many there are."""
+    row = row_of(event)
+    if is_done[row]:
+        return count
+    value = _value(roots, lowers, uppers, row, when(event))
+    if value == TIED:
+        return count
+    is_done[row] = 1
+    if not _counted(own, value, parts, control):
+        return count
+    rows[count] = row
+    return count + 1
 
 
-def _witness_of_until(
-    nodes: Any, node: Any, is_true: Any, row: Any, valid: Any, horizon: Any, count: Any, tables: Any
-) -> Any:
-    """The row of the right part, or that at which the left one fails."""
-    first, last = _interval(nodes, node, row, valid, count)
-    is_past, closed = nodes[node, OPERATION] == SINCE, -1
-    if not is_past:
-        closed = row
-        while closed < count and not is_over(valid, row, nodes[node, END], horizon[closed]):
-            closed += 1
-        # The end of all streams comes after the last state, and so after what fails there.
-        if closed == count or (closed == count - 1 and horizon[closed] == TIME_MAX):
-            closed = NEVER
-    side = 0 if is_true else 1
-    left, right = nodes[node, LEFT_T + side], nodes[node, RIGHT_T + side]
-    return deciding_state(
-        tables.T, tables.T, left, right, row, first, last, closed, is_true, is_past
-    )
+def _sort(rows: Any, count: Any, is_done: Any) -> None:
+    if count > FEW_VERDICTS:
+        # The starts between the first and the last of them.
+        first, last = rows[0], rows[0]
+        for place in range(count):
+            at = rows[place]
+            first, last = min(first, at), max(last, at)
+            is_done[at] = 2
+        to = 0
+        for at in range(first, last + 1):
+            if is_done[at] == 2:
+                is_done[at] = 1
+                rows[to] = at
+                to += 1
+        return
+    for place in range(1, count):
+        at, to = rows[place], place
+        while to > 0 and rows[to - 1] > at:
+            rows[to] = rows[to - 1]
+            to -= 1
+        rows[to] = at
 
 
-def _witness(
-    nodes: Any, table: Any, row: Any, valid: Any, horizon: Any, count: Any, tables: Any, hint: Any
-) -> Any:
-    """The row of the witness of what a table has at a row, or -1; see `witness.Witnesses`."""
-    while True:
-        node, side = table // SIDES, table % SIDES
-        operation = nodes[node, OPERATION]
-        left, right = nodes[node, LEFT_T + side], nodes[node, RIGHT_T + side]
-        if operation in (ATOM, TRUTH):
-            return row
-        if operation == OR:
-            a, b = tables[left, row], tables[right, row]
-            is_left = a >= b if side else a <= b
-            table = left if is_left else right
-        elif operation == SPREAD:
-            table = left
-        elif operation == PREVIOUS:
-            if row == 0:
-                return -1
-            table, row = left, row - 1
-        elif operation in (UNTIL, SINCE):
-            return _witness_of_until(nodes, node, side == 0, row, valid, horizon, count, tables)
-        else:
-            if side:
-                return -1
-            return _first_by(nodes, node, row, valid, count, tables, hint)
+def _value(roots: Any, lowers: Any, uppers: Any, row: Any, now: Any) -> Any:
+    """The verdict of a start by now; `TIED` if it has none."""
+    if is_by(lowers, roots[0], row, now):
+        return 1
+    if is_by(uppers, roots[3], row, now):
+        return 0
+    is_unknown = is_by(lowers, roots[1], row, now) and is_by(uppers, roots[2], row, now)
+    return -1 if is_unknown else TIED
 
 
-def _first_by(
-    nodes: Any, node: Any, row: Any, valid: Any, count: Any, tables: Any, hint: Any
-) -> Any:
-    """The first row in an interval at which the operand is known to hold when the node is, or -1.
-    ``hint``: the node, row and moment of the last such question, and the row that was found."""
-    operand, by = nodes[node, LEFT_T], tables[SIDES * node, row]
-    other, last = _interval(nodes, node, row, valid, count)
-    # Starts that one state decides come together: it is the first one for each of them.
-    if hint[0] == node and hint[1] <= row and by <= hint[2]:
-        other = max(other, hint[3])
-    while other < last and tables[operand, other] > by:
-        other += 1
-    found = other if other < last else -1
-    hint[0], hint[1], hint[2], hint[3] = node, row, by, found
-    return found
+def _counted(own: Any, value: Any, parts: Any, control: Any) -> Any:
+    """Count a verdict; return whether it is reported."""
+    parts[own, UNKNOWNS + 1 + value] += 1
+    parts[own, OPEN] -= 1
+    if value == 0 or control[REPORTS_ALL]:
+        return True
+    control[UNREPORTED_TRUE if value == 1 else UNREPORTED_UNKNOWN] += 1
+    return False
 
 
-def _decide_by_moments(roots: Any, is_done: Any, count: Any, tables: Any, scratch: Any) -> None:
-    """Write when the states that have no verdict yet are decided, and as what."""
-    true, false = tables[roots[0]], tables[roots[3]]
-    other_false, other_true = tables[roots[1]], tables[roots[2]]
-    for row in range(count):
-        moment = min(true[row], false[row])
-        if roots[0] != roots[2]:
-            moment = min(moment, max(other_false[row], other_true[row]))
-        scratch[DECIDED, row] = NEVER if is_done[row] else moment
-        value = 1 if true[row] <= moment else 0 if false[row] <= moment else -1
-        scratch[VALUES, row] = value
+def _write(
+    own: Any, row: Any, decided: Any, witness: Any, value: Any, valid: Any, left: Any, control:
+    Any, out: Any,
+) -> None:  # fmt: skip
+    at = control[EMITTED]
+    control[EMITTED] += 1
+    out[at, 0], out[at, 1], out[at, 2] = own, valid[row], valid[decided]
+    out[at, 3] = valid[witness] if witness >= 0 else TIME_MIN
+    out[at, 4], out[at, 5] = left[decided], value
 
 
-def _fill_margins(
-    nodes: Any, valid: Any, atoms: Any, margins: Any, count: Any, tables: Any, scratch: Any
-) -> None:
-    """Fill the tables of margins, one a node, that of a negated operand being the opposite."""
-    first, last, queue = scratch[FIRST_ROWS], scratch[LAST_ROWS], scratch[QUEUE]
-    columns = tables.T
-    for node in range(len(nodes)):
-        operation, start, end = nodes[node, OPERATION], nodes[node, START], nodes[node, END]
-        left, right = nodes[node, LEFT_T] // SIDES, nodes[node, RIGHT_T] // SIDES
-        sign = 1 - 2 * (nodes[node, LEFT_T] % SIDES)
-        other = 1 - 2 * (nodes[node, RIGHT_T] % SIDES)
-        if operation == ATOM:
-            number = nodes[node, NUMBER]
-            word, shift = number // IN_A_WORD, 2 * (number % IN_A_WORD)
-            unknown = np.inf if nodes[node, IS_UPPER] else -np.inf
-            for row in range(count):
-                is_known = (atoms[word, row] >> shift) & UNKNOWN == 0
-                tables[node, row] = margins[number, row] if is_known else unknown
-        elif operation == TRUTH:
-            for row in range(count):
-                tables[node, row] = np.inf
-        elif operation == OR:
-            for row in range(count):
-                tables[node, row] = max(sign * tables[left, row], other * tables[right, row])
-        elif operation == SPREAD:
-            for row in range(count):
-                tables[node, row] = sign * tables[left, row]
-        elif operation == PREVIOUS:
-            for row in range(count - 1, 0, -1):
-                tables[node, row] = sign * tables[left, row - 1]
-            tables[node, 0] = -np.inf
-        else:
-            _bounds(valid, count, operation in (ONCE, SINCE), start, end, first, last)
-            if operation in (EVENTUALLY, ONCE):
-                # The greatest of the opposite is the opposite of the least.
-                least_in_queue(
-                    columns, left, count, first, last, queue, columns, node, -sign, np.inf
-                )
-                for row in range(count):
-                    tables[node, row] *= sign
-                continue
-            # Without the signs, in the two tables after those of nodes.
-            a, b = len(tables) - 2, len(tables) - 1
-            for row in range(count):
-                tables[a, row] = sign * tables[left, row]
-                tables[b, row] = other * tables[right, row]
-            if operation == SINCE:
-                since_of_margins_in_column(
-                    columns, a, columns, b, count, first, last, columns, node
-                )
-            else:
-                until_of_margins_in_column(
-                    columns, a, columns, b, count, first, last, columns, node
-                )
-
-
-def _decide_by_margins(
-    roots: Any, is_done: Any, valid: Any, horizon: Any, count: Any, tables: Any, scratch: Any,
-    control: Any,
-) -> tuple[Any, Any]:  # fmt: skip
-    """As `_decide_by_moments`: once its interval is over, a verdict is the sign of its margin, or
-    `TIED`. Return the rows of which moments are needed for that, or for a witness: the first, and
-    the one after the last."""
-    _over(valid, horizon, count, control[REACH], scratch[CLOSED])
-    low_row, high_row = count, 0
-    for row in range(count):
-        closed = scratch[CLOSED, row]
-        scratch[DECIDED, row] = NEVER if is_done[row] else closed
-        if is_done[row] or closed >= NEVER:
-            continue
-        low, high = _margin(roots[0], row, tables), _margin(roots[2], row, tables)
-        value = 1 if low > 0 else 0 if high < 0 else -1
-        if low == 0 or high == 0:
-            value = TIED
-        scratch[VALUES, row] = value
-        if value == TIED or value == 0 or (value == 1 and control[REPORTS_ALL]):
-            low_row, high_row = min(low_row, row), max(high_row, closed + 1)
-    return 0 if control[LOOKS_BACK] else low_row, high_row
-
-
-def _margin(table: Any, row: Any, tables: Any) -> Any:
-    """The margin of a node, or the opposite, at a row."""
-    return tables[table // SIDES, row] * (1 - 2 * (table % SIDES))
-
-
-def _break_ties(roots: Any, begin: Any, end: Any, tables: Any, scratch: Any) -> None:
-    """A margin of 0 does not tell `>` from `>=`: moments do."""
-    for row in range(begin, end):
-        if scratch[DECIDED, row] < NEVER and scratch[VALUES, row] == TIED:
-            is_true = tables[roots[0], row - begin] < NEVER
-            is_false = tables[roots[3], row - begin] < NEVER
-            scratch[VALUES, row] = 1 if is_true else 0 if is_false else -1
-
-
-def _emit(
-    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any,
-    count: Any, begin: Any, end: Any, parts: Any, tables: Any, margins: Any, scratch: Any,
+def _report_margins(
+    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any, count:
+    Any, begin: Any, end: Any, base: Any, statuses: Any, margins: Any, parts: Any, scratch: Any,
     control: Any, out: Any, out_margins: Any,
 ) -> None:  # fmt: skip
-    """Count the verdicts that are new; write those to report, in order of the deciding state, then
-    of the start. ``tables`` have the rows from ``begin`` on, up to ``end``."""
-    decided, values, place = scratch[DECIDED], scratch[VALUES], scratch[PLACE]
-    hint = scratch[HINT]
-    hint[0] = -1
+    """Write the verdicts that `decide_by_margins` has found; that is in order of the deciding
+    state, then of the start. ``statuses`` have the rows from ``begin`` on, up to ``end``."""
+    rows = slice(0, end - begin)
+    lowers = statuses[roots[0] >> 1, rows]
+    uppers = statuses[roots[2] >> 1, rows]
     for row in range(count):
-        place[row] = 0
-    for row in range(count):
-        if decided[row] >= NEVER:
+        decided, value = scratch[DECIDED, row], scratch[VALUES, row]
+        if decided >= NEVER:
             continue
         is_done[row] = 1
-        parts[own, UNKNOWNS + 1 + values[row]] += 1
-        if values[row] == 0 or control[REPORTS_ALL]:
-            place[decided[row]] += 1
+        if value == TIED:
+            value = _value(roots, lowers, uppers, row - begin, NEVER)
+            value = -1 if value == TIED else value
+        if not _counted(own, value, parts, control):
             continue
-        decided[row] = NEVER
-        if values[row] == 1:
-            control[UNREPORTED_TRUE] += 1
-        else:
-            control[UNREPORTED_UNKNOWN] += 1
-    at = control[EMITTED]
-    for row in range(count):
-        number = place[row]
-        place[row] = at
-        at += number
-    control[EMITTED] = at
-    for row in range(count):
-        moment = decided[row]
-        if moment >= NEVER:
-            continue
-        at = place[moment]
-        place[moment] += 1
-        value, witness = values[row], -1
+        found_at = -1
         if value >= 0:
-            root = roots[0] if value else roots[3]
-            witness = begin + _witness(
-                nodes, root, row - begin, valid[begin:end], horizon[begin:end], end - begin, tables,
-                hint,
+            found_at = witness(
+                nodes, roots[0] if value else roots[3], row - begin, valid[begin:end],
+                horizon[begin:end], end - begin, base, statuses, rows,
+                scratch[MOMENTS : MOMENTS + 2], scratch[HINT],
             )  # fmt: skip
-        out[at, 0], out[at, 1], out[at, 2] = own, valid[row], valid[moment]
-        out[at, 3] = valid[witness] if witness >= begin else TIME_MIN
-        out[at, 4], out[at, 5] = left[moment], value
-        if control[MARGIN_TABLES]:
-            # Adding 0 makes 0 of -0.
-            margin = _margin(roots[0] if value == 1 else roots[2], row, margins) + 0.0
-            out_margins[at, 6] = margin if value >= 0 else np.nan
+            found_at += begin if found_at >= 0 else 0
+        # Adding 0 makes 0 of -0.
+        margin = margin_of(roots[0] if value == 1 else roots[2], row, margins) + 0.0
+        out_margins[control[EMITTED], 6] = margin if value >= 0 else np.nan
+        _write(own, row, decided, found_at, value, valid, left, control, out)
 
 
 def _keep(
-    nodes: Any, remembered: Any, part: Any, count: Any, tables: Any, scratch: Any, states: Any,
-    parts: Any,
+    nodes: Any, kinds: Any, part: Any, count: Any, statuses: Any, rows: Any, cursors: Any,
+    scratch: Any, states: Any, parts: Any,
 ) -> None:  # fmt: skip
     """Drop the states of a part that no verdict to come needs."""
     first = parts[part, FIRST]
     valid = states[VALID, first : first + count]
     # The last state stays: a horizon may follow, and past operators look back from it.
-    oldest, is_open = count - 1, 0
-    for row in range(count - 1, -1, -1):
-        if not states[IS_DONE, first + row]:
-            oldest = row
-            is_open += 1
-    parts[part, OPEN] = is_open
+    is_open, oldest = parts[part, OPEN] > 0, parts[part, FIRST_OPEN]
+    while oldest < count - 1 and not (is_open and not states[IS_DONE, first + oldest]):
+        oldest += 1
+    parts[part, FIRST_OPEN] = oldest
     parts[part, SETTLED] = valid[oldest] if is_open else valid[oldest] + 1
     # The first row that each node looks at from there on, the whole formula first.
     reached, is_kept, keep = scratch[0], scratch[1], oldest
@@ -456,76 +263,153 @@ def _keep(
         operation, row = nodes[node, OPERATION], reached[node]
         if operation == PREVIOUS:
             row = max(row - 1, 0)
-        elif operation in (ONCE, SINCE) and not remembered[node]:
+        elif operation in (ONCE, SINCE) and not kinds[node] & REMEMBERED:
             row = back(valid, row, nodes[node, END])
         keep = min(keep, row)
         if operation not in (ATOM, TRUTH):
-            left = nodes[node, LEFT_T] // SIDES
+            left = nodes[node, LEFT_T] >> 1
             reached[left] = min(reached[left], row)
         if operation in (OR, UNTIL, SINCE):
-            right = nodes[node, RIGHT_T] // SIDES
+            right = nodes[node, RIGHT_T] >> 1
             reached[right] = min(reached[right], row)
     # Of a past without end the first state that decides it is remembered: it stays before these.
     for row in range(keep):
         is_kept[row] = 0
-    for node in range(len(nodes)):
-        if remembered[node]:
-            row = 0
-            while row < keep and tables[nodes[node, LEFT_T], row] >= NEVER:
-                row += 1
-            if row < keep:
-                is_kept[row] = 1
     begin = keep
+    for node in range(len(nodes)):
+        if kinds[node] & REMEMBERED:
+            row, operand = 0, nodes[node, LEFT_T]
+            column = statuses[operand >> 1, rows]
+            while row < keep and moment_of(column, operand, row) == NEVER:
+                row += 1
+            if row < keep and not is_kept[row]:
+                is_kept[row] = 1
+                begin -= 1
+    if not begin:
+        return
+    _move_cursors(nodes, keep, begin, is_kept, cursors)
+    parts[part, FIRST_OPEN] -= begin
+    parts[part, LAST_UNKNOWN] = _moved(parts[part, LAST_UNKNOWN], keep, begin, is_kept)
+    to = keep
     for row in range(keep - 1, -1, -1):
         if is_kept[row]:
-            begin -= 1
+            to -= 1
             for field in range(len(states)):
-                states[field, first + begin] = states[field, first + row]
+                states[field, first + to] = states[field, first + row]
     parts[part, COUNT] = count - begin
-    if count - begin > begin:
-        parts[part, FIRST] += begin
-        parts[part, PLACES] -= begin
-        return
-    # Moved to the front, fewer than those that go: then the part needs no other places.
-    for field in range(len(states)):
-        for row in range(count - begin):
-            states[field, first + row] = states[field, first + begin + row]
+    parts[part, FIRST] += begin
+
+
+def _moved(row: Any, keep: Any, begin: Any, is_kept: Any) -> Any:
+    """Where a row is after ``begin`` rows have gone of those before ``keep``; the last one before
+    it that is left, if it has gone; or -1."""
+    if row >= keep:
+        return row - begin
+    place = -1
+    if begin == keep:
+        return place
+    for each in range(row + 1):
+        place += is_kept[each]
+    return place
+
+
+def _move_cursors(nodes: Any, keep: Any, begin: Any, is_kept: Any, cursors: Any) -> None:
+    for node in range(len(nodes)):
+        is_past = nodes[node, OPERATION] in (ONCE, SINCE)
+        for cursor in range(CURSORS):
+            row = cursors[node, cursor]
+            if row >= keep:
+                cursors[node, cursor] = row - begin
+            elif cursor >= LAST_TRUE or (is_past and cursor == LAST_POSSIBLE):
+                cursors[node, cursor] = _moved(row, keep, begin, is_kept)
+            else:
+                cursors[node, cursor] = _moved(row - 1, keep, begin, is_kept) + 1
 
 
 def _add(
-    row: Any, end: Any, given: Any, margins: Any, times: Any, states: Any, state_margins: Any,
-    place: Any, is_first: Any, is_single: Any,
+    own: Any, row: Any, end: Any, given: Any, margins: Any, times: Any, states: Any,
+    state_margins: Any, parts: Any, is_single: Any,
 ) -> None:  # fmt: skip
-    """Put new states of a part into places."""
+    """Put new states of a part behind those that it has."""
+    is_first = parts[own, SEEN] == 0
+    place = parts[own, FIRST] + parts[own, COUNT]
+    shift = place - row
     for new in range(row, end):
-        states[VALID, place], states[HORIZON, place] = times[0, new], times[1, new]
-        states[LEFT, place] = times[2, new]
-        for field in range(ATOMS, len(states)):
-            states[field, place] = 0
-        for atom in range(len(given) - 1):
-            bits = int(given[atom, new]) << 2 * (atom % IN_A_WORD)
-            states[ATOMS + atom // IN_A_WORD, place] |= bits
-        for atom in range(len(margins)):
-            state_margins[len(states) - len(margins) + atom, place] = margins[atom, new]
-        may_start = given[len(given) - 1, new] and (is_first or not is_single)
-        states[IS_DONE, place] = 0 if may_start else 1
-        is_first = False
-        place += 1
+        states[VALID, shift + new], states[HORIZON, shift + new] = times[0, new], times[1, new]
+        states[LEFT, shift + new] = times[2, new]
+        may_start = given[len(given) - 1, new] and not is_single
+        states[IS_DONE, shift + new] = 0 if may_start else 1
+        parts[own, OPEN] += 1 if may_start else 0
+    if is_single and is_first and given[len(given) - 1, row]:
+        states[IS_DONE, place] = 0
+        parts[own, OPEN] = 1
+    for word in range(words_of(len(given) - 1)):
+        for new in range(row, end):
+            states[ATOMS + word, shift + new] = 0
+    for atom in range(len(given) - 1):
+        word, unknown = ATOMS + atom // IN_A_WORD, 0
+        for new in range(row, end):
+            states[word, shift + new] |= int(given[atom, new]) << 2 * (atom % IN_A_WORD)
+            unknown |= given[atom, new]
+        if unknown & UNKNOWN:
+            last = end - 1
+            while last > row and not given[atom, last] & UNKNOWN:
+                last -= 1
+            last += parts[own, COUNT] - row
+            parts[own, LAST_UNKNOWN] = max(parts[own, LAST_UNKNOWN], last)
+    for atom in range(len(margins)):
+        for new in range(row, end):
+            state_margins[len(states) - len(margins) + atom, shift + new] = margins[atom, new]
+    parts[own, COUNT] += end - row
+    parts[own, SEEN] += end - row
 
 
 def _stop(control: Any, what: Any, needed: Any) -> None:
     control[STOPPED_FOR], control[NEEDED] = what, needed
 
 
+def _has_places(own: Any, count: Any, states: Any, parts: Any, control: Any) -> Any:
+    """Let a part have places for so many states behind each other; whether there are any."""
+    kept, first, place = parts[own, COUNT], parts[own, FIRST], parts[own, PLACE]
+    if first + count <= place + parts[own, PLACES]:
+        return True
+    to = place
+    if count > parts[own, PLACES] or kept > first - place:
+        # It needs other ones; otherwise those that have become free before it.
+        places = max(FEWEST, 2 * count)
+        to = control[USED]
+        if to + places > states.shape[1]:
+            _stop(control, PLACES_WANTED, places)
+            return False
+        control[USED] += places
+        parts[own, PLACE], parts[own, PLACES] = to, places
+    for field in range(len(states)):
+        for row in range(kept):
+            states[field, to + row] = states[field, first + row]
+    parts[own, FIRST] = to
+    return True
+
+
+def _begin(nodes: Any, cursors: Any) -> None:
+    """Put the cursors of a part before its first state."""
+    for node in range(len(nodes)):
+        is_past = nodes[node, OPERATION] in (ONCE, SINCE)
+        for cursor in range(CURSORS):
+            is_last = cursor >= LAST_TRUE or (is_past and cursor == LAST_POSSIBLE)
+            cursors[node, cursor] = -1 if is_last else 0
+
+
 def _parts_loop(
-    nodes: Any, roots: Any, remembered: Any, given: Any, margins: Any, times: Any, part: Any,
-    begin: Any, is_new: Any, states: Any, state_margins: Any, parts: Any, tables: Any,
+    nodes: Any, roots: Any, kinds: Any, given: Any, margins: Any, times: Any, part: Any, begin:
+    Any, is_new: Any, states: Any, state_margins: Any, parts: Any, cursors: Any, tables: Any,
     table_margins: Any, scratch: Any, control: Any, out: Any, out_margins: Any,
 ) -> Any:  # fmt: skip
     """Take states from ``begin`` on; or, without ``is_new``, the horizon of the last state of each
     of these parts. Return the one before which it stopped, or their number."""
     _stop(control, NOTHING, 0)
-    at = begin
+    at, most_nodes, has_margins = begin, nodes.shape[1], control[HAS_MARGINS]
+    words = words_of(len(given) - 1)
+    found, hint = scratch[FOUND], scratch[HINT]
     while at < len(part):
         own = part[at]
         kept, end = parts[own, COUNT], at + 1
@@ -545,63 +429,68 @@ def _parts_loop(
         if control[EMITTED] + count > len(out):
             _stop(control, ROOM_WANTED, count)
             return at
-        if count > parts[own, PLACES]:
-            places = max(FEWEST, 2 * count)
-            to = control[USED]
-            if to + places > states.shape[1]:
-                _stop(control, PLACES_WANTED, places)
-                return at
-            control[USED] += places
-            for field in range(len(states)):
-                for row in range(kept):
-                    states[field, to + row] = states[field, parts[own, FIRST] + row]
-            parts[own, FIRST], parts[own, PLACES] = to, places
+        if not _has_places(own, count, states, parts, control):
+            return at
         first = parts[own, FIRST]
+        if not kept:
+            parts[own, FIRST_OPEN], parts[own, PROGRAM], parts[own, LAST_UNKNOWN] = 0, -1, -1
         if is_new:
-            is_first = parts[own, SEEN] == 0
             _add(
-                at, end, given, margins, times, states, state_margins, first + kept, is_first,
+                own, at, end, given, margins, times, states, state_margins, parts,
                 control[IS_SINGLE],
             )  # fmt: skip
-            parts[own, COUNT] = count
-            parts[own, SEEN] += more
         else:
             last = first + count - 1
             states[HORIZON, last] = max(states[HORIZON, last], times[1, at])
-        words, unknown = (len(given) + IN_A_WORD - 2) // IN_A_WORD, 0
-        for field in range(ATOMS, ATOMS + words):
-            for row in range(count):
-                unknown |= states[field, first + row]
-        program = 1 if unknown & ANY_UNKNOWN else 0
+        program = 1 if parts[own, LAST_UNKNOWN] >= 0 else 0
+        used, root, own_cursors = nodes[program, : roots[program, 4]], roots[program], cursors[own]
         mine = slice(first, first + count)
         valid, horizon, left = states[VALID, mine], states[HORIZON, mine], states[LEFT, mine]
-        used = nodes[program, : roots[program, 4]]
         atoms, is_done = states[ATOMS : ATOMS + words, mine], states[IS_DONE, mine]
-        is_whole, mine_margins = parts[own, SEEN] == count, table_margins[control[MARGIN_TABLES] :]
-        begin_row, end_row = 0, count
-        if control[MARGIN_TABLES]:
-            _fill_margins(
-                used, valid, atoms, state_margins[ATOMS + words :, mine], count, mine_margins,
-                scratch,
+        base, row, stop = parts[own, SEEN] - count, kept, count
+        if has_margins:
+            statuses = tables[most_nodes : 2 * most_nodes]
+            own_margins = table_margins[2 * most_nodes :]
+            fill_margins(
+                used, valid, atoms, state_margins[ATOMS + words :, mine], count, own_margins,
+                scratch[MOMENTS:],
             )  # fmt: skip
-            begin_row, end_row = _decide_by_margins(
-                roots[program], is_done, valid, horizon, count, mine_margins, scratch, control
-            )
-        if begin_row < end_row:
-            rows = slice(begin_row, end_row)
-            _evaluate(
-                used, valid[rows], horizon[rows], atoms[:, rows], end_row - begin_row,
-                is_whole and begin_row == 0, tables, scratch,
+            row, stop = decide_by_margins(
+                root, is_done, valid, horizon, count, own_margins, control[REACH],
+                control[LOOKS_BACK], control[REPORTS_ALL], scratch[DECIDED], scratch[VALUES],
             )  # fmt: skip
-        if control[MARGIN_TABLES]:
-            _break_ties(roots[program], begin_row, end_row, tables, scratch)
+            base = 0 if row == base == 0 else 1
         else:
-            _decide_by_moments(roots[program], is_done, count, tables, scratch)
-        _emit(
-            own, used, roots[program], valid, horizon, left, is_done, count, begin_row, end_row,
-            parts, tables, mine_margins, scratch, control, out, out_margins,
+            statuses = states[ATOMS + words :]
+            own_margins = table_margins
+        if has_margins or parts[own, PROGRAM] != program:
+            # From the first state on: of another program, or of none.
+            _begin(used, own_cursors)
+            parts[own, PROGRAM] = program
+            row = row if has_margins else 0
+        shift = row if has_margins else 0
+        stop = max(stop, shift)
+        rows = slice(0, stop - shift) if has_margins else mine
+        seen = slice(shift, stop)
+        step_valid, step_horizon, step_atoms = valid[seen], horizon[seen], atoms[:, seen]
+        own_kinds, row, stop = kinds[program], row - shift, stop - shift
+        fill(used, own_kinds, step_atoms, statuses, rows, row, stop, base, tables, found)
+        progress(
+            used, own_kinds, step_valid, step_horizon, statuses, rows, max(min(row, stop - 1), 0),
+            stop, row < stop, base, own_cursors, tables, found,
         )  # fmt: skip
-        _keep(used, remembered[program], own, count, tables, scratch, states, parts)
+        hint[0] = -1
+        if has_margins:
+            _report_margins(
+                own, used, root, valid, horizon, left, is_done, count, shift, shift + stop, base,
+                statuses, own_margins, parts, scratch, control, out, out_margins,
+            )  # fmt: skip
+        else:
+            _report(
+                own, used, root, valid, horizon, left, is_done, count, base, statuses, rows,
+                tables, found, parts, scratch, control, out,
+            )  # fmt: skip
+        _keep(used, own_kinds, own, count, statuses, rows, own_cursors, scratch, states, parts)
         at = end
     return at
 
@@ -618,7 +507,7 @@ def _move_loop(old: Any, new: Any, parts: Any) -> Any:
             for row in range(count):
                 new[field, to + row] = old[field, first + row]
         places = max(FEWEST, 2 * count)
-        parts[part, FIRST], parts[part, PLACES] = to, places
+        parts[part, FIRST], parts[part, PLACE], parts[part, PLACES] = to, to, places
         to += places
     return to
 
@@ -634,7 +523,8 @@ def _parts_signature() -> Any:
     number, floats = types.int64, types.float64[:, ::1]
     return number(
         types.int64[:, :, ::1], table, table, types.uint8[:, ::1], floats, table, row, number,
-        number, table, floats, table, table, floats, table, row, table, floats,
+        number, table, floats, table, types.int32[:, :, ::1], table, floats, table, row, table,
+        floats,
     )  # fmt: skip
 
 
@@ -644,10 +534,9 @@ def _move_signature() -> Any:
 
 
 _CALLED: Final = (
-    *SEARCHES, least_in_queue, until_in_column, since_in_column, until_of_margins_in_column,
-    since_of_margins_in_column, deciding_state, _bounds, _over, _evaluate, _interval,
-    _witness_of_until, _witness, _first_by, _decide_by_moments, _margin, _fill_margins,
-    _decide_by_margins, _break_ties, _emit, _keep, _add, _stop,
+    *SEARCHES, *PROGRESSION, *WITNESS, *MARGINS, words_of,
+    _decided, _sort, _value, _counted, _write, _report,
+    _report_margins, _moved, _move_cursors, _keep, _add, _stop, _has_places, _begin,
 )  # fmt: skip
 _parts = Kernel(_parts_loop, _parts_signature, allocates=False, calls=_CALLED)
 _move = Kernel(_move_loop, _move_signature, allocates=False)

@@ -18,10 +18,14 @@ from dyknow.languages.mtl.checked import (
     Atom,
     CheckedMonitor,
     Constant,
+    Formula,
     Kind,
+    Not,
     ObjectConstant,
     Or,
+    Previous,
     Reading,
+    Until,
     Within,
 )
 from dyknow.reasoning.mtl import part_evaluator
@@ -95,6 +99,35 @@ class Drawing(OneObjectDrawing):
         return States(valid, horizon, {SORT: [""]}, {SORT: present}, values)
 
 
+class NestedDrawing(Drawing):
+    """Operators of time within one another: their parts are decided late, many at once, and in
+    another order than that of the states."""
+
+    def formula(self, depth: int, scope: list[str]) -> Formula:
+        draw = self.random
+        if not depth:
+            return self.atom(scope)
+        left = self.formula(depth - 1, scope)
+        match draw.randrange(10):
+            case 0:
+                return Not(left)
+            case 1:
+                return Previous(left)
+            case 2:
+                return Or(left, self.formula(depth - 1, scope))
+            case 3 | 4 | 5:
+                return Within(draw.choice([*Temporal]), self.interval(), left)
+            case _:
+                right = self.formula(draw.randrange(depth), scope)
+                return Until(draw.random() < 0.4, self.interval(), left, right)
+
+    def interval(self) -> Interval:
+        start = self.random.choice([0, 0, 1, 4])
+        if self.random.random() < self.without_end:
+            return Interval(start, None)
+        return Interval(start, start + self.random.choice([0, 1, 2, 5, 20, 60]))
+
+
 def joined(traces: list[States]) -> States:
     """The states of all traces."""
     return States(
@@ -126,8 +159,15 @@ def rows_of(found: Verdicts, report: Report) -> list[tuple[int, ...]]:
 class Comparison:
     """The evaluator of parts, and for each part one of its own, over the same states."""
 
-    def __init__(self, seed: int, count: int, depth: int, without_end: float) -> None:
-        self.draw = draw = Drawing(seed, without_end)
+    def __init__(
+        self,
+        seed: int,
+        count: int,
+        depth: int,
+        without_end: float,
+        drawing: type[Drawing] = Drawing,
+    ) -> None:
+        self.draw = draw = drawing(seed, without_end)
         self.monitor = draw.monitor(depth)
         self.place = f"seed {seed}: {self.monitor}"
         self.compiled = PartEvaluator(self.monitor)
@@ -219,6 +259,13 @@ def test_long_traces(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(part_evaluator, "ROWS", 3 if block % 2 else part_evaluator.ROWS)
     seeds = range(10_000 + block * 12, 10_000 + block * 12 + 12)
     assert sum(Comparison(seed, 150, 2 + block % 3, 0.1).play() for seed in seeds) > 3_000
+
+
+@pytest.mark.parametrize("block", range(6))
+def test_nested_operators_of_time(block: int) -> None:
+    seeds = range(40_000 + block * 20, 40_000 + block * 20 + 20)
+    depth = 2 + block % 3
+    assert sum(Comparison(each, 100, depth, 0.1, NestedDrawing).play() for each in seeds) > 2_000
 
 
 @pytest.mark.parametrize("block", range(4))
