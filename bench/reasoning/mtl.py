@@ -33,9 +33,9 @@ from dyknow.languages.mtl.checked import (
     Reading,
     Within,
 )
+from dyknow.reasoning.mtl.bits.evaluator import SlicedEvaluator
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator
-from dyknow.reasoning.mtl.part_evaluator import PartEvaluator
-from dyknow.reasoning.mtl.sliced_evaluator import SlicedEvaluator
+from dyknow.reasoning.mtl.parts.evaluator import PartEvaluator
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams import jit
 from dyknow.streams.policies.policy import SynchronizationPolicy

@@ -13,6 +13,7 @@ from ...matching.plan import Node, Supply
 from ...matching.subject import Sorts
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
+from ...reasoning.mtl.bits.evaluator import bits_of_state, is_sliced
 from ...reasoning.mtl.evaluator import BYTES_OF_NODE, MOST_STATES
 from ...reasoning.mtl.formulas import (
     count_of,
@@ -24,8 +25,7 @@ from ...reasoning.mtl.formulas import (
 )
 from ...reasoning.mtl.monitoring import VERDICT
 from ...reasoning.mtl.nodes import term_of
-from ...reasoning.mtl.part_evaluator import bytes_of_state
-from ...reasoning.mtl.sliced_evaluator import bits_of_state, is_sliced
+from ...reasoning.mtl.parts.evaluator import bytes_of_state
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Approximation
 from ...streams.time import format_duration

@@ -18,10 +18,10 @@ from ..states.kept_samples import Rows
 from ..states.part_states import CommonSteps, PartStates
 from ..states.state_maker import MadeStates, StateMaker, variables_of
 from ..states.states import States, Term
+from .bits.evaluator import SlicedEvaluator, is_sliced
 from .evaluator import Constants, MonitorEvaluator, StateKeeper, Verdicts
 from .formulas import compares_objects, objects_have_states
-from .part_evaluator import PartEvaluator
-from .sliced_evaluator import SlicedEvaluator, is_sliced
+from .parts.evaluator import PartEvaluator
 
 VERDICT, DECIDED, WITNESS = "verdict", "decided", "witness"
 LAST, ROBUSTNESS = "last", "robustness"

@@ -16,7 +16,7 @@ from ..states.part_departures import PartDepartures, Parts
 from ..states.part_states import CommonSteps, StepsOfParts
 from .evaluator import Constants, Verdicts
 from .monitoring import WORDS, Monitoring, Reported
-from .part_evaluator import PartEvaluator
+from .parts.evaluator import PartEvaluator
 
 
 class PartMonitoring(Monitoring):

@@ -28,7 +28,6 @@ from dyknow.languages.mtl.checked import (
     Until,
     Within,
 )
-from dyknow.reasoning.mtl import part_evaluator
 from dyknow.reasoning.mtl.evaluator import (
     MonitorEvaluator,
     TooManyStates,
@@ -36,7 +35,8 @@ from dyknow.reasoning.mtl.evaluator import (
     no_verdicts,
 )
 from dyknow.reasoning.mtl.formulas import is_of_one_object
-from dyknow.reasoning.mtl.part_evaluator import PartEvaluator
+from dyknow.reasoning.mtl.parts import evaluator as part_evaluator
+from dyknow.reasoning.mtl.parts.evaluator import PartEvaluator
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.policies.policy import SynchronizationPolicy
 from dyknow.streams.time import TIME_MIN

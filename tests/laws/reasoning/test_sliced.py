@@ -12,9 +12,9 @@ from formula_drawing import SORT, FormulaDrawing
 
 from dyknow.languages.mtl.ast import Interval, Report, Temporal
 from dyknow.languages.mtl.checked import CheckedMonitor, Or, Within
-from dyknow.reasoning.mtl import sliced_evaluator
+from dyknow.reasoning.mtl.bits import evaluator as sliced_evaluator
+from dyknow.reasoning.mtl.bits.evaluator import SlicedEvaluator, is_sliced
 from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates, Verdicts
-from dyknow.reasoning.mtl.sliced_evaluator import SlicedEvaluator, is_sliced
 from dyknow.reasoning.states.states import States, Values
 from dyknow.streams.jit import JIT
 from dyknow.streams.policies.policy import SynchronizationPolicy

@@ -10,12 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from .part_layout import (
-    IN_A_WORD,
-    SIDES,
-    UNKNOWN,
-)
-from .sliced_program import (
+from ..programs import (
     ATOM,
     END,
     EVENTUALLY,
@@ -32,12 +27,17 @@ from .sliced_program import (
     START,
     TRUTH,
 )
-from .sliced_times import is_later, is_near, is_over
-from .windows import (
+from ..time_searches import is_later, is_near, is_over
+from ..windows import (
     NEVER,
     least_in_queue,
     since_of_margins_in_column,
     until_of_margins_in_column,
+)
+from .layout import (
+    IN_A_WORD,
+    SIDES,
+    UNKNOWN,
 )
 
 TIED: Final = 2

@@ -2,7 +2,7 @@
 
 For each state from the oldest start without a verdict on, and for each node of the formula, a row
 of bits says at which objects the node is known to be true, and a row at which it is false
-(`sliced_program`). A new state changes some rows of each node, from the atoms up (`sliced_steps`).
+(`programs`). A new state changes some rows of each node, from the atoms up (`steps`).
 
 While all atoms that matter are known, both readings of unknown atoms are one. The first that is not
 known begins a program of both readings over the states kept, from their atoms; when it matters no
@@ -16,29 +16,30 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...languages.mtl.ast import Report
-from ...languages.mtl.checked import (
+from ....languages.mtl.ast import Report
+from ....languages.mtl.checked import (
     CheckedMonitor,
     Formula,
     Until,
     Within,
 )
-from ...streams.jit import JIT
-from ...streams.sample import Mask, Times
-from ...streams.time import TIME_MIN
-from ..states.states import States, Term
-from . import sliced_program, sliced_tables, sliced_verdicts
-from .evaluator import MOST_STATES, TooManyStates, Verdicts, concatenated, no_verdicts
-from .formulas import earliest, looks_back, sorts_of
-from .nodes import END, Pass, Threshold, terms_of
-from .sliced_program import Compiler, Program
-from .sliced_tables import CONTROLS
+from ....streams.jit import JIT
+from ....streams.sample import Mask, Times
+from ....streams.time import TIME_MIN
+from ...states.states import States, Term
+from .. import programs
+from ..evaluator import MOST_STATES, TooManyStates, Verdicts, concatenated, no_verdicts
+from ..formulas import earliest, looks_back, sorts_of
+from ..nodes import END, Pass, Threshold, terms_of
+from ..programs import Compiler, Program
+from . import layout, verdicts
+from .layout import CONTROLS
 
 ROWS: Final = 64
 """The least number of states that there is room for."""
 CELLS: Final = 1 << 12
 """Words of a table that are filled at once: some dozens of such tables fit into a core's cache."""
-_COUNTS: Final = [sliced_tables.EMITTED, sliced_tables.TRUES, sliced_tables.UNKNOWNS]
+_COUNTS: Final = [layout.EMITTED, layout.TRUES, layout.UNKNOWNS]
 
 
 def bits_of_state(monitor: CheckedMonitor) -> int:
@@ -46,12 +47,12 @@ def bits_of_state(monitor: CheckedMonitor) -> int:
     is there, and whether its verdict is out and new. Contract: `is_sliced`."""
     compiler = Compiler(monitor)
     nodes = len(compiler.program(has_two_readings=False).nodes)
-    return nodes * sliced_program.TABLES + 2 * len(compiler.atoms) + len(compiler.domains) + 2
+    return nodes * programs.TABLES + 2 * len(compiler.atoms) + len(compiler.domains) + 2
 
 
 def is_sliced(monitor: CheckedMonitor) -> bool:
     """Whether this evaluator takes a monitor whose objects share their states."""
-    return JIT and sliced_program.is_sliced(monitor)
+    return JIT and programs.is_sliced(monitor)
 
 
 class SlicedEvaluator:
@@ -85,10 +86,10 @@ class SlicedEvaluator:
         self.seen = 0
         """The number of states by now."""
         self._control = np.zeros(CONTROLS, np.int64)
-        self._control[sliced_tables.IS_WHOLE] = 1
-        self._control[sliced_tables.LOOKS_BACK] = self._looks_back
-        self._control[sliced_tables.REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
-        self._control[sliced_tables.ROOT_DOMAIN] = self._compiler.root_domain
+        self._control[layout.IS_WHOLE] = 1
+        self._control[layout.LOOKS_BACK] = self._looks_back
+        self._control[layout.REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
+        self._control[layout.ROOT_DOMAIN] = self._compiler.root_domain
         self._out = np.empty((256, 5), np.int64)
         self._none = no_verdicts(len(monitor.parameters))
         self._programs = [self._compiler.program(has_two_readings=each) for each in (False, True)]
@@ -113,14 +114,14 @@ class SlicedEvaluator:
     @property
     def is_open(self) -> bool:
         """Whether a start seen by now has no verdict yet."""
-        return int(self._control[sliced_tables.OPEN]) < self._count
+        return int(self._control[layout.OPEN]) < self._count
 
     def settled(self) -> NDArray[np.int64]:
         """As `MonitorEvaluator.settled`."""
         domain = self._compiler.root_domain
-        rows = slice(int(self._control[sliced_tables.OPEN]), self._count)
-        present = self._tables[self._control[sliced_tables.PRESENT] + domain, rows]
-        bits = present & ~self._tables[self._control[sliced_tables.DONE], rows]
+        rows = slice(int(self._control[layout.OPEN]), self._count)
+        present = self._tables[self._control[layout.PRESENT] + domain, rows]
+        bits = present & ~self._tables[self._control[layout.DONE], rows]
         is_open = _unpacked(bits, self._objects[domain])
         # Where none is open all starts by now have their verdicts.
         after = np.append(self._valid[rows], self._valid[self._count - 1] + 1)
@@ -165,11 +166,11 @@ class SlicedEvaluator:
         self._valid[rows], self._horizon[rows] = states.valid, states.horizon
         self._left[rows] = left
         control = self._control
-        first = int(control[sliced_tables.PRESENT])
+        first = int(control[layout.PRESENT])
         for domain, sort in enumerate(self._compiler.domains[1:], start=1):
             self._put(first + domain, rows, states.present[sort])
         # A single start is the first state of all.
-        done = self._tables[control[sliced_tables.DONE], rows]
+        done = self._tables[control[layout.DONE], rows]
         done[:] = ~np.uint64(0) if self._monitor.once else np.uint64(0)
         if self._monitor.once and not self.seen:
             done[0] = 0
@@ -203,7 +204,7 @@ class SlicedEvaluator:
             if holds.ndim == 1:
                 holds = holds[:, None]
             domain = self._domains_of_atoms[number]
-            table = int(self._control[sliced_tables.HOLDS]) + number
+            table = int(self._control[layout.HOLDS]) + number
             if known is None:
                 self._put(table, rows, holds)
                 self._tables[table + len(self._compiler.atoms), rows] = self._used[domain]
@@ -225,8 +226,8 @@ class SlicedEvaluator:
         at a start without a verdict. The past may be that of an object to come."""
         if self._looks_back or not domain:
             return np.ones((1, 1), np.bool_)
-        table = self._tables[self._control[sliced_tables.PRESENT] + domain]
-        rows = table[int(self._control[sliced_tables.OPEN]) : self._count]
+        table = self._tables[self._control[layout.PRESENT] + domain]
+        rows = table[int(self._control[layout.OPEN]) : self._count]
         before = _unpacked(np.bitwise_or.reduce(rows, axis=0)[None], self._objects[domain])
         present = states.present[self._compiler.domains[domain]]
         return np.logical_or.accumulate(np.concatenate([before, present]))[1:]
@@ -238,14 +239,14 @@ class SlicedEvaluator:
         nodes, control = len(self._program.nodes), self._control
         wide = int(words.max())
         atoms, domains = len(self._compiler.atoms), len(words)
-        tables = nodes * sliced_program.TABLES
-        control[sliced_tables.HOLDS] = tables
-        control[sliced_tables.KNOWN] = tables + atoms
-        control[sliced_tables.PRESENT] = tables + 2 * atoms
-        control[sliced_tables.DONE] = tables + 2 * atoms + domains
-        control[sliced_tables.NEWS] = tables + 2 * atoms + domains + 1
+        tables = nodes * programs.TABLES
+        control[layout.HOLDS] = tables
+        control[layout.KNOWN] = tables + atoms
+        control[layout.PRESENT] = tables + 2 * atoms
+        control[layout.DONE] = tables + 2 * atoms + domains
+        control[layout.NEWS] = tables + 2 * atoms + domains + 1
         lower, upper = self._program.lower, self._program.upper
-        control[sliced_tables.LOWER_T : sliced_tables.UPPER_F + 1] = (
+        control[layout.LOWER_T : layout.UPPER_F + 1] = (
             lower.true, lower.false, upper.true, upper.false,
         )  # fmt: skip
         self._tables = np.zeros((tables + 2 * atoms + domains + 2, rows, wide), np.uint64)
@@ -320,13 +321,13 @@ class SlicedEvaluator:
             else:
                 new[:, : count - oldest] = before[:, oldest:count]
         # Rows of the nodes begin empty.
-        self._tables[: int(self._control[sliced_tables.HOLDS]), count - oldest : count] = 0
+        self._tables[: int(self._control[layout.HOLDS]), count - oldest : count] = 0
         self._first, self._closed = (np.maximum(each - oldest, 0) for each in pointers)
         self._count -= oldest
         self._last_unknown -= oldest
-        self._control[sliced_tables.OPEN] -= oldest
+        self._control[layout.OPEN] -= oldest
         if oldest:
-            self._control[sliced_tables.IS_WHOLE] = 0
+            self._control[layout.IS_WHOLE] = 0
 
     @property
     def _arrays(self) -> tuple[NDArray[Any], ...]:
@@ -350,24 +351,24 @@ class SlicedEvaluator:
         self._make_tables(len(self._valid), words)
         self._given[:, :, : given.shape[2]] = given
         self._valid, self._horizon, self._left = times
-        self._control[sliced_tables.IS_REPLAY] = 1
+        self._control[layout.IS_REPLAY] = 1
         self._run(0, self._count)
-        self._control[sliced_tables.IS_REPLAY] = 0
+        self._control[layout.IS_REPLAY] = 0
         if not self._looks_back:
-            np.maximum(self._first, self._control[sliced_tables.OPEN], out=self._first)
+            np.maximum(self._first, self._control[layout.OPEN], out=self._first)
 
     @property
     def _given(self) -> NDArray[np.uint64]:
         """The tables that do not follow from others."""
         control = self._control
-        return self._tables[control[sliced_tables.HOLDS] : control[sliced_tables.DONE] + 1]
+        return self._tables[control[layout.HOLDS] : control[layout.DONE] + 1]
 
     def _oldest(self) -> int:
         """The row of the first state that a verdict to come needs."""
         if not self._count:
             return 0
         # The last one stays: `advance` raises its horizon, and past operators look back from it.
-        row = min(int(self._control[sliced_tables.OPEN]), self._count - 1)
+        row = min(int(self._control[layout.OPEN]), self._count - 1)
         return int(earliest(self._monitor.formula, row, self._back)) if self._looks_back else row
 
     def _back(self, formula: Formula, row: int) -> int:
@@ -384,7 +385,7 @@ class SlicedEvaluator:
     def _run(self, begin: int, end: int, *, is_new: bool = True) -> None:
         size = (end - begin) * self._tables.shape[2]
         while begin < end:
-            begin = sliced_verdicts.run.run(
+            begin = verdicts.run.run(
                 self._tables, self._valid, self._horizon, self._program.nodes, self._words,
                 self._masks, self._full, self._stamp, self._changed, self._changes, self._first,
                 self._closed, self._spare, self._fresh, self._control, self._out, begin, end,

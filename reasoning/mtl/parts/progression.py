@@ -5,10 +5,10 @@ New states pass the nodes of the program, operands first. At each state a node l
 that its operands have decided there (*events*), and at the starts whose interval is over. So a
 state costs what it decides, and some steps a node: not the states kept.
 
-``statuses``  int64 (nodes, places): what each node has at ``rows``, a slice (`part_layout.status`).
+``statuses``  int64 (nodes, places): what each node has at ``rows``, a slice (`layout.status`).
               The *column* of a node is its part of these; ``mine``, ``lefts`` and ``rights`` are
               the columns of a node and its operands
-``events``    int64 (nodes, rows): what each node has decided (`part_layout.event_of`), in order of
+``events``    int64 (nodes, rows): what each node has decided (`layout.event_of`), in order of
               the moment; ``found`` int64 (nodes,): their number
 ``cursors``   int32 (nodes, `CURSORS`): what a node knows of its rows
 ``begin``, ``stop``, ``is_new``: the new rows; without ``is_new`` one whose horizon has changed
@@ -19,7 +19,28 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from .part_layout import (
+from ..programs import (
+    ATOM,
+    END,
+    EVENTUALLY,
+    IS_UPPER,
+    LEFT_F,
+    LEFT_T,
+    NUMBER,
+    ONCE,
+    OPERATION,
+    OR,
+    PREVIOUS,
+    RIGHT_F,
+    RIGHT_T,
+    SINCE,
+    SPREAD,
+    START,
+    UNTIL,
+)
+from ..time_searches import ahead, back, behind, is_later, is_near, is_over, reach
+from ..windows import NEVER
+from .layout import (
     CLOSED,
     HOLDS,
     IN_A_WORD,
@@ -43,27 +64,6 @@ from .part_layout import (
     status,
     when,
 )
-from .sliced_program import (
-    ATOM,
-    END,
-    EVENTUALLY,
-    IS_UPPER,
-    LEFT_F,
-    LEFT_T,
-    NUMBER,
-    ONCE,
-    OPERATION,
-    OR,
-    PREVIOUS,
-    RIGHT_F,
-    RIGHT_T,
-    SINCE,
-    SPREAD,
-    START,
-    UNTIL,
-)
-from .sliced_times import ahead, back, behind, is_later, is_near, is_over, reach
-from .windows import NEVER
 
 
 def fill(

@@ -1,4 +1,4 @@
-"""The verdicts of a step, and the loop over states: compiled, over `sliced_tables`."""
+"""The verdicts of a step, and the loop over states: compiled, over `layout`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...streams.jit import Kernel
-from ...streams.time import TIME_MAX
-from .sliced_program import (
+from ....streams.jit import Kernel
+from ....streams.time import TIME_MAX
+from ..programs import (
     ATOM,
     BY_LEFT,
     DOMAIN,
@@ -30,8 +30,8 @@ from .sliced_program import (
     TRUTH,
     UNTIL,
 )
-from .sliced_steps import STEPS, take_step
-from .sliced_tables import (
+from ..time_searches import ahead, back, is_over, reach
+from .layout import (
     DONE,
     EMITTED,
     FRESH,
@@ -52,7 +52,7 @@ from .sliced_tables import (
     UPPER_T,
     WAITING,
 )
-from .sliced_times import ahead, back, is_over, reach
+from .steps import STEPS, take_step
 
 
 def _ones(word: Any) -> Any:

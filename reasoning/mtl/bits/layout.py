@@ -1,7 +1,7 @@
 """The arrays that the loops over tables of bits share.
 
 ``tables``    uint64 (tables, rows, words): a row a state, a bit an object. Four tables a node
-              (`sliced_program`), then those named in ``control``
+              (`programs`), then those named in ``control``
 ``valid``     int64 (rows,): the valid times of the states; ``horizon``: as in `States`
 ``nodes``     int64 (nodes, fields): the program
 ``masks``     uint64 (domains, words): the columns in use; ``words``: int64 (domains,)

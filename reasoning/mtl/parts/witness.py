@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from ...streams.time import TIME_MAX
-from .part_layout import SIDES, moment_of
-from .sliced_program import (
+from ....streams.time import TIME_MAX
+from ..programs import (
     ATOM,
     END,
     LEFT_T,
@@ -21,8 +20,9 @@ from .sliced_program import (
     TRUTH,
     UNTIL,
 )
-from .sliced_times import ahead, back, behind, is_near, is_over, reach
-from .windows import NEVER, deciding_state
+from ..time_searches import ahead, back, behind, is_near, is_over, reach
+from ..windows import NEVER, deciding_state
+from .layout import SIDES, moment_of
 
 
 def witness(

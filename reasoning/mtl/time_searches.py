@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from ...streams.time import TIME_MAX
-from .sliced_program import NO_END
+from .programs import NO_END
 
 
 def is_later(valid: Any, row: Any, other: Any, gap: Any) -> Any:

@@ -1,6 +1,6 @@
 """Verdicts of a formula over the states of parts, each by itself, in one compiled call.
 
-The same moments as those of `evaluator.MonitorEvaluator`, by a program (`part_loop`).
+The verdicts of `mtl.evaluator.MonitorEvaluator`, by a program (`loop`).
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...languages.mtl.ast import Report
-from ...languages.mtl.checked import CheckedMonitor, Constant
-from ...streams.sample import Times
-from ...streams.time import TIME_MIN
-from ..states.states import States, Term
-from . import part_layout, part_loop, sliced_program
-from .evaluator import (
+from ....languages.mtl.ast import Report
+from ....languages.mtl.checked import CheckedMonitor, Constant
+from ....streams.sample import Times
+from ....streams.time import TIME_MIN
+from ...states.states import States, Term
+from .. import programs
+from ..evaluator import (
     MOST_STATES,
     Constants,
     TooManyStates,
@@ -24,10 +24,13 @@ from .evaluator import (
     concatenated,
     no_verdicts,
 )
-from .formulas import looks_back, reach_of, sorts_of
-from .nodes import END, Pass, Threshold, terms_of
-from .part_layout import CURSORS, SIDES
-from .part_loop import (
+from ..formulas import looks_back, reach_of, sorts_of
+from ..nodes import END, Pass, Threshold, terms_of
+from ..programs import LONGEST, Compiler, Program
+from ..robustness import margin_of_atom
+from . import layout, loop
+from .layout import CURSORS, SIDES
+from .loop import (
     AT_ONCE,
     CONTROLS,
     COUNT,
@@ -50,8 +53,6 @@ from .part_loop import (
     UNREPORTED_UNKNOWN,
     USED,
 )
-from .robustness import margin_of_atom
-from .sliced_program import LONGEST, Compiler, Program
 
 ROWS: Final = 2048
 """States of a part that are evaluated at once, unless more are kept: their tables fit into a core's
@@ -72,7 +73,7 @@ def bytes_of_state(monitor: CheckedMonitor) -> int:
 def _fields(monitor: CheckedMonitor, atoms: int, nodes: int) -> int:
     """The fields of a state in the loop."""
     more = atoms if monitor.robustness else nodes
-    return part_layout.ATOMS + part_layout.words_of(atoms) + more
+    return layout.ATOMS + layout.words_of(atoms) + more
 
 
 def _programs(compiler: Compiler) -> list[Program]:
@@ -109,10 +110,12 @@ class PartEvaluator:
 
     Law (tests/laws/reasoning/test_part_evaluator.py): those of `MonitorEvaluator` for each part.
 
-    Cost: one call of a compiled loop, and for each part with new states those kept and new for each
-    node; `until` and `since` that times the states of an interval; `advance` looks at all parts.
-    Memory: `bytes_of_state` a state kept, at most four times, and 72 bytes a part. Kept are the
-    states that `MonitorEvaluator` keeps.
+    Cost: one call of a compiled loop. A new state costs some steps for each node and what it
+    decides, not the states kept; but a start of `since` that waits for later states looks at its
+    interval again with each of them, and with robustness a part with new states evaluates all it
+    has. `advance` looks at all parts. Memory: `bytes_of_state` a state kept, at most four times,
+    104 bytes a part and 24 for each node of the program of both readings. Kept are the states that
+    `MonitorEvaluator` keeps.
     """
 
     def __init__(self, monitor: CheckedMonitor, *, limit: int = MOST_STATES) -> None:
@@ -122,33 +125,33 @@ class PartEvaluator:
         self._values = PartValues()
         compiler = Compiler(monitor)
         self._atoms = [(each, Threshold.of_atom(each, self._sorts)) for each in compiler.atoms]
-        programs = _programs(compiler)
-        count = max(len(each.nodes) for each in programs)
-        self._nodes = np.zeros((len(programs), count, sliced_program.FIELDS), np.int64)
-        self._roots = np.zeros((len(programs), 5), np.int64)
-        self._kinds = np.zeros((len(programs), count), np.int64)
-        for place, program in enumerate(programs):
+        both = _programs(compiler)
+        count = max(len(each.nodes) for each in both)
+        self._nodes = np.zeros((len(both), count, programs.FIELDS), np.int64)
+        self._roots = np.zeros((len(both), 5), np.int64)
+        self._kinds = np.zeros((len(both), count), np.int64)
+        for place, program in enumerate(both):
             self._nodes[place, : len(program.nodes)] = packed = _packed(program)
             self._roots[place] = *_roots(program), len(packed)
             self._kinds[place, : len(packed)] = _kinds(packed)
         if monitor.robustness:
             # The margin of a past without an end is that of all its states.
-            self._kinds &= ~part_layout.REMEMBERED
+            self._kinds &= ~layout.REMEMBERED
         self._parts = _no_parts(1)
         self._cursors = np.zeros((1, count, CURSORS), np.int32)
         # The program of both readings, with more nodes, is needed from the first unknown atom on.
-        fields = _fields(monitor, len(self._atoms), len(programs[0].nodes))
+        fields = _fields(monitor, len(self._atoms), len(both[0].nodes))
         self._states = np.zeros((fields, SMALLEST), np.int64)
         self._out = np.empty((SMALLEST, 7), np.int64)
         self._control = np.zeros(CONTROLS, np.int64)
         self._control[HAS_MARGINS] = monitor.robustness
         reach = reach_of(monitor.formula)
-        self._control[REACH] = sliced_program.NO_END if reach is None else min(reach, LONGEST)
+        self._control[REACH] = programs.NO_END if reach is None else min(reach, LONGEST)
         self._control[LOOKS_BACK] = looks_back(monitor.formula)
         self._make_rows(SMALLEST)
         self._control[IS_SINGLE] = monitor.once
         self._control[REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
-        self._control[AT_ONCE], self._control[LIMIT] = ROWS, limit
+        self._control[AT_ONCE], self._control[LIMIT] = ROWS, min(limit, layout.MOST_ROWS)
         self._none = no_verdicts(1)
 
     @property
@@ -263,7 +266,7 @@ class PartEvaluator:
                 holds, known = threshold.of(states)
             given[i] = holds.reshape(-1)
             if known is not None and not known.all():
-                given[i, ~known.reshape(-1)] = part_layout.UNKNOWN
+                given[i, ~known.reshape(-1)] = layout.UNKNOWN
                 self._make_fields()
             if once is not None and len(margins):
                 margins[i] = margin_of_atom(once, atom)[1].reshape(-1)
@@ -277,7 +280,7 @@ class PartEvaluator:
         at, control = 0, self._control
         while True:
             states, tables, out = self._states, self._tables, self._out
-            at = part_loop.take(
+            at = loop.take(
                 self._nodes, self._roots, self._kinds, given, margins, times, part, at,
                 int(is_new), states, states.view(np.float64), self._parts, self._cursors,
                 tables, tables.view(np.float64), self._scratch, control, out, out.view(np.float64),
@@ -290,16 +293,16 @@ class PartEvaluator:
     def _make_room(self, what: int, needed: int) -> None:
         """Make room for what the loop stopped for."""
         match what:
-            case part_loop.PLACES_WANTED:
+            case loop.PLACES_WANTED:
                 counts = self._parts[:, COUNT]
-                used = int(np.maximum(2 * counts, part_loop.FEWEST)[counts > 0].sum())
+                used = int(np.maximum(2 * counts, loop.FEWEST)[counts > 0].sum())
                 wide = _apart(used + used // 2 + needed)
                 states = np.empty((len(self._states), wide), np.int64)
-                self._control[USED] = part_loop.move(self._states, states, self._parts)
+                self._control[USED] = loop.move(self._states, states, self._parts)
                 self._states = states
-            case part_loop.ROWS_WANTED:
+            case loop.ROWS_WANTED:
                 self._make_rows(2 * needed)
-            case part_loop.ROOM_WANTED:
+            case loop.ROOM_WANTED:
                 more = np.empty((max(needed, len(self._out)), self._out.shape[1]), np.int64)
                 self._out = np.concatenate([self._out, more])
             case _:
@@ -321,7 +324,7 @@ class PartEvaluator:
         nodes = self._nodes.shape[1]
         tables = 3 * nodes + 2 if self._control[HAS_MARGINS] else nodes
         self._tables = np.empty((tables, _apart(rows)), np.int64)
-        self._scratch = np.empty((part_loop.SCRATCH, max(rows, nodes, 4)), np.int64)
+        self._scratch = np.empty((loop.SCRATCH, max(rows, nodes, 4)), np.int64)
 
     def _verdicts(self) -> Verdicts:
         """The verdicts since the last time."""
@@ -357,13 +360,13 @@ def _no_parts(count: int) -> NDArray[np.int64]:
 
 def _table(table: Any) -> Any:
     """The number of a table of a program among those of the loop, which has `SIDES` a node."""
-    return table // sliced_program.TABLES * SIDES + table % sliced_program.TABLES
+    return table // programs.TABLES * SIDES + table % programs.TABLES
 
 
 def _packed(program: Program) -> NDArray[np.int64]:
     """The nodes of a program, with the tables of the loop."""
     nodes = program.nodes.copy()
-    columns = slice(sliced_program.LEFT_T, sliced_program.RIGHT_F + 1)
+    columns = slice(programs.LEFT_T, programs.RIGHT_F + 1)
     nodes[:, columns] = _table(nodes[:, columns])
     return nodes
 
@@ -377,26 +380,26 @@ def _kinds(nodes: NDArray[np.int64]) -> list[int]:
     """What each node is, for the loop."""
     found: list[int] = []
     for node in nodes.tolist():
-        operation = node[sliced_program.OPERATION]
+        operation = node[programs.OPERATION]
         operands = {
-            sliced_program.OR: (sliced_program.LEFT_T, sliced_program.RIGHT_T),
-            sliced_program.ONCE: (sliced_program.LEFT_T,),
-            sliced_program.SPREAD: (sliced_program.LEFT_T,),
+            programs.OR: (programs.LEFT_T, programs.RIGHT_T),
+            programs.ONCE: (programs.LEFT_T,),
+            programs.SPREAD: (programs.LEFT_T,),
         }.get(operation, ())
-        is_over_states = all(found[node[each] // SIDES] & part_layout.OF_STATE for each in operands)
+        is_over_states = all(found[node[each] // SIDES] & layout.OF_STATE for each in operands)
         if operation in _OF_STATES and is_over_states:
-            found.append(part_layout.OF_STATE)
-        elif operation == sliced_program.ONCE and is_over_states:
-            has_end = node[sliced_program.END] != sliced_program.NO_END
-            found.append(0 if has_end else part_layout.REMEMBERED)
+            found.append(layout.OF_STATE)
+        elif operation == programs.ONCE and is_over_states:
+            has_end = node[programs.END] != programs.NO_END
+            found.append(0 if has_end else layout.REMEMBERED)
         else:
             found.append(0)
     return found
 
 
 _OF_STATES: Final = (
-    sliced_program.ATOM,
-    sliced_program.TRUTH,
-    sliced_program.OR,
-    sliced_program.SPREAD,
+    programs.ATOM,
+    programs.TRUTH,
+    programs.OR,
+    programs.SPREAD,
 )

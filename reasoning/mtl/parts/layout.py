@@ -1,10 +1,10 @@
-"""Where the loops over parts (`part_loop`) have what they know of states, parts and nodes."""
+"""Where the loops over parts (`loop`) have what they know of states, parts and nodes."""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-from .windows import NEVER
+from ..windows import NEVER
 
 HOLDS, UNKNOWN = 1, 2
 """What a state has for an atom, two bits."""

@@ -1,5 +1,5 @@
 """Verdicts of a formula over the states of parts, each by itself: a compiled loop over new states
-and the nodes of a program (`sliced_program`).
+and the nodes of a program (`programs`).
 
 ``nodes``    int64 (programs, nodes, fields): the program of one reading, and of both
 ``roots``    int64 (programs, 5): the tables of the whole formula: true and false in the lower
@@ -10,10 +10,10 @@ and the nodes of a program (`sliced_program`).
 ``margins``  float64 (atoms, n): with robustness, by how much each atom holds (`robustness`)
 ``times``    int64 (3, n): of each new state its valid time, its horizon, and when it left
 ``part``     int64 (n,): the part of each new state, in order
-``states``   int64 (fields, places): the states kept (`part_layout`); those of a part are one after
+``states``   int64 (fields, places): the states kept (`layout`); those of a part are one after
              the other. The fields of margins are floats
 ``parts``    int64 (parts, fields): where these are; ``cursors`` int32 (parts, nodes, `CURSORS`)
-``tables``   int64 (tables, rows): the events of each node (`part_progression`); with robustness
+``tables``   int64 (tables, rows): the events of each node (`progression`); with robustness
              then statuses, one a node, then margins, which are floats, one a node and two.
              ``scratch`` int64 (6, rows)
 ``control``  int64: numbers, at the places below
@@ -27,9 +27,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...streams.jit import Kernel
-from ...streams.time import TIME_MIN
-from .part_layout import (
+from ....streams.jit import Kernel
+from ....streams.time import TIME_MIN
+from ..programs import (
+    ATOM,
+    END,
+    LEFT_T,
+    ONCE,
+    OPERATION,
+    OR,
+    PREVIOUS,
+    RIGHT_T,
+    SINCE,
+    TRUTH,
+    UNTIL,
+)
+from ..time_searches import SEARCHES, back
+from ..windows import NEVER
+from .layout import (
     ATOMS,
     CURSORS,
     HORIZON,
@@ -47,24 +62,9 @@ from .part_layout import (
     when,
     words_of,
 )
-from .part_margins import MARGINS, TIED, decide_by_margins, fill_margins, margin_of
-from .part_progression import PROGRESSION, fill, progress
-from .part_witness import WITNESS, witness
-from .sliced_program import (
-    ATOM,
-    END,
-    LEFT_T,
-    ONCE,
-    OPERATION,
-    OR,
-    PREVIOUS,
-    RIGHT_T,
-    SINCE,
-    TRUTH,
-    UNTIL,
-)
-from .sliced_times import SEARCHES, back
-from .windows import NEVER
+from .margins import MARGINS, TIED, decide_by_margins, fill_margins, margin_of
+from .progression import PROGRESSION, fill, progress
+from .witness import WITNESS, witness
 
 # The fields of a part: its first state in ``states``, its states, the places that it has and the
 # first of them; how many states it had by now, how many of those kept are without a verdict, and

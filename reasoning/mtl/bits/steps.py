@@ -1,4 +1,4 @@
-"""A state through the nodes of a formula, operands first: compiled loops over `sliced_tables`."""
+"""A state through the nodes of a formula, operands first: compiled loops over `layout`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from .sliced_program import (
+from ..programs import (
     ATOM,
     BY_LEFT,
     DOMAIN,
@@ -34,8 +34,8 @@ from .sliced_program import (
     TRUTH,
     UNTIL,
 )
-from .sliced_tables import HOLDS, KNOWN, PRESENT, STEP
-from .sliced_times import SEARCHES, ahead, back, behind, is_later, is_near, is_over, reach
+from ..time_searches import SEARCHES, ahead, back, behind, is_later, is_near, is_over, reach
+from .layout import HOLDS, KNOWN, PRESENT, STEP
 
 MANY: Final = 2
 """More changed rows of an operand are taken together."""

@@ -1,0 +1,1 @@
+"""Verdicts over states that objects share: tables of bits, in compiled loops."""

@@ -1,0 +1,1 @@
+"""Verdicts over states of each object's own: progression, in compiled loops."""
