@@ -10,6 +10,7 @@ HOLDS, UNKNOWN = 1, 2
 """What a state has for an atom, two bits."""
 IN_A_WORD: Final = 31
 """The atoms in a word."""
+ANY_UNKNOWN: Final = sum(UNKNOWN << 2 * atom for atom in range(IN_A_WORD))
 
 # The fields of a state: its valid time, horizon, when it left, whether its verdict is out, and from
 # there on words of atoms; then what each node has there (`status`), or with robustness the margin

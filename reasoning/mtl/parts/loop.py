@@ -45,6 +45,7 @@ from ..programs import (
 from ..time_searches import SEARCHES, back
 from ..windows import NEVER
 from .layout import (
+    ANY_UNKNOWN,
     ATOMS,
     CURSORS,
     HORIZON,
@@ -96,8 +97,8 @@ FEW_VERDICTS: Final = 32
 
 
 def _report(
-    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any, count:
-    Any, base: Any, statuses: Any, rows: Any, events: Any, found: Any, parts: Any, scratch: Any,
+    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any, count: Any,
+    base: Any, statuses: Any, rows: Any, events: Any, found: Any, parts: Any, scratch: Any,
     control: Any, out: Any,
 ) -> None:  # fmt: skip
     """Write the verdicts of the events of the whole formula, in order of the deciding state, then
@@ -137,8 +138,8 @@ def _report(
 
 
 def _decided(
-    own: Any, roots: Any, lowers: Any, uppers: Any, event: Any, is_done: Any, rows: Any,
-    count: Any, parts: Any, control: Any,
+    own: Any, roots: Any, lowers: Any, uppers: Any, event: Any, is_done: Any, rows: Any, count: Any,
+    parts: Any, control: Any,
 ) -> Any:  # fmt: skip
     """Add a start that has its verdict just now, if that is reported; return how many there are."""
     row = row_of(event)
@@ -198,8 +199,8 @@ def _counted(own: Any, value: Any, parts: Any, control: Any) -> Any:
 
 
 def _write(
-    own: Any, row: Any, decided: Any, witness: Any, value: Any, valid: Any, left: Any, control:
-    Any, out: Any,
+    own: Any, row: Any, decided: Any, witness: Any, value: Any, valid: Any, left: Any, control: Any,
+    out: Any,
 ) -> None:  # fmt: skip
     at = control[EMITTED]
     control[EMITTED] += 1
@@ -209,8 +210,8 @@ def _write(
 
 
 def _report_margins(
-    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any, count:
-    Any, begin: Any, end: Any, base: Any, statuses: Any, margins: Any, parts: Any, scratch: Any,
+    own: Any, nodes: Any, roots: Any, valid: Any, horizon: Any, left: Any, is_done: Any, count: Any,
+    begin: Any, end: Any, base: Any, statuses: Any, margins: Any, parts: Any, scratch: Any,
     control: Any, out: Any, out_margins: Any,
 ) -> None:  # fmt: skip
     """Write the verdicts that `decide_by_margins` has found; that is in order of the deciding
@@ -244,7 +245,7 @@ def _report_margins(
 
 def _keep(
     nodes: Any, kinds: Any, part: Any, count: Any, statuses: Any, rows: Any, cursors: Any,
-    scratch: Any, states: Any, parts: Any,
+    scratch: Any, states: Any, words: Any, parts: Any,
 ) -> None:  # fmt: skip
     """Drop the states of a part that no verdict to come needs."""
     first = parts[part, FIRST]
@@ -287,43 +288,46 @@ def _keep(
                 begin -= 1
     if not begin:
         return
-    _move_cursors(nodes, keep, begin, is_kept, cursors)
+    _move_cursors(nodes, kinds, begin, cursors)
     parts[part, FIRST_OPEN] -= begin
-    parts[part, LAST_UNKNOWN] = _moved(parts[part, LAST_UNKNOWN], keep, begin, is_kept)
+    last_unknown = parts[part, LAST_UNKNOWN]
+    last_unknown = last_unknown - begin if last_unknown >= keep else -1
     to = keep
     for row in range(keep - 1, -1, -1):
         if is_kept[row]:
             to -= 1
             for field in range(len(states)):
                 states[field, first + to] = states[field, first + row]
+            if last_unknown < 0 and _has_unknown(states, first + to, words):
+                last_unknown = to - begin
+    parts[part, LAST_UNKNOWN] = last_unknown
     parts[part, COUNT] = count - begin
     parts[part, FIRST] += begin
 
 
-def _moved(row: Any, keep: Any, begin: Any, is_kept: Any) -> Any:
-    """Where a row is after ``begin`` rows have gone of those before ``keep``; the last one before
-    it that is left, if it has gone; or -1."""
-    if row >= keep:
-        return row - begin
-    place = -1
-    if begin == keep:
-        return place
-    for each in range(row + 1):
-        place += is_kept[each]
-    return place
+def _has_unknown(states: Any, place: Any, words: Any) -> Any:
+    """Whether a state has an unknown atom."""
+    found = 0
+    for field in range(ATOMS, ATOMS + words):
+        found |= states[field, place]
+    return found & ANY_UNKNOWN != 0
 
 
-def _move_cursors(nodes: Any, keep: Any, begin: Any, is_kept: Any, cursors: Any) -> None:
+def _move_cursors(nodes: Any, kinds: Any, begin: Any, cursors: Any) -> None:
+    """The first ``begin`` rows go."""
     for node in range(len(nodes)):
-        is_past = nodes[node, OPERATION] in (ONCE, SINCE)
         for cursor in range(CURSORS):
             row = cursors[node, cursor]
-            if row >= keep:
-                cursors[node, cursor] = row - begin
-            elif cursor >= LAST_TRUE or (is_past and cursor == LAST_POSSIBLE):
-                cursors[node, cursor] = _moved(row, keep, begin, is_kept)
-            else:
-                cursors[node, cursor] = _moved(row - 1, keep, begin, is_kept) + 1
+            # What a past without end has found stays before the others.
+            is_found = row >= 0 and kinds[node] & REMEMBERED
+            least = -1 if _is_last(nodes, node, cursor) and not is_found else 0
+            cursors[node, cursor] = max(row - begin, least)
+
+
+def _is_last(nodes: Any, node: Any, cursor: Any) -> Any:
+    """Whether a cursor is the last row of a kind, or -1."""
+    is_past = nodes[node, OPERATION] in (ONCE, SINCE)
+    return cursor >= LAST_TRUE or (is_past and cursor == LAST_POSSIBLE)
 
 
 def _add(
@@ -393,15 +397,13 @@ def _has_places(own: Any, count: Any, states: Any, parts: Any, control: Any) -> 
 def _begin(nodes: Any, cursors: Any) -> None:
     """Put the cursors of a part before its first state."""
     for node in range(len(nodes)):
-        is_past = nodes[node, OPERATION] in (ONCE, SINCE)
         for cursor in range(CURSORS):
-            is_last = cursor >= LAST_TRUE or (is_past and cursor == LAST_POSSIBLE)
-            cursors[node, cursor] = -1 if is_last else 0
+            cursors[node, cursor] = -1 if _is_last(nodes, node, cursor) else 0
 
 
 def _parts_loop(
-    nodes: Any, roots: Any, kinds: Any, given: Any, margins: Any, times: Any, part: Any, begin:
-    Any, is_new: Any, states: Any, state_margins: Any, parts: Any, cursors: Any, tables: Any,
+    nodes: Any, roots: Any, kinds: Any, given: Any, margins: Any, times: Any, part: Any, begin: Any,
+    is_new: Any, states: Any, state_margins: Any, parts: Any, cursors: Any, tables: Any,
     table_margins: Any, scratch: Any, control: Any, out: Any, out_margins: Any,
 ) -> Any:  # fmt: skip
     """Take states from ``begin`` on; or, without ``is_new``, the horizon of the last state of each
@@ -490,7 +492,9 @@ def _parts_loop(
                 own, used, root, valid, horizon, left, is_done, count, base, statuses, rows,
                 tables, found, parts, scratch, control, out,
             )  # fmt: skip
-        _keep(used, own_kinds, own, count, statuses, rows, own_cursors, scratch, states, parts)
+        _keep(
+            used, own_kinds, own, count, statuses, rows, own_cursors, scratch, states, words, parts
+        )
         at = end
     return at
 
@@ -536,7 +540,7 @@ def _move_signature() -> Any:
 _CALLED: Final = (
     *SEARCHES, *PROGRESSION, *WITNESS, *MARGINS, words_of,
     _decided, _sort, _value, _counted, _write, _report,
-    _report_margins, _moved, _move_cursors, _keep, _add, _stop, _has_places, _begin,
+    _report_margins, _has_unknown, _move_cursors, _is_last, _keep, _add, _stop, _has_places, _begin,
 )  # fmt: skip
 _parts = Kernel(_parts_loop, _parts_signature, allocates=False, calls=_CALLED)
 _move = Kernel(_move_loop, _move_signature, allocates=False)

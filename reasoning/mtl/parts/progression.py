@@ -67,8 +67,8 @@ from .layout import (
 
 
 def fill(
-    nodes: Any, kinds: Any, atoms: Any, statuses: Any, rows: Any, begin: Any, stop: Any, base:
-    Any, events: Any, found: Any,
+    nodes: Any, kinds: Any, atoms: Any, statuses: Any, rows: Any, begin: Any, stop: Any, base: Any,
+    events: Any, found: Any,
 ) -> None:  # fmt: skip
     """Begin new rows: what nodes `OF_STATE` have there, and that the others wait."""
     for node in range(len(nodes)):
@@ -219,8 +219,8 @@ def _lowest(mine: Any, row: Any, low: Any) -> Any:
 
 
 def _eventually(
-    nodes: Any, node: Any, valid: Any, horizon: Any, mine: Any, operand: Any, begin: Any, stop:
-    Any, base: Any, own: Any, events: Any, found: Any,
+    nodes: Any, node: Any, valid: Any, horizon: Any, mine: Any, operand: Any, begin: Any, stop: Any,
+    base: Any, own: Any, events: Any, found: Any,
 ) -> None:  # fmt: skip
     true, false = nodes[node, LEFT_T], nodes[node, LEFT_F]
     start, end = nodes[node, START], nodes[node, END]
@@ -311,8 +311,8 @@ def _close(
 
 
 def _until(
-    nodes: Any, node: Any, valid: Any, horizon: Any, mine: Any, lefts: Any, rights: Any, begin:
-    Any, stop: Any, base: Any, own: Any, events: Any, found: Any,
+    nodes: Any, node: Any, valid: Any, horizon: Any, mine: Any, lefts: Any, rights: Any, begin: Any,
+    stop: Any, base: Any, own: Any, events: Any, found: Any,
 ) -> None:  # fmt: skip
     start, end = nodes[node, START], nodes[node, END]
     left, left_false = nodes[node, LEFT_T], nodes[node, LEFT_F]
@@ -441,8 +441,8 @@ def _right_fails(
 
 
 def _past(
-    nodes: Any, node: Any, valid: Any, mine: Any, lefts: Any, rights: Any, begin: Any, stop:
-    Any, is_new: Any, base: Any, own: Any, events: Any, found: Any,
+    nodes: Any, node: Any, valid: Any, mine: Any, lefts: Any, rights: Any, begin: Any, stop: Any,
+    is_new: Any, base: Any, own: Any, events: Any, found: Any,
 ) -> None:  # fmt: skip
     has_left = nodes[node, OPERATION] == SINCE
     left, left_false = nodes[node, LEFT_T], nodes[node, LEFT_F]
@@ -574,8 +574,7 @@ def _late_since(
             if holds and is_by(rights, nodes[node, RIGHT_T], at, now):
                 _decide(mine, node, row, now, 0, events, found)
                 return
-            if not (has_failed or is_by(rights, nodes[node, RIGHT_F], at, now)):
-                is_possible = True
+            is_possible = is_possible or not is_by(rights, nodes[node, RIGHT_F], at, now)
         holds = holds and is_by(lefts, nodes[node, LEFT_T], at, now)
         has_failed = has_failed or is_by(lefts, nodes[node, LEFT_F], at, now)
         at -= 1

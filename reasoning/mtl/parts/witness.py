@@ -26,8 +26,8 @@ from .layout import SIDES, moment_of
 
 
 def witness(
-    nodes: Any, table: Any, row: Any, valid: Any, horizon: Any, count: Any, base: Any, statuses:
-    Any, rows: Any, moments: Any, hint: Any,
+    nodes: Any, table: Any, row: Any, valid: Any, horizon: Any, count: Any, base: Any,
+    statuses: Any, rows: Any, moments: Any, hint: Any,
 ) -> Any:  # fmt: skip
     """The row of the witness of what a table has at a row, or -1.
 
@@ -88,9 +88,8 @@ def _of_until(
 
 
 def _first_by(
-    nodes: Any, node: Any, row: Any, valid: Any, count: Any, statuses: Any, rows: Any, hint:
-    Any,
-) -> Any:  # fmt: skip
+    nodes: Any, node: Any, row: Any, valid: Any, count: Any, statuses: Any, rows: Any, hint: Any
+) -> Any:
     """The first row in an interval at which the operand is known to hold when the node is, or
     -1."""
     operand = nodes[node, LEFT_T]

@@ -395,26 +395,26 @@ def test_objects_of_a_stream_that_has_ended_are_gone() -> None:
             "eventually [0s, 4s] dyknow:altitude(?x) < 9 [ft] and once [1s, 3s] "
             "dyknow:altitude(?x) < 9 [ft]",
             "at most 4s after the time of the start; ",
-            "the states of 7s, about 40 bytes of each for an object",
+            "the states of 7s, about 120 bytes of each for an object",
         ),
         (
             "historically altitude(?x) < 9",
             "historically dyknow:altitude(?x) < 9 [ft]",
             "with the state of its start; ",
-            "one state and 2 of the past without an end, about 40 bytes of each for an object",
+            "one state and 2 of the past without an end, about 72 bytes of each for an object",
         ),
         (
             "true since altitude(?x) < 9",
             "true since dyknow:altitude(?x) < 9 [ft]",
             "with the state of its start; ",
-            "all states from the first on, about 40 bytes of each for an object; "
+            "all states from the first on, about 104 bytes of each for an object; "
             "the monitor fails with more than 1,000,000",
         ),
         (
             "eventually altitude(?x) < 9 with once",
             "eventually dyknow:altitude(?x) < 9 [ft]",
             "an interval has no end, so some verdicts wait for the end of the streams; ",
-            "all states since the oldest start without a verdict, about 40 bytes of each for an "
+            "all states since the oldest start without a verdict, about 72 bytes of each for an "
             "object; the monitor fails with more than 1,000,000",
         ),
     ],
