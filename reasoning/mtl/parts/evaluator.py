@@ -114,7 +114,7 @@ class PartEvaluator:
     decides, not the states kept; but a start of `since` that waits for later states looks at its
     interval again with each of them, and with robustness a part with new states evaluates all it
     has. `advance` looks at all parts. Memory: `bytes_of_state` a state kept, at most four times,
-    104 bytes a part and 24 for each node of the program of both readings. Kept are the states that
+    104 bytes a part and 48 for each node of the program of both readings. Kept are the states that
     `MonitorEvaluator` keeps.
     """
 
@@ -138,7 +138,7 @@ class PartEvaluator:
             # The margin of a past without an end is that of all its states.
             self._kinds &= ~layout.REMEMBERED
         self._parts = _no_parts(1)
-        self._cursors = np.zeros((1, count, CURSORS), np.int32)
+        self._cursors = np.zeros((1, count, CURSORS), np.int64)
         # The program of both readings, with more nodes, is needed from the first unknown atom on.
         fields = _fields(monitor, len(self._atoms), len(both[0].nodes))
         self._states = np.zeros((fields, SMALLEST), np.int64)
@@ -199,7 +199,7 @@ class PartEvaluator:
         if more > 0:
             more = max(16, more, len(self._parts))
             self._parts = np.concatenate([self._parts, _no_parts(more)])
-            cursors = np.zeros((more, *self._cursors.shape[1:]), np.int32)
+            cursors = np.zeros((more, *self._cursors.shape[1:]), np.int64)
             self._cursors = np.concatenate([self._cursors, cursors])
 
     def set_values(self, part: int, values: Constants) -> None:

@@ -12,7 +12,7 @@ and the nodes of a program (`programs`).
 ``part``     int64 (n,): the part of each new state, in order
 ``states``   int64 (fields, places): the states kept (`layout`); those of a part are one after
              the other. The fields of margins are floats
-``parts``    int64 (parts, fields): where these are; ``cursors`` int32 (parts, nodes, `CURSORS`)
+``parts``    int64 (parts, fields): where these are; ``cursors`` int64 (parts, nodes, `CURSORS`)
 ``tables``   int64 (tables, rows): the events of each node (`progression`); with robustness
              then statuses, one a node, then margins, which are floats, one a node and two.
              ``scratch`` int64 (6, rows)
@@ -527,7 +527,7 @@ def _parts_signature() -> Any:
     number, floats = types.int64, types.float64[:, ::1]
     return number(
         types.int64[:, :, ::1], table, table, types.uint8[:, ::1], floats, table, row, number,
-        number, table, floats, table, types.int32[:, :, ::1], table, floats, table, row, table,
+        number, table, floats, table, types.int64[:, :, ::1], table, floats, table, row, table,
         floats,
     )  # fmt: skip
 

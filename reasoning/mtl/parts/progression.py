@@ -10,7 +10,7 @@ state costs what it decides, and some steps a node: not the states kept.
               the columns of a node and its operands
 ``events``    int64 (nodes, rows): what each node has decided (`layout.event_of`), in order of
               the moment; ``found`` int64 (nodes,): their number
-``cursors``   int32 (nodes, `CURSORS`): what a node knows of its rows
+``cursors``   int64 (nodes, `CURSORS`): what a node knows of its rows
 ``begin``, ``stop``, ``is_new``: the new rows; without ``is_new`` one whose horizon has changed
 ``base``      the number of the first row among all states of the part; a row's is its moment
 """
@@ -225,7 +225,7 @@ def _eventually(
     true, false = nodes[node, LEFT_T], nodes[node, LEFT_F]
     start, end = nodes[node, START], nodes[node, END]
     changed, event = true >> 1, 0
-    low, closed, next = int(own[LOW]), int(own[CLOSED]), int(own[NEXT])
+    low, closed, next = own[LOW], own[CLOSED], own[NEXT]
     for row in range(begin, stop):
         now = base + row
         until = _next_events(changed, now, event, events, found)
@@ -319,7 +319,7 @@ def _until(
     right, right_false = nodes[node, RIGHT_T], nodes[node, RIGHT_F]
     left_changed, right_changed = left >> 1, right >> 1
     event, other = 0, 0
-    low, closed, next = int(own[LOW]), int(own[CLOSED]), int(own[NEXT])
+    low, closed, next = own[LOW], own[CLOSED], own[NEXT]
     for row in range(begin, stop):
         now = base + row
         until = _next_events(left_changed, now, event, events, found)
@@ -498,7 +498,7 @@ def _new_past(
     own: Any, has_left: Any, right: Any, right_false: Any, events: Any, found: Any,
 ) -> None:  # fmt: skip
     """Decide a new start, if its past does."""
-    start, end, last = nodes[node, START], nodes[node, END], int(own[INTERVAL_END])
+    start, end, last = nodes[node, START], nodes[node, END], own[INTERVAL_END]
     while last <= row and is_later(valid, last, row, start):
         if is_by(rights, right, last, now):
             own[LAST_TRUE] = last

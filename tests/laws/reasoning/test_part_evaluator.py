@@ -268,6 +268,12 @@ def test_nested_operators_of_time(block: int) -> None:
     assert sum(Comparison(each, 100, depth, 0.1, NestedDrawing).play() for each in seeds) > 2_000
 
 
+def test_rows_that_one_state_decides_come_in_any_order() -> None:
+    """One in a thousand such formulas shows it: these."""
+    seeds = (214, 1_510, 1_601)
+    assert sum(Comparison(each, 40, 3, 0.1, NestedDrawing).play() for each in seeds) > 100
+
+
 @pytest.mark.parametrize("block", range(4))
 def test_long_past(block: int) -> None:
     """Of a past without end some states are remembered."""
