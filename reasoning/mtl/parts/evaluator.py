@@ -113,7 +113,7 @@ class PartEvaluator:
     Cost: one call of a compiled loop. A new state costs some steps for each node and what it
     decides, not the states kept; but a start of `since` that waits for later states looks at its
     interval again with each of them, and with robustness a part with new states evaluates all it
-    has. `advance` looks at all parts. Memory: `bytes_of_state` a state kept, at most four times,
+    has. `advance` looks at all parts. Memory: `bytes_of_state` a state kept, at most six times,
     104 bytes a part and 48 for each node of the program of both readings. Kept are the states that
     `MonitorEvaluator` keeps.
     """

@@ -380,7 +380,7 @@ def _has_places(own: Any, count: Any, states: Any, parts: Any, control: Any) -> 
     to = place
     if count > parts[own, PLACES] or kept > first - place:
         # It needs other ones; otherwise those that have become free before it.
-        places = max(FEWEST, 2 * count)
+        places = max(FEWEST, 3 * count)
         to = control[USED]
         if to + places > states.shape[1]:
             _stop(control, PLACES_WANTED, places)
