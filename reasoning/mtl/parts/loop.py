@@ -372,6 +372,19 @@ def _stop(control: Any, what: Any, needed: Any) -> None:
     control[STOPPED_FOR], control[NEEDED] = what, needed
 
 
+def _has_room(
+    own: Any, count: Any, states: Any, parts: Any, tables: Any, control: Any, out: Any
+) -> Any:
+    """Whether there is room to evaluate so many states of a part."""
+    if count > tables.shape[1]:
+        _stop(control, ROWS_WANTED, count)
+        return False
+    if control[EMITTED] + count > len(out):
+        _stop(control, ROOM_WANTED, count)
+        return False
+    return _has_places(own, count, states, parts, control)
+
+
 def _has_places(own: Any, count: Any, states: Any, parts: Any, control: Any) -> Any:
     """Let a part have places for so many states behind each other; whether there are any."""
     kept, first, place = parts[own, COUNT], parts[own, FIRST], parts[own, PLACE]
@@ -425,13 +438,7 @@ def _parts_loop(
                 end += 1
         more = end - at if is_new else 0
         count = kept + more
-        if count > tables.shape[1]:
-            _stop(control, ROWS_WANTED, count)
-            return at
-        if control[EMITTED] + count > len(out):
-            _stop(control, ROOM_WANTED, count)
-            return at
-        if not _has_places(own, count, states, parts, control):
+        if not _has_room(own, count, states, parts, tables, control, out):
             return at
         first = parts[own, FIRST]
         if not kept:
@@ -538,9 +545,9 @@ def _move_signature() -> Any:
 
 
 _CALLED: Final = (
-    *SEARCHES, *PROGRESSION, *WITNESS, *MARGINS, words_of,
-    _decided, _sort, _value, _counted, _write, _report,
-    _report_margins, _has_unknown, _move_cursors, _is_last, _keep, _add, _stop, _has_places, _begin,
+    *SEARCHES, *PROGRESSION, *WITNESS, *MARGINS, words_of, _decided, _sort, _value, _counted,
+    _write, _report, _report_margins, _has_unknown, _move_cursors, _is_last, _keep, _add, _stop,
+    _has_places, _has_room, _begin,
 )  # fmt: skip
 _parts = Kernel(_parts_loop, _parts_signature, allocates=False, calls=_CALLED)
 _move = Kernel(_move_loop, _move_signature, allocates=False)

@@ -583,9 +583,8 @@ def _late_since(
 
 
 PROGRESSION: Final = (
-    event_of, row_of, when, makes, status, is_by,
-    is_decided_by, _decide, _next_events, _either, _same, _previous, _lowest,
-    _eventually, _close, _until, _left_fails, _left_holds, _right_fails, _past, _new_past,
-    _late_once, _late_since, fill, progress,
+    event_of, row_of, when, makes, status, is_by, is_decided_by, _decide, _next_events, _either,
+    _same, _previous, _lowest, _eventually, _close, _until, _left_fails, _left_holds, _right_fails,
+    _past, _new_past, _late_once, _late_since, fill, progress,
 )  # fmt: skip
 """For `Kernel`, which compiles them into the loop that calls `fill` and `progress`."""
