@@ -221,55 +221,26 @@ def _least_wide_loop(
                 span *= 2
 
 
-def until_in_column(
-    true_left: Any, a: Any, false_left: Any, b: Any, true_right: Any, c: Any, false_right: Any,
-    d: Any, rows: Any, first: Any, last: Any, closed: Any, out_true: Any, to_true: Any,
-    out_false: Any, to_false: Any,
-) -> None:  # fmt: skip
-    for start in range(rows):
-        # When left is known to hold at all states before; when right is known to be false at all
-        # states of the interval before.
-        holds, ruled_out = -1, start
-        true, false = 2**62, 2**62
-        for state in range(start, last[start]):
-            if state >= first[start]:
-                true = min(true, max(true_right[state, c], holds))
-                ruled_out = max(ruled_out, false_right[state, d])
-            # If left fails here, no later state counts, seen or not.
-            false = min(false, max(ruled_out, false_left[state, b]))
-            holds = max(holds, true_left[state, a])
-        out_true[start, to_true] = true
-        out_false[start, to_false] = min(false, max(ruled_out, closed[start]))
-
-
 def _until_loop(
     true_left: Any, false_left: Any, true_right: Any, false_right: Any, first: Any, last: Any,
     closed: Any, out_true: Any, out_false: Any,
 ) -> None:  # fmt: skip
     rows, columns = true_left.shape
     for i in range(columns):
-        until_in_column(
-            true_left, i, false_left, i, true_right, i, false_right, i, rows, first, last, closed,
-            out_true, i, out_false, i,
-        )  # fmt: skip
-
-
-def since_in_column(
-    true_left: Any, a: Any, false_left: Any, b: Any, true_right: Any, c: Any, false_right: Any,
-    d: Any, rows: Any, first: Any, last: Any, out_true: Any, to_true: Any, out_false: Any,
-    to_false: Any,
-) -> None:  # fmt: skip
-    for start in range(rows):
-        holds, broken = -1, 2**62
-        true, false = 2**62, start
-        for state in range(start, first[start] - 1, -1):
-            if state < last[start]:
-                true = min(true, max(max(true_right[state, c], holds), start))
-                false = max(false, min(false_right[state, d], broken))
-            holds = max(holds, true_left[state, a])
-            broken = min(broken, false_left[state, b])
-        out_true[start, to_true] = true
-        out_false[start, to_false] = false
+        for start in range(rows):
+            # When left is known to hold at all states before; when right is known to be false at
+            # all states of the interval before.
+            holds, ruled_out = -1, start
+            true, false = 2**62, 2**62
+            for state in range(start, last[start]):
+                if state >= first[start]:
+                    true = min(true, max(true_right[state, i], holds))
+                    ruled_out = max(ruled_out, false_right[state, i])
+                # If left fails here, no later state counts, seen or not.
+                false = min(false, max(ruled_out, false_left[state, i]))
+                holds = max(holds, true_left[state, i])
+            out_true[start, i] = true
+            out_false[start, i] = min(false, max(ruled_out, closed[start]))
 
 
 def _since_loop(
@@ -278,10 +249,17 @@ def _since_loop(
 ) -> None:  # fmt: skip
     rows, columns = true_left.shape
     for i in range(columns):
-        since_in_column(
-            true_left, i, false_left, i, true_right, i, false_right, i, rows, first, last, out_true,
-            i, out_false, i,
-        )  # fmt: skip
+        for start in range(rows):
+            holds, broken = -1, 2**62
+            true, false = 2**62, start
+            for state in range(start, first[start] - 1, -1):
+                if state < last[start]:
+                    true = min(true, max(max(true_right[state, i], holds), start))
+                    false = max(false, min(false_right[state, i], broken))
+                holds = max(holds, true_left[state, i])
+                broken = min(broken, false_left[state, i])
+            out_true[start, i] = true
+            out_false[start, i] = false
 
 
 def until_of_margins_in_column(
@@ -449,15 +427,14 @@ def _deciding_signature() -> Any:
 
 
 _COLUMNS: Final = (
-    least_in_queue, until_in_column, since_in_column, until_of_margins_in_column,
-    since_of_margins_in_column, deciding_state,
+    least_in_queue, until_of_margins_in_column, since_of_margins_in_column, deciding_state,
 )  # fmt: skip
 _least_queue = Kernel(_least_queue_loop, _least_signature, calls=_COLUMNS)
 _least_queue_of_margins = Kernel(_least_queue_loop, _least_of_margins_signature, calls=_COLUMNS)
 _least_wide = Kernel(_least_wide_loop, _least_wide_signature)
 _least_wide_of_margins = Kernel(_least_wide_loop, _least_wide_of_margins_signature)
-_until = Kernel(_until_loop, _until_signature, calls=_COLUMNS)
-_since = Kernel(_since_loop, _since_signature, calls=_COLUMNS)
+_until = Kernel(_until_loop, _until_signature)
+_since = Kernel(_since_loop, _since_signature)
 _until_of_margins = Kernel(_until_of_margins_loop, _margins_signature, calls=_COLUMNS)
 _since_of_margins = Kernel(_since_of_margins_loop, _margins_signature, calls=_COLUMNS)
 _first_by = Kernel(_first_by_loop, _first_by_signature)

@@ -105,8 +105,7 @@ def _report(
     of the start."""
     new_rows, lower, upper = scratch[DECIDED], roots[0] >> 1, roots[2] >> 1
     count_lower, count_upper = found[lower], found[upper] if upper != lower else 0
-    lowers = statuses[roots[0] >> 1, rows]
-    uppers = statuses[roots[2] >> 1, rows]
+    lowers, uppers = statuses[lower, rows], statuses[upper, rows]
     event = other = 0
     while event < count_lower or other < count_upper:
         one = events[lower, event] if event < count_lower else NEVER

@@ -34,11 +34,7 @@ from ..windows import (
     since_of_margins_in_column,
     until_of_margins_in_column,
 )
-from .layout import (
-    IN_A_WORD,
-    SIDES,
-    UNKNOWN,
-)
+from .layout import IN_A_WORD, SIDES, UNKNOWN
 
 TIED: Final = 2
 """In place of a value: a margin of 0 does not tell `>` from `>=`."""

@@ -38,9 +38,9 @@ MUTANTS = (
     # Nothing is known of a start before it.
     ("mtl/nodes.py", "np.maximum(true, self.at[:, None], out=true)", "pass", PROGRESSION),
     # A left part that fails makes `until` false at once.
-    ("mtl/windows.py", "false = min(false, max(ruled_out, false_left[state, b]))", "pass", PROGRESSION),
+    ("mtl/windows.py", "false = min(false, max(ruled_out, false_left[state, i]))", "pass", PROGRESSION),
     # `since` looks back from its own state.
-    ("mtl/windows.py", "broken = min(broken, false_left[state, b])", "broken = false_left[state, b]", PROGRESSION),
+    ("mtl/windows.py", "broken = min(broken, false_left[state, i])", "broken = false_left[state, i]", PROGRESSION),
     # The queue drops what has left the interval.
     ("mtl/windows.py", "queue[head] < first[start]:", "queue[head] <= first[start]:", PROGRESSION),
     # Unknown needs both readings.
