@@ -30,7 +30,7 @@ FEW: Final = 256
 PATIENCE = 0.1
 """Seconds that loops may take in plain Python, all together, before they are compiled."""
 NOTICEABLE = 2.0
-"""Seconds of compiling after which it is told."""
+"""Seconds of compiling after which a notice says so."""
 
 
 class _Notice:

@@ -13,7 +13,7 @@ from sweeping import WAYS, at_every_chance
 
 from dyknow.streams import jit
 
-# Tests are of compiled loops, however little they have to do; that they are compiled is not told.
+# Tests are of compiled loops, however little they have to do; no test sees the notice of compiling.
 jit.PATIENCE = 0.0
 jit.NOTICEABLE = 86_400.0
 
