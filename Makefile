@@ -57,7 +57,7 @@ soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand 
 
 # All that a pattern is: each language against its meaning, each evaluator against its definition (rows in order and in any
 # order, optional parts, repetition, over many spans of a match), partial matches, and samples of several streams.
-PATTERN_LAWS := $(patsubst %,tests/laws/reasoning/test_%.py,chronicle epsparql sase pattern_joins pattern_repetition pattern_runs pattern_trends partial_matches recognition)
+PATTERN_LAWS := $(patsubst %,tests/laws/reasoning/patterns/test_%.py,chronicle epsparql sase pattern_joins pattern_repetition pattern_runs pattern_trends partial_matches recognition)
 soak-patterns: $(VENV)/installed-dev ## 230,000 random patterns against their definitions: 20 times the examples of their laws
 	$(PYTEST) $(PATTERN_LAWS) --share=20 --hypothesis-profile=default
 

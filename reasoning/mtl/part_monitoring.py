@@ -23,9 +23,9 @@ class PartMonitoring(Monitoring):
     """The verdicts of a formula of each object by itself; an object is a part, by its number. Parts
     may differ in the values of the formula's parameters.
 
-    Law (tests/laws/reasoning/test_part_monitoring.py): the verdicts of a part, and when they are
-    available, are those of `Monitoring` over its own samples. Cost: that of one `Monitoring` over
-    all samples. In `Reported` the numbers of parts stand for objects.
+    Law (tests/laws/reasoning/mtl/test_part_monitoring.py): the verdicts of a part, and when they
+    are available, are those of `Monitoring` over its own samples. Cost: that of one `Monitoring`
+    over all samples. In `Reported` the numbers of parts stand for objects.
 
     Contract: the formula is of one object (`is_of_one_object`), and no monitor of a single start on
     a grid.

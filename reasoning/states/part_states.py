@@ -53,8 +53,8 @@ class PartStates:
     """Makes the states of ``terms`` of one object each, under a policy. An object is a part, by its
     number.
 
-    Law (tests/laws/reasoning/test_part_monitoring.py, test_monitoring.py): the states of a part are
-    those that `StateMaker` makes of its own samples. Cost and memory: see `PartSamples`; of the
+    Law (tests/laws/reasoning/mtl/test_part_monitoring.py, test_monitoring.py): the states of a part
+    are those that `StateMaker` makes of its own samples. Cost and memory: see `PartSamples`; of the
     samples of a part one is kept, and those valid later than its last state.
     """
 

@@ -108,7 +108,8 @@ class PartEvaluator:
     """Verdicts of a monitor over the states of parts. Contract: they are about one
     object (`formulas.is_of_one_object`).
 
-    Law (tests/laws/reasoning/test_part_evaluator.py): those of `MonitorEvaluator` for each part.
+    Law (tests/laws/reasoning/mtl/test_part_evaluator.py): those of `MonitorEvaluator` for each
+    part.
 
     Cost: one call of a compiled loop. A new state costs some steps for each node and what it
     decides, not the states kept; but a start of `since` that waits for later states looks at its

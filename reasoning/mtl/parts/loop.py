@@ -19,6 +19,8 @@ and the nodes of a program (`programs`).
 ``control``  int64: numbers, at the places below
 ``out``      int64 (n, 7): verdicts: the part, the valid times of the start, of the deciding state
              and of the witness, when the deciding state left, the value, and the margin, a float
+
+The file is long because compiled code calls compiled code only: all steps of the loop stand here.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ state costs what it decides, and some steps a node: not the states kept.
 ``cursors``   int64 (nodes, `CURSORS`): what a node knows of its rows
 ``begin``, ``stop``, ``is_new``: the new rows; without ``is_new`` one whose horizon has changed
 ``base``      the number of the first row among all states of the part; a row's is its moment
+
+The file is long because each operator, of the future and of the past, has a function of its own.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ class AllRows(Evaluator):
     probes. ``part``: a column of keys that numbers the part of a row; see `Store`. `PartRows` sets
     their times.
 
-    Law (tests/laws/reasoning/test_pattern_joins.py): the matches are those of the definition, each
-    once, in the order of `Evaluator`, however the rows are cut into batches.
+    Law (tests/laws/reasoning/patterns/test_pattern_joins.py): the matches are those of the
+    definition, each once, in the order of `Evaluator`, however the rows are cut into batches.
 
     Cost: O(log) a look-up, and O(1) for each row looked at and match; the plan decides how many.
 

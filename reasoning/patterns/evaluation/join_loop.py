@@ -6,6 +6,8 @@ rows in it. Where nothing is left to ask, all rows of the window are matches.
 
 The loop stops before a row when an array is full and continues there when it is called again: of a
 row either all matches are made or none.
+
+The file is long because the loop is one function: calls would cost time in its inner part.
 """
 
 from __future__ import annotations

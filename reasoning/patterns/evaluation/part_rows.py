@@ -24,7 +24,7 @@ class InParts(Evaluator):
     A subclass has an argument ``part``: the column of keys that numbers the part of a row.
     Contract: all elements and probes of the plan have it equal.
 
-    Law (tests/laws/reasoning/test_pattern_parts.py): the matches of a part are those of an
+    Law (tests/laws/reasoning/patterns/test_pattern_parts.py): the matches of a part are those of an
     evaluation of its own over its rows and watermarks, in the same order. The limits are those of
     all parts together, except of those for one row or key.
 

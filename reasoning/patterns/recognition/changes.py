@@ -42,11 +42,11 @@ class Changes:
     it is left out, counted, and the value before of no other row. The first row of some objects
     has no value before.
 
-    Law (tests/laws/reasoning/test_changes.py): the values before are those of the definition,
-    however the rows are cut into batches. Cost: a look-up a row, O(1): some 20 ns in batches of
-    1,000, and 5 µs for a row alone. Memory: an entry of ``2 + objects`` words for each combination
-    of objects, 2 to 4 times; at most ``most_keys`` entries. Rows of further objects have no value
-    before, and are counted. ``state`` and ``restore`` serve checkpoints.
+    Law (tests/laws/reasoning/patterns/test_changes.py): the values before are those of the
+    definition, however the rows are cut into batches. Cost: a look-up a row, O(1): some 20 ns in
+    batches of 1,000, and 5 µs for a row alone. Memory: an entry of ``2 + objects`` words for each
+    combination of objects, 2 to 4 times; at most ``most_keys`` entries. Rows of further objects
+    have no value before, and are counted. ``state`` and ``restore`` serve checkpoints.
     """
 
     def __init__(

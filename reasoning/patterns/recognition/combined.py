@@ -49,9 +49,9 @@ row of each, and their results and values, by output."""
 class CombinedRows:
     """The results of several plans over the same rows; the face of `AllRows`.
 
-    Law (tests/laws/reasoning/test_epsparql.py): the results are those of the definition, each once,
-    in order of (time of decision, last row, plan), however the rows are cut into batches. So a
-    result that waited comes before those of the row that decides it.
+    Law (tests/laws/reasoning/patterns/test_epsparql.py): the results are those of the definition,
+    each once, in order of (time of decision, last row, plan), however the rows are cut into
+    batches. So a result that waited comes before those of the row that decides it.
 
     Without absences the rows may come in any order, as in `AllRows`. ``static`` answers the static
     joins of the branches, as of the time when a result is decided.

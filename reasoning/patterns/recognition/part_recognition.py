@@ -26,9 +26,9 @@ Parts: TypeAlias = NDArray[np.int64]
 class PartRecognition(Recognition):
     """The matches of a pattern of each object by itself; an object is a part, by its number.
 
-    Law (tests/laws/reasoning/test_part_recognition.py): the results of a part, and when they are
-    available, are those of `Recognition` over its own samples. The limits are those of all parts
-    together. Cost: that of one `Recognition` over all samples.
+    Law (tests/laws/reasoning/patterns/test_part_recognition.py): the results of a part, and when
+    they are available, are those of `Recognition` over its own samples. The limits are those of all
+    parts together. Cost: that of one `Recognition` over all samples.
     """
 
     evaluator: InParts

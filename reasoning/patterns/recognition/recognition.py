@@ -56,8 +56,9 @@ class Recognition:
     available with the last of its rows. A row behind what has been reached is late in both: it is
     counted, and left out. ``keeps_places``: `places` may be asked for.
 
-    Law (tests/laws/reasoning/test_recognition.py): results and their available times do not depend
-    on batch cuts, nor on the order in which the streams deliver. Cost: a sort of the new rows.
+    Law (tests/laws/reasoning/patterns/test_recognition.py): results and their available times do
+    not depend on batch cuts, nor on the order in which the streams deliver. Cost: a sort of the new
+    rows.
     """
 
     def __init__(

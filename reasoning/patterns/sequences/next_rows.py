@@ -29,8 +29,8 @@ class NextRows(Sequences):
     of its rows makes a match. Probes are asked of matches, and do not change what a run takes. When
     a condition is tested, `run_packing` says.
 
-    Law (tests/laws/reasoning/test_pattern_runs.py): the matches are those of the definition, each
-    once, in the order of `Sequences`, however the rows are cut into batches.
+    Law (tests/laws/reasoning/patterns/test_pattern_runs.py): the matches are those of the
+    definition, each once, in the order of `Sequences`, however the rows are cut into batches.
 
     Cost: O(1) for each run of the row's keys in a state that the row may move; a run moves once a
     row.

@@ -26,8 +26,8 @@ class RepeatedRows(Sequences):
     also ends after a number of rows looked at (`search_loop.SEARCHED`) for each match allowed. Rows
     that are cut short are counted.
 
-    Law (tests/laws/reasoning/test_pattern_repetition.py): the matches are those of the definition,
-    each once, in the order of `Sequences`; with a limit, some of them.
+    Law (tests/laws/reasoning/patterns/test_pattern_repetition.py): the matches are those of the
+    definition, each once, in the order of `Sequences`; with a limit, some of them.
 
     Cost: O(1) for each row looked at and its conditions. Memory: also a record for each row of one
     match.

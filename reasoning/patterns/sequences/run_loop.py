@@ -9,6 +9,8 @@ again: before that, the row has changed no run.
 
 Functions pass arrays on in tuples: ``plan`` (`run_packing`), ``tests`` (what `conditions.holds`
 reads), ``store``, ``state`` (the runs), ``given`` (the matches); ``work`` is that of `scratch`.
+
+The file is long because compiled code calls compiled code only, so that its steps stand beside it.
 """
 
 from __future__ import annotations

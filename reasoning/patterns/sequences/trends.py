@@ -40,8 +40,8 @@ class Trends(Evaluator):
     is infinite, and sums and averages of its matches are missing. A result's only row in `Matches`
     is the one that ends its matches.
 
-    Law (tests/laws/reasoning/test_pattern_trends.py): the aggregates are those of all matches of
-    the definition, however the rows are cut into batches.
+    Law (tests/laws/reasoning/patterns/test_pattern_trends.py): the aggregates are those of all
+    matches of the definition, however the rows are cut into batches.
 
     Raises `PlanError`.
     """

@@ -17,12 +17,12 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PROGRESSION, ROBUSTNESS = "test_progression.py", "test_robustness.py"
-STATES, MONITORING = "test_states.py", "test_monitoring.py"
-PARTS, PART_EVALUATOR = "test_part_monitoring.py", "test_part_evaluator.py"
-SLICED = "test_sliced.py"
-EPSPARQL, SASE = "test_epsparql.py", "test_sase.py"
-RECOGNITION, PARTIAL = "test_recognition.py", "test_partial_matches.py"
+PROGRESSION, ROBUSTNESS = "mtl/test_progression.py", "mtl/test_robustness.py"
+STATES, MONITORING = "test_states.py", "mtl/test_monitoring.py"
+PARTS, PART_EVALUATOR = "mtl/test_part_monitoring.py", "mtl/test_part_evaluator.py"
+SLICED = "mtl/test_sliced.py"
+EPSPARQL, SASE = "patterns/test_epsparql.py", "patterns/test_sase.py"
+RECOGNITION, PARTIAL = "patterns/test_recognition.py", "patterns/test_partial_matches.py"
 # ruff: noqa: E501
 MUTANTS = (
     # An interval [a, b] closes when the horizon is at its end, not later.
