@@ -5,7 +5,8 @@ format makes them. docs/reference/formats.md shows every form by example.
 """
 
 from .errors import ConversionError, WireError
-from .to_samples import ResultConverter, TripleConverter, result_schema
+from .results_to_samples import ResultConverter, result_schema
+from .to_samples import TripleConverter
 from .to_triples import SampleConverter
 from .wire import Incoming
 

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 
 from pyoxigraph import NamedNode, Variable
 
-from ..converters.to_samples import ID, field_names
+from ..converters.results_to_samples import ID, field_names
 from ..languages.csparql import body_tree, required_parameters
 from ..languages.csparql.ast import ContinuousQuery, Form, Template
 from ..languages.errors import LanguageError

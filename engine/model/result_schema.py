@@ -13,7 +13,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from ...continuous.algebra.expressions import Const, Expression, Var
 from ...continuous.algebra.expressions_from_sparql import ExpressionTranslation
 from ...continuous.algebra.unsupported import Unsupported
-from ...converters.to_samples import (
+from ...converters.results_to_samples import (
     ID,
     ResultConverter,
     field_names,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NoReturn
 
-from ...converters.to_samples import ID
+from ...converters.results_to_samples import ID
 from ...languages.mtl.checked import Kind
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...languages.ssl.annotation_text import with_ssl_source

@@ -11,7 +11,7 @@ from ...continuous.evaluation.evaluator import ContinuousEvaluator
 from ...continuous.evaluation.explain import Explanation
 from ...continuous.operators.results import ResultBatch, WindowResult
 from ...converters.errors import ConversionError
-from ...converters.to_samples import ResultConverter
+from ...converters.results_to_samples import ResultConverter
 from ...converters.to_triples import ToTriples
 from ...streams.generator import StreamGenerator
 from ...streams.sample import SampleBatch, Times

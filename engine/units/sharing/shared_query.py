@@ -19,7 +19,7 @@ from ....continuous.sharing.instance_results import (
 )
 from ....continuous.sharing.shared_windows import SharedWindows
 from ....converters.errors import ConversionError
-from ....converters.to_samples import ResultConverter
+from ....converters.results_to_samples import ResultConverter
 from ....converters.to_triples import ToTriples
 from ....streams.generator import StreamGenerator
 from ....streams.sample import SampleBatch, Times
