@@ -2,6 +2,8 @@
 
 One `Ontology` owns its store. It makes one change at a time; a query sees the state before or after
 a change. `graphs` lists the graphs, and docs/reference/ontology.md explains them.
+
+The class is long: it is the face of the room, and all its methods need the one store and its lock.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """The house as a whole: what pyproject.toml says of it, what the paper map says of it."""
 
+import ast
 import re
 import tomllib
 from pathlib import Path
@@ -43,6 +44,20 @@ def test_every_python_file_says_what_it_is():
         for room in [Path(), *ROOMS]
         for path in (ROOT / room).glob("*.py")
         if not path.read_text().lstrip().startswith('"""')
+    ]
+    assert silent == []
+
+
+def test_no_folder_has_many_files():
+    sizes = {room: len([*(ROOT / room).glob("*.py")]) for room in ROOMS}
+    assert {room: size for room, size in sizes.items() if size > 22} == {}
+
+
+def test_every_long_file_says_why_it_is_long():
+    texts = {path: path.read_text() for room in ROOMS for path in (ROOT / room).glob("*.py")}
+    long = {path: text for path, text in texts.items() if text.count("\n") > 500}
+    silent = [
+        p for p, text in long.items() if " long" not in (ast.get_docstring(ast.parse(text)) or "")
     ]
     assert silent == []
 

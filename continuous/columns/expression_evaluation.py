@@ -3,6 +3,8 @@
 Oxigraph (`oxigraph_expressions`) evaluates the rest, once per distinct combination of values: other
 functions, and comparisons of values whose order columns do not implement (dates, ordered strings,
 overflow).
+
+The file is long because it has a method for each kind of operator.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 
 It is the only owner of generators and units. Equal plan nodes share one unit, which stops when it
 has no users any more. It reports every change to one listener.
+
+The class is long, since a stream and the unit that makes it begin and end together.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 
 Equal nodes share one unit, which stops when its last user leaves. The stream of a unit is annotated
 like any other stream, so matching finds it.
+
+The file is long because each kind of plan node has its own way to start.
 """
 
 from __future__ import annotations

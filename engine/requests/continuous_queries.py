@@ -90,11 +90,8 @@ class _Lost:
 
 
 class RegisteredQueries:
-    """The registered queries.
-
-    ``changed`` gets the changes that report queries which cannot be restored; `QueryStarter`
-    describes the other arguments.
-    """
+    """``changed`` gets the changes that report queries which cannot be restored; `QueryStarter`
+    describes the other arguments."""
 
     def __init__(
         self,

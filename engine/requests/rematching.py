@@ -41,13 +41,11 @@ from .silent_sources import culprits, silent_from
 from .subscription_index import SubscriptionIndex, other_readers
 
 _CHECK_INTERVAL = SECOND
-"""The longest time (ns) between two checks of a source: no source that learns its intervals counts
-as silent sooner after a sample (`arrivals.MIN_SILENCE`)."""
+"""The longest time (ns) between two checks of a source: none is silent sooner (`MIN_SILENCE`)."""
 _RETRY_AFTER = 30 * SECOND
 """The time (ns) after which a transformation that failed or made no samples is tried again."""
 _MAX_MATCHES = 5
-"""How often one `settle` matches a subscription; then it waits for its hold-off. Without the bound,
-plans that fail in turn would keep it busy."""
+"""How often one `settle` matches a subscription, where plans fail in turn; then its hold-off."""
 
 
 class Rematching:
