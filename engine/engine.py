@@ -239,11 +239,10 @@ class Engine:
         for a stream that the system makes."""
         return self.intake.accepting(name)
 
-    def time_property(self, name: str) -> str | None:
-        """The property (IRI) that gives the times of the statements of stream ``name``, a stream
-        of RDF; empty for none, and None for a stream of samples. Raises `UnknownStream`."""
-        generator = self._parts.configuration.stream(name)
-        return self._parts.configuration.statements.get(generator.name)
+    def time_property(self, stream: StreamGenerator) -> str | None:
+        """The property (IRI) that gives the times of the statements of ``stream``, a stream of RDF;
+        empty for none, and None for a stream of samples."""
+        return self._parts.configuration.statements.get(stream.name)
 
     def on_opened(self, listener: Callable[[str], None]) -> None:
         """Call ``listener`` with the name of each stream that is created on demand (late samples,
@@ -278,12 +277,12 @@ class Engine:
         """
         before, self._now = self._now, max(self._now, now)
         try:
-            accepted = self.intake.publish(name, incoming, now, idempotency_key, digest)
+            generator = self.accepting(name)
+            accepted = self.intake.publish(generator, incoming, now, idempotency_key, digest)
         except Exception:
             # The log has no record of a refused batch, so the batch must not change the time.
             self._now = before
             raise
-        generator = self._parts.configuration.stream(name)
         self._parts.idleness.note_samples(generator, self._now)
         self._parts.rematching.on_arrival(generator.name, self._now)
         self._parts.settle()

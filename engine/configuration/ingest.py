@@ -42,9 +42,9 @@ class Intake:
             )
         return generator
 
-    def is_used(self, name: str, key: str | None) -> bool:
+    def is_used(self, generator: StreamGenerator, key: str | None) -> bool:
         """Whether ``key`` was used for this stream before. If so, publishing has no effect."""
-        return key is not None and (self.accepting(name).name, key) in self._keys
+        return key is not None and (generator.name, key) in self._keys
 
     def count_ahead(self, name: str) -> None:
         """Count a batch for stream ``name`` that `Publish.check` has refused, and drop its
@@ -54,10 +54,14 @@ class Intake:
         generator.forget_texts()
 
     def publish(
-        self, name: str, incoming: Incoming, now: int, idempotency_key: str | None, digest: bytes
+        self,
+        generator: StreamGenerator,
+        incoming: Incoming,
+        now: int,
+        idempotency_key: str | None,
+        digest: bytes,
     ) -> int:
         """See `Engine.publish`."""
-        generator = self.accepting(name)
         try:
             return self._publish(generator, incoming, now, idempotency_key, digest)
         finally:

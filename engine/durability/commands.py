@@ -7,6 +7,8 @@ effect depends on, time included, as clients sent it: texts, and batches as byte
 
 The written form (MessagePack, a map with the member ``do``) is a promise: new members have
 defaults, and no member changes its meaning. tests/cases/journal has one of each.
+
+The file is long because it is the list of this format.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from ...languages.ssl.annotation import CheckedAnnotation
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.ontology import PreparedOntology
 from ...ontology.texts.reading import TextFormat
+from ...streams.generator import StreamGenerator
 from ...streams.history import FluentStream
 from ...streams.past_queries import Forgotten
 from ...streams.sample import Schema
@@ -122,13 +125,13 @@ class Publish(Command, frozen=True, tag="publish"):
         """Decode the batch by the present fields of the stream. Raises `WireError`, also for a
         batch beyond ``limits``. A replay passes no limits, since the batch was accepted."""
         generator = engine.accepting(self.stream)
-        property = self.time_property(engine)
+        property = self.time_property(engine, generator)
         return self._decode(generator.schema, generator.stream.pools, limits, property)
 
-    def time_property(self, engine: Engine) -> str:
-        """Return the property that gives the times of statements; empty where none does. Raises
-        `Conflict` for a text of RDF to a stream of samples."""
-        property = engine.time_property(self.stream)
+    def time_property(self, engine: Engine, stream: StreamGenerator) -> str:
+        """Return the property that gives the times of statements of ``stream``; empty where none
+        does. Raises `Conflict` for a text of RDF to a stream of samples."""
+        property = engine.time_property(stream)
         if property is None and self.kind in RDF_FORMATS:
             raise Conflict(
                 f"stream {self.stream!r} takes samples, and this is RDF",
@@ -169,14 +172,14 @@ class Publish(Command, frozen=True, tag="publish"):
         Contract: call it once for a batch from a client, before execution, and never in a replay.
         """
         generator = engine.accepting(self.stream)
-        if self.kind not in RDF_FORMATS and engine.time_property(self.stream) is not None:
+        if self.kind not in RDF_FORMATS and engine.time_property(generator) is not None:
             try:
                 check_statements(incoming.batch)
             except WireError:
                 # Decoding has put its texts into the stream's pools.
                 generator.forget_texts()
                 raise
-        if incoming.stamped or engine.intake.is_used(self.stream, self.key):
+        if incoming.stamped or engine.intake.is_used(generator, self.key):
             return
         latest = min(self.now + generator.ahead, TIME_MAX)
         available = incoming.batch.available

@@ -22,7 +22,7 @@ from ...journal.directory import DataDirectory
 from ...journal.disk import DISK, Disk
 from ...journal.durability import Durability
 from ...journal.errors import JournalError
-from ...journal.log import SEGMENT, Log
+from ...journal.log import SEGMENT, Entry, Log
 from ...languages.specification.ast import is_reserved
 from ..processes.external_io import READINGS, Tape
 from ..processes.registry import PROCESSES, Processes
@@ -163,37 +163,33 @@ class RecordedEngine:
         not executed, and the log has at most a record that it was `Refused`.
         """
         refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
-        self._append_pending()
-        self._report_sink_failures()
+        self._log_pending()
         if isinstance(command, RegisterQuery):
             # Users refer to an unnamed query by the name that the engine gave it. Logging the name
             # makes every replay give the same one.
             name = self.engine.queries.name_for(command.text)
             if is_reserved(name):
                 command = msgspec.structs.replace(command, name=name)
-        # Encode first: a command that cannot be encoded must not be executed.
-        text = encode_command(command)
-        with self._executing("a command", refusals):
-            try:
-                with self.log.entry(text) as entry:
-                    # The size of the sources' results is not known before, so the tape checks for
-                    # room as it records them.
-                    begun = len(entry.payload) + READINGS
-                    self._runner.tape.record(lambda size: entry.has_room(begun + size))
-                    result = self._accepted.do(self.engine, command, parsed)
-                    readings = self._runner.tape.readings()
-                    if readings and isinstance(command, Tick):
-                        entry.payload = encode_command(Tick(command.now, readings))
-            except JournalError:
-                raise
-            except refusals as error:
-                # A refused command may still have had effects, which a replay must repeat: streams
-                # opened on demand, numbers used. A batch can only have opened streams.
-                self._pending_records += self._opened_on_demand
-                if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
-                    self._pending_records.append(Refused(encode_command(command)))
-                self._try_append_pending()
-                raise
+        try:
+            with self._executing(command, "a command", refusals) as entry:
+                # The size of the sources' results is not known before, so the tape checks for room
+                # as it records them.
+                begun = len(entry.payload) + READINGS
+                self._runner.tape.record(lambda size: entry.has_room(begun + size))
+                result = self._accepted.do(self.engine, command, parsed)
+                readings = self._runner.tape.readings()
+                if readings and isinstance(command, Tick):
+                    entry.payload = encode_command(Tick(command.now, readings))
+        except JournalError:
+            raise
+        except refusals as error:
+            # A refused command may still have had effects, which a replay must repeat: streams
+            # opened on demand, numbers used. A batch can only have opened streams.
+            self._pending_records += self._opened_on_demand
+            if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
+                self._pending_records.append(Refused(encode_command(command)))
+            self._try_append_pending()
+            raise
         self._accepted.record(command, result)
         self._try_report_sink_failures()
         return result
@@ -203,13 +199,11 @@ class RecordedEngine:
 
         Raises `JournalFull` and `JournalBroken`, and closes no window then.
         """
-        self._append_pending()
-        self._report_sink_failures()
-        with self._executing("closing windows"):
-            self.log.check_room(_WINDOWS)
-            with self.log.entry(encode_command(WorkBacklog())) as entry:
-                done = self.engine.work_backlog(new=new, begins=begins)
-                entry.payload = encode_command(WorkBacklog(done)) if done else b""
+        self._log_pending()
+        self.log.check_room(_WINDOWS)
+        with self._executing(WorkBacklog(), "closing windows") as entry:
+            done = self.engine.work_backlog(new=new, begins=begins)
+            entry.payload = encode_command(WorkBacklog(done)) if done else b""
         self._try_report_sink_failures()
 
     @property
@@ -281,12 +275,19 @@ class RecordedEngine:
     # -- internals ---------------------------------------------------------------------------
 
     @contextmanager
-    def _executing(self, work: str, refusals: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-        """Mark the present time as within a command, and record an unexpected error of it."""
+    def _executing(
+        self, command: Command, work: str, refusals: tuple[type[Exception], ...] = ()
+    ) -> Iterator[Entry]:
+        """Execute ``command`` in the body, with its entry of the log: the only way to change the
+        engine. Records an error that is none of ``refusals``."""
         expected: tuple[type[Exception], ...] = (JournalError, *refusals)
+        # Encode first: a command that cannot be encoded must not be executed.
+        text = encode_command(command)
+        self._opened_on_demand.clear()
         self._is_executing = True
         try:
-            yield
+            with self.log.entry(text) as entry:
+                yield entry
         except expected:
             raise
         except Exception as error:
@@ -294,7 +295,6 @@ class RecordedEngine:
             raise
         finally:
             self._is_executing = False
-            self._opened_on_demand.clear()
 
     def _on_opened(self, stream: str) -> None:
         """Log that a stream was created on demand. A replay of the present command, if there is
@@ -311,6 +311,11 @@ class RecordedEngine:
         except JournalError:
             # A reader's request must not fail for this: the next command appends the records first.
             return
+
+    def _log_pending(self) -> None:
+        """Log what the next command must come after."""
+        self._append_pending()
+        self._report_sink_failures()
 
     def _append_pending(self) -> None:
         while self._pending_records:
@@ -330,10 +335,7 @@ class RecordedEngine:
         tape = self._runner.tape
         while tape.outcomes:
             command = ReportSinkFailures(tuple(tape.outcomes))
-            with (
-                self._executing("reporting failures of sinks"),
-                self.log.entry(encode_command(command)),
-            ):
+            with self._executing(command, "reporting failures of sinks"):
                 del tape.outcomes[: len(command.outcomes)]
                 command.apply(self.engine)
 

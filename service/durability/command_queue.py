@@ -31,6 +31,7 @@ from ...engine.durability.durable_engine import DiskUse, PendingCheckpoint, Reco
 from ...engine.durability.process_state import Unkept
 from ...engine.engine import Engine
 from ...journal.errors import JournalError
+from ...streams.generator import StreamGenerator
 from ..admission.memory_limit import Memory
 from ..config.logs import log
 from ..config.settings import Settings
@@ -185,7 +186,7 @@ class CommandQueue:
         """Return when the readers of ``stream`` have caught up, or after two seconds."""
         await self._backlog.caught_up(stream)
 
-    def is_overloaded(self, stream: str) -> bool:
+    def is_overloaded(self, stream: StreamGenerator) -> bool:
         """Whether publishers of ``stream`` have to wait until its readers have caught up."""
         return self._backlog.is_overloaded(stream)
 

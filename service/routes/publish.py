@@ -99,8 +99,8 @@ async def publish_samples(
     """
     if create is not None and not service.engine.has_stream(name):
         await _create(name, request, service)
-    service.engine.accepting(name)  # refuse an unknown stream before the body arrives
-    if service.commands.is_overloaded(name):
+    # Refuse an unknown stream before the body arrives.
+    if service.commands.is_overloaded(service.engine.accepting(name)):
         raise Problem(
             429,
             "queries are behind",

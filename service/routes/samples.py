@@ -112,7 +112,8 @@ async def read_samples(
     sample before or at an available time. 410 with `oldest`, the oldest available time in the
     history: the result depends on evicted samples.
     """
-    stream = service.engine.generator(name).stream
+    generator = service.engine.generator(name)
+    stream, is_rdf = generator.stream, service.engine.time_property(generator) is not None
     intervals = _intervals(name, service, parameters)
     fields = chosen_fields(parameters.fields, stream.schema.names, repr(name))
     kind = accepted(request, FORMATS if intervals is None and fields is None else TABLES)
@@ -139,7 +140,6 @@ async def read_samples(
             batch = await intervals.downsampled(batch, fields, limit)
         elif fields is not None:
             batch = batch.select(fields)
-        is_rdf = service.engine.time_property(name) is not None
         rdf = RdfWriter(object_iri(name, DYKNOW), partial(_triples, service, name), is_rdf)
         return await history_answer(kind, batch, rdf)
 

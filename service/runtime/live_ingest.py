@@ -102,8 +102,9 @@ class LiveSamples(ABC):
             await self._commands.wait_durable()
         await self._commands.caught_up(self._name)
         # If the stream was removed meanwhile, the next sample raises the error.
-        there = self._engine.has_stream(self._name)
-        return not there or not self._commands.is_overloaded(self._name)
+        if not self._engine.has_stream(self._name):
+            return True
+        return not self._commands.is_overloaded(self._engine.generator(self._name))
 
     def _target(self) -> StreamGenerator:
         """The stream's generator, looked up each time: it may have been replaced or removed."""

@@ -17,6 +17,7 @@ from ...engine.durability.commands import ANYTIME, Command
 from ...engine.engine import Engine
 from ...engine.units.backlog import Backlog
 from ...journal.errors import JournalError
+from ...streams.generator import StreamGenerator
 from .window_turns import FIRST, FURTHER, WindowTurns
 
 _POLL: Final = 0.01
@@ -107,7 +108,7 @@ class BacklogTask:
                 break
             await asyncio.sleep(_POLL)
 
-    def is_overloaded(self, stream: str) -> bool:
+    def is_overloaded(self, stream: StreamGenerator) -> bool:
         """Whether the service refuses samples of ``stream`` for now: a reader has worked for as
         long as a publisher waits and has not caught up. Without this a recording would arrive
         faster than it is evaluated, until its queries are cut off.
@@ -117,11 +118,10 @@ class BacklogTask:
         turns = self._turns
         if turns is None or not self._backlog or self._is_stuck or self._task is None:
             return False
-        generator = self._engine.generator(stream)
-        if generator.stamped is not False:
+        if stream.stamped is not False:
             return False
         most = min(_PATIENCE, turns.limit / 4)
-        return any(unit.spent >= most for unit in self._engine.backlog_of(generator.name))
+        return any(unit.spent >= most for unit in self._engine.backlog_of(stream.name))
 
     def close(self) -> None:
         """Stop; the backlog stays as it is."""

@@ -48,12 +48,12 @@ class BatchDecoder:
         loop = asyncio.get_running_loop()
         while True:
             generator = self._engine.accepting(batch.stream)
-            schema, property = generator.schema, batch.time_property(self._engine)
+            schema, property = generator.schema, batch.time_property(self._engine, generator)
             incoming = await loop.run_in_executor(
                 self._threads, batch.decode_beside, generator.stream, schema, self._limits, property
             )
             now = self._engine.accepting(batch.stream)
-            if now.schema == schema and batch.time_property(self._engine) == property:
+            if now.schema == schema and batch.time_property(self._engine, now) == property:
                 return incoming
             # A command gave the stream another declaration meanwhile: decode the batch by that.
 
