@@ -1,4 +1,5 @@
-"""Term ids of texts by the codes of a string pool, and the other way round."""
+"""Term ids of texts by the codes of a string pool, and the other way round; texts of terms by their
+ids."""
 
 from __future__ import annotations
 
@@ -12,6 +13,8 @@ from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
 from ..streams.string_pool import Codes, StringPool
 
 _NO_CODE: Final = -1
+_SHORT: Final = 256
+"""Characters of a text up to which `TermTexts` keeps it."""
 
 
 class PoolTable(TermTable):
@@ -90,3 +93,48 @@ class TextTable(TermTable):
         """See `dictionary.TermTable`."""
         size = min(len(freed), len(self._codes))
         self._codes[:size][freed[:size]] = _NO_CODE
+
+
+class TermTexts(TermTable):
+    """The N-Triples of terms, by their ids.
+
+    Cost: one gather a batch, and a text once per distinct term; the text of a long term each time.
+    Memory: 9 bytes per id of the dictionary, and the texts that were asked for.
+    """
+
+    def __init__(self, dictionary: TermDictionary) -> None:
+        self._dictionary = dictionary
+        self._texts: NDArray[np.object_] = np.empty(0, np.object_)
+        self._is_known: NDArray[np.bool_] = np.empty(0, np.bool_)
+        dictionary.follow(self)
+
+    def __getstate__(self) -> dict[str, object]:
+        # A checkpoint needs no texts: they are made again.
+        return {**self.__dict__, "_texts": self._texts[:0], "_is_known": self._is_known[:0]}
+
+    def of_ids(self, ids: Ids) -> list[str]:
+        """The texts of these terms."""
+        if len(self._is_known) < len(self._dictionary):
+            more = 2 * len(self._dictionary) - len(self._is_known)
+            self._texts = np.append(self._texts, np.empty(more, np.object_))
+            self._is_known = np.append(self._is_known, np.zeros(more, np.bool_))
+        known = self._is_known[ids]
+        found: list[str]
+        if known.all():
+            found = self._texts[ids].tolist()
+            return found
+        new = np.unique(ids[~known])
+        texts = [str(self._dictionary.term(id)) for id in new.tolist()]
+        is_short = np.array([len(text) <= _SHORT for text in texts])
+        self._texts[new] = texts
+        self._is_known[new] = is_short
+        found = self._texts[ids].tolist()
+        self._texts[new[~is_short]] = None
+        return found
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        size = min(len(freed), len(self._is_known))
+        gone = np.flatnonzero(freed[:size])
+        self._texts[gone] = None
+        self._is_known[gone] = False

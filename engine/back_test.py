@@ -2,8 +2,9 @@
 
 An engine of its own has the definitions of this one, and gets the kept samples of the streams that
 clients publish to, in order of available time. So nothing of the running system changes, and the
-answer is that of one that begins there. User-written processes and the queries that run are left
-out, with what they make: processes may have effects, and queries cost as much again.
+answer is that of a request that had begun with the oldest of these samples. It leaves out
+user-written processes, which may have effects, and the registered queries, which would cost as much
+again; streams that these make are missing.
 """
 
 from __future__ import annotations
@@ -164,7 +165,7 @@ class _Results:
 
 
 def _pass_state(source: StreamGenerator, engine: Engine, name: str) -> None:
-    """Let the stream of ``engine`` be as far as ``source``, which may have ended or be idle."""
+    """Give the stream of ``engine`` the watermark of ``source``, or end it, or mark it idle."""
     own = engine.generator(name)
     if source.is_ended:
         engine.end(name)
@@ -190,7 +191,7 @@ def _definitions(store: Store) -> bytes:
 def _start(
     engine: Engine, wanted: str | EventRequest, strategy: str
 ) -> tuple[str, Callable[[], str | None]]:
-    """Start what is tried; return its stream, and how to know whether it has failed."""
+    """Start the query or request; return its stream, and a function that returns its failure."""
     if isinstance(wanted, EventRequest):
         request = engine.request_event(wanted, strategy)
         return request.stream, lambda: engine.event(request.id).failure

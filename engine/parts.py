@@ -100,6 +100,7 @@ class Parts:
             self.configuration,
             self.declared,
             self.manager,
+            self.dictionary,
             self._annotation_of_answer,
             self._query_converter,
         )

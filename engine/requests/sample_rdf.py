@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from ...converters.rdf.sample_texts import sample_texts
+from ...converters.term_tables import TermTexts
 from ...converters.to_triples import ToTriples, node_names
 from ...languages.ssl.annotation import StreamAnnotation
+from ...rdf.dictionary import TermDictionary
 from ...streams.instants import PlacesOf, places_in_instants
 from ...streams.sample import SampleBatch
 from ..catalog.declared_streams import DeclaredStreams
@@ -28,6 +30,7 @@ class SampleRdf:
         configuration: Configuration,
         declared: DeclaredStreams,
         manager: SemanticsManager,
+        dictionary: TermDictionary,
         annotation_of_answer: Callable[[str], StreamAnnotation | None],
         query: Callable[[str], ToTriples | None],
     ) -> None:
@@ -37,6 +40,7 @@ class SampleRdf:
         self._annotation_of_answer = annotation_of_answer
         self._query_converter = query
         self._converters: dict[str, ToTriples] = {}
+        self._texts = TermTexts(dictionary)
 
     def of(self, name: str, batch: SampleBatch, places: PlacesOf = places_in_instants) -> list[str]:
         """Return each sample of stream ``name`` as N-Triples; an empty text if it has no
@@ -49,7 +53,7 @@ class SampleRdf:
         names = node_names(times, places(times)) if converter.makes_nodes else None
         # Convert with row numbers in place of times, since samples of one instant share a time.
         numbered = batch.with_available(np.arange(len(batch)))
-        return sample_texts(converter.convert(numbered, names), len(batch))
+        return sample_texts(converter.convert(numbered, names), len(batch), self._texts)
 
     def converter(self, name: str) -> ToTriples | None:
         """Return the converter of a stream; None if it has no annotation and is none of RDF."""

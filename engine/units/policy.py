@@ -161,7 +161,7 @@ class TupleUnit(PolicyUnit):
             self._offer(self._kernel.advance(place, source.promise_after(batch)))
 
     def decided(self, source: StreamGenerator) -> int:
-        # Equal for all places of one stream, which get the same calls.
+        # All places of one stream get the same calls, so any of them has the answer.
         return self._kernel.decided(self._places(source)[0])
 
     def resume(self, source: StreamGenerator) -> None:

@@ -6,7 +6,7 @@ from pyoxigraph import Literal, NamedNode
 
 from dyknow.converters.objects import ObjectTable
 from dyknow.converters.rdf.ntriples import TripleReader
-from dyknow.converters.term_tables import PoolTable, TextTable
+from dyknow.converters.term_tables import PoolTable, TermTexts, TextTable
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.sample import Column, FieldType
 from dyknow.streams.string_pool import StringPool
@@ -99,3 +99,15 @@ def test_texts_of_terms_are_found_anew() -> None:
         if turn == 1:
             dictionary._sweep()
     assert asked.count(PLACE + "always") == 3, "once, after the sweep, and for the second pool"
+
+
+def test_texts_of_terms_are_those_of_the_terms_that_have_the_ids_now() -> None:
+    dictionary = TermDictionary()
+    texts = TermTexts(dictionary)
+    for turn in range(6):
+        terms = [Literal(f"{turn}"), NamedNode(f"{PLACE}{turn - 1}"), Literal(f"{turn}" * 300)]
+        ids = dictionary.transient_ids(terms[:: 1 if turn % 2 else -1])
+        for _ in range(2):
+            assert texts.of_ids(ids) == [str(dictionary.term(id)) for id in ids.tolist()]
+        dictionary._sweep()
+        assert not dictionary.count

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from dyknow.converters.rdf.sample_texts import sample_texts
+from dyknow.converters.term_tables import TermTexts
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import (
     Kind,
@@ -25,6 +28,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=5) | st.sampl
 TERMS = st.one_of(
     st.sampled_from([NamedNode("urn:a"), NamedNode("http://x.org/a%20b"), BlankNode("n0")]),
     TEXTS.map(Literal),
+    st.sampled_from("ab").map(lambda text: Literal(300 * text)),
     TEXTS.map(lambda text: Literal(text, language="en")),
     TEXTS.map(lambda text: Literal(text, datatype=NamedNode("urn:%64"))),
 )
@@ -43,7 +47,8 @@ PREDICATES = st.sampled_from(
 
 @st.composite
 def tables(draw, dictionary):
-    rows = draw(st.lists(st.integers(0, SAMPLES - 1), max_size=6))
+    each_once = st.just([*range(SAMPLES)])
+    rows = draw(each_once | st.lists(st.integers(0, SAMPLES - 1), max_size=6))
     count = len(rows)
     subjects = dictionary.ids(draw(st.lists(NODES, min_size=count, max_size=count)))
     objects = {}
@@ -68,7 +73,11 @@ def test_the_texts_are_those_of_the_triples(data):
     lines = [[] for _ in range(SAMPLES)]
     for sample, subject, predicate, object in triples:
         lines[sample].append(f"{subject} {predicate} {object} .")
-    assert sample_texts(triples, SAMPLES) == ["\n".join(each) for each in lines]
+    wanted = ["\n".join(each) for each in lines]
+    texts = TermTexts(dictionary)
+    assert sample_texts(triples, SAMPLES, texts) == wanted
+    assert sample_texts(triples, SAMPLES, pickle.loads(pickle.dumps(texts))) == wanted
+    assert sample_texts(triples, SAMPLES, texts) == wanted
 
 
 @given(st.sampled_from([*VALUES]), st.data())
