@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from ..config.address_space import process_size
 from ..config.logs import log
 from ..config.settings import MEBIBYTE, Settings
 from ..http.problems import Problem
@@ -46,7 +46,7 @@ _SHARE: Final = 0.01
 """The part of the time that this may take."""
 _APART: Final = 1.0
 """Seconds from one time to the next, at least."""
-_PAGE: Final = resource.getpagesize()
+_PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 _PATIENCE: Final = "5"
 """Seconds after which a refused client should try again."""
 
@@ -172,8 +172,7 @@ def default_limit(machine: int) -> int:
 
 def resident() -> int:
     """Bytes of memory that this process takes now (Linux)."""
-    with open("/proc/self/statm", "rb") as file:
-        return int(file.read().split()[1]) * _PAGE
+    return process_size().resident
 
 
 def available_memory(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
