@@ -55,7 +55,7 @@ _WHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    """Imported when first used: who writes a unit or a client needs only that half."""
+    """Import a name when it is first used, so that a client does not load the engine."""
     module = _WHERE.get(name)
     if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

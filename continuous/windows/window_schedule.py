@@ -163,7 +163,7 @@ class OpenWindows:
         return max(min(candidates), least) - self.schedule.shift
 
     def span(self, end: int) -> tuple[int, int]:
-        """Return the start and end that the result at ``end`` shows."""
+        """Return the start and end of the window that ends at ``end``, as its result gives them."""
         shift = self.schedule.shift
         lows = [one.bounds(end)[0] for one in self.schedule.windows if not one.lasts]
         return min(lows, default=end) - shift, end - shift

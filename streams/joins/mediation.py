@@ -31,9 +31,9 @@ class Mediation:
     name, where the samples have none, says whose sample it is. Text is encoded with ``pools`` (by
     field; made where one lacks).
 
-    What is decided when: all up to the least of what is known of the set and of the streams of
-    the objects in it; of an object that has left, up to when it did. A stream that is not there
-    yet (`attach`) has no samples and holds nobody back, but for what `promised` says.
+    The output is decided up to the least time up to which the set and the streams of its objects
+    are known. An object that has left counts up to the time when it left. A stream that does not
+    exist yet (`attach`) has no samples and delays nothing, except by what `promised` returns.
 
     Law: the output does not depend on how inputs were cut or interleaved, as long as streams are
     there when their objects enter (tests/laws). Cost of a `take`: O(n log n) numpy for n samples,

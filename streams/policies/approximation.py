@@ -25,7 +25,7 @@ class Approximating(Adaptation):
     values of ``most_recent_at(f, v, v + d)``.
 
     The grid begins where there is a most recent sample (no_sample is never part of a stream). At
-    the end of the input it goes on to e, or with ``to oo`` until the last news is in it.
+    the end of the input it goes on to e, or with ``to oo`` until it has used the last sample.
 
     Each sample may be the most recent one, so none is dropped but those that could come into use
     only after the last of the grid (duration; available time where that is the end of time).
@@ -77,7 +77,7 @@ class Approximating(Adaptation):
         return self._make_until(min(int(self._begins(self._waiting).max()), self._final))
 
     def _usable(self, batch: SampleBatch, known: int) -> SampleBatch:
-        """Without those that come into use only after the grid has ended."""
+        """The samples that a grid sample may use: the others come into use after the grid's end."""
         last = self._last
         if self._final < 0:
             usable = np.zeros(len(batch), np.bool_)
@@ -96,7 +96,8 @@ class Approximating(Adaptation):
         return min((known - self._delay - self._start) // self._period, self._final)
 
     def _begins(self, batch: SampleBatch) -> NDArray[np.uint64]:
-        """From which number of the grid on each sample may be used: it is valid and available."""
+        """The number of the first grid sample that may use each sample: by then it is valid and
+        available."""
         time = np.maximum(batch.valid, earlier(batch.available, self._delay))
         distance = since(np.maximum(time, self._start), self._start)
         period = np.uint64(self._period)

@@ -139,8 +139,11 @@ class Reordering(Adaptation):
         return np.minimum.accumulate((deadlines - place)[::-1])[::-1] + place
 
     def _are_certain(self, batch: SampleBatch, order: Times, moments: Times) -> bool:
-        """Whether everyone was there when the first of those who crowd it had to leave. Then what
-        is decided with all samples in sight is what was decided as they came."""
+        """Whether the decision over all samples equals the decisions made as each one came.
+
+        Samples that want the same times delay each other. The decisions are equal if all samples of
+        such a run had arrived when its first one had to leave.
+        """
         if not len(order):
             return True
         last = self._last

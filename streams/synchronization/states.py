@@ -70,7 +70,7 @@ class InputSamples:
         self._by_valid: tuple[Rows, Times, Times] | None = None
 
     def without_news(self) -> InputSamples:
-        """The same when the new samples are no longer new."""
+        """The same samples, none of which counts as new any more."""
         count, newest = len(self.table), self.newest
         return InputSamples(self.table, count, newest, newest, self.is_monotone, self.ended)
 
@@ -193,7 +193,7 @@ class OrderedStates(States):
     @property
     @abstractmethod
     def floor(self) -> int:
-        """No state to come is for an earlier time."""
+        """The least time that a later state may be for."""
 
     def of_use(self, one: InputSamples) -> SampleBatch:
         prune = of_use_in_order if one.is_monotone else of_use_in_any_order
@@ -237,7 +237,9 @@ class OrderedStates(States):
 
 def completion(times: Times, inputs: Sequence[InputSamples]) -> tuple[Times, Mask]:
     """When the state for each of ``times``, which increase, is complete, and whether that is known.
-    If not, the moment means nothing; nor does it where that was before the new samples."""
+
+    The moment has no meaning where it is not known, and where it lies before the new samples.
+    """
     moment = np.full(len(times), TIME_MIN)
     complete = np.ones(len(times), np.bool_)
     for one in inputs:
