@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import Literal, NamedNode
@@ -250,19 +251,28 @@ def number_text(kind: Kind, value: float) -> str:
 
 _POSITIONAL: Final = 1e-4, 1e16
 """Python writes numbers from here, and less than here, without an exponent."""
+_LONG: Final = 16
+"""The fewest values for which operations on whole columns pay."""
+_JSON: Final = msgspec.json.Encoder()
 
 
 def column_texts(kind: Kind, values: NDArray[Any]) -> list[str]:
     """Return the XSD texts of a column of numbers or booleans.
 
-    Law (tests/laws/converters): those of `make_literal`, one by one. Cost: 0.2 µs a value, and
-    `number_text` for numbers that are next to 0, large or not finite.
+    Law (tests/laws/converters): those of `make_literal`, one by one. Cost: 0.06 µs a value; 0.2 µs
+    in short columns and in those with a number that is next to 0, large or not finite.
     """
     if kind is Kind.BOOLEAN:
         return ["true" if value else "false" for value in values.tolist()]
     if kind is Kind.INTEGER:
         return list(map(str, values.tolist()))
     least, most = _POSITIONAL
+    if len(values) >= _LONG:
+        size = np.abs(values)
+        if bool(((size >= least) & (size < most)).all()):
+            # msgspec writes the digits of `repr`, and a column at once.
+            lines = _JSON.encode_lines(values.tolist()).decode()
+            return lines.replace(".0\n", "\n").split("\n")[:-1]
     return [
         repr(value).removesuffix(".0") if least <= abs(value) < most else number_text(kind, value)
         for value in values.tolist()

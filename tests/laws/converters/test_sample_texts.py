@@ -91,6 +91,16 @@ NEXT_TO_0 = [1e-4, np.nextafter(1e-4, 0), 9.9e-5, 5e-324, 0.0, -0.0]
 LARGE = [1e16, np.nextafter(1e16, 0), 1e15, 2.0**53 + 1, 1e22, 1.7e308, -1e16]
 
 
+LONG = st.lists(st.floats(1e-4, 1e16, exclude_max=True) | st.integers(1, 10**15), min_size=16)
+
+
+@given(st.sampled_from([Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE]), LONG, st.booleans())
+@settings(deadline=None)
+def test_the_texts_of_long_columns_are_those_of_their_literals(kind, numbers, negative):
+    values = np.array(numbers, np.float64) * (-1 if negative else 1)
+    assert column_texts(kind, values) == [make_literal(kind, v).value for v in values]
+
+
 @given(st.sampled_from([Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE]), st.floats(1e-5, 1e17))
 @example(Kind.DECIMAL, 0.1)
 @settings(deadline=None)
