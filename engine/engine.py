@@ -256,6 +256,7 @@ class Engine:
         if name not in self._parts.configuration.late:
             name = self.accepting(name).name
         self._refuse_if_source(name)
+        # This refuses a stream that others read, so it comes before any change.
         self._parts.rematching.leave_stream(name, self._parts.specifications.users_of)
         self._parts.declared.remove(name)
         self._parts.settle()

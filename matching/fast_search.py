@@ -79,6 +79,7 @@ class FastSearch:
             if depends is None:
                 self._push(need)
                 return
+            # The need has failed, or stands on this path already, so the answer is of no use.
             frame.lowest = min(frame.lowest, depends)
             frame.answer = None
             return

@@ -60,6 +60,7 @@ def find_optimal_plan(
     chosen = {}
     for producer in choice.producers.values():
         answered = unfolded.answered[producer]
+        # Producers of shared streams and units answer no goal by themselves.
         if answered is not None:
             goal, answer = answered
             chosen[goal] = answer
@@ -140,6 +141,7 @@ class _Unfolded:
         if len(needs) > 1 and not is_event:
             needs = [self._synchronization(needs)]
         weight = self._strategy.weight(unit.cost, unit.quality)
+        # The query of an event depends on its objects, so other objects need another unit.
         key: Hashable = (unit.name, *needs, goal.subjects) if is_event else (unit.name, *needs)
         selections: Sequence[tuple[str, str]] = ()
         if unit.arguments:
@@ -155,6 +157,7 @@ class _Unfolded:
         for selection in selections:
             price = self._strategy.weight(SELECTION_COST, 1.0)
             made = self._shared(("select", key, selection), [made], price, 1.0)
+        # Several goals may use the unit, whose weight counts once.
         self._add(place, [made], 0.0, 1.0, (goal, way))
 
     def _unit(self, key: Hashable, needs: list[int], weight: float, quality: float) -> int:

@@ -181,6 +181,7 @@ def create_app(
             service.isolation.close()
             service.decoder.close()
             tasks.cancel_scope.cancel()
+        # The tick executes commands, so it has to end before the last checkpoint.
         commands.close()
 
     app = FastAPI(
@@ -196,6 +197,7 @@ def create_app(
     problems.install(app)
     for resource in RESOURCES:
         app.router.routes.extend(resource.router.routes)
+    # The layer added last sees a request first: the service checks access before it reads a body.
     app.add_middleware(ResponseLimit, long=answers, key=lambda request: service.client_key(request))
     app.add_middleware(Compression)
     app.add_middleware(

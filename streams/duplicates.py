@@ -37,8 +37,10 @@ class Duplicates:
         if self._rules.gap:
             return _has_taken_time(batch, stream, pending)
         last = stream.last_available
+        # Earlier instants are before the watermark: a row that equals one of theirs is late.
         if last is None or not bool((goes_on := batch.available == last).any()):
             return repeated(pending, batch)
+        # The set costs Python for each row, so it is made only for an instant that goes on.
         if self._taken is None:
             self._taken = set(contents(stream.between(last, last)))
         found = np.zeros(len(batch), np.bool_)
@@ -76,6 +78,7 @@ def repeated(known: SampleBatch, batch: SampleBatch) -> Mask:
     keys = [both.available, both.valid]
     for column in both.columns.values():
         keys += _keys(column)
+    # Equal rows have equal digests, so only the few rows that share one are compared.
     suspects = _shared(_digest(keys))
     found = np.zeros(len(batch), np.bool_)
     if not len(suspects):
@@ -87,6 +90,7 @@ def repeated(known: SampleBatch, batch: SampleBatch) -> Mask:
         ordered = key[order]
         same &= ordered[1:] == ordered[:-1]
     again = order[1:][same]
+    # Rows below ``count`` are those of ``known``, which the stream has taken.
     found[again[again >= count] - count] = True
     return found
 
@@ -108,6 +112,7 @@ def _keys(column: Column) -> Iterator[NDArray[Any]]:
     if column.null is None:
         yield values
     else:
+        # A value under a set null bit means nothing, so it must not distinguish two rows.
         yield np.where(column.null, 0, values)
         yield column.null
 

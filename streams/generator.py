@@ -213,6 +213,7 @@ class StreamGenerator:
         Contract: ``schema`` has every field of the stream, which is not open.
         """
         for receiver in self._receivers:
+            # A receiver keeps the fields of its subscription, also if the stream widens again.
             self._known_fields.setdefault(receiver, self.schema.names)
         self._stream.widen(schema)
         self._duplicates.forget()
@@ -333,17 +334,20 @@ class StreamGenerator:
             self._adopt_from(batch)
         batch = self._stream.encoded(batch)
         self.stamped = stamps is not None
+        # Late samples and duplicates, too, show that the sender is not silent.
         self.wake()
         self._counters.accepted += len(batch)
         if stamps is not None:
             self.resume()
             valid = stamps if stamps_valid else batch.valid
             self._release(SampleBatch(stamps, valid, batch.columns))
+            # A batch that is stamped on arrival is a whole instant, so the promise goes past it.
             if not self.rules.gap:
                 self._announce(min(int(stamps[-1]), TIME_MAX - 1) + 1)
             return len(batch)
         kept, due = self._admit(batch, distinct=distinct), self._due()
         if len(kept):
+            # Only a sample that is used continues an ended stream; late ones and duplicates do not.
             self.resume()
             if self._pending is None and kept.available[-1] <= due:
                 self._release(kept)
@@ -451,6 +455,7 @@ class StreamGenerator:
     def _stamps(self, count: int, now: int) -> Times:
         """The available times of ``count`` samples that come ``now``, after every earlier one."""
         last = self._stream.last_available
+        # The next batch is a later instant, even if the clock stands still or is set back.
         start = now if last is None else max(now, last + 1)
         if self._pending is not None:
             start = max(start, int(self._pending.available[-1]) + 1)
@@ -472,6 +477,7 @@ class StreamGenerator:
         available = batch.available
         before = TIME_MIN if self._greatest is None else self._greatest
         first = int(available[0])
+        # Rows with equal times may be duplicates; only the rows of senders are searched for these.
         in_order = _increases if distinct else _never_falls
         if (
             (self._greatest is None or first > before)
@@ -508,6 +514,7 @@ class StreamGenerator:
         if self._watermark is not None:
             reached = np.maximum(reached, self._watermark)
         side.emit(batch.with_available(side.stamps_at(reached)))
+        # A new sample resumes the late stream, which ends with this one: so it ends again.
         if self.is_ended:
             side.end()
 
@@ -515,6 +522,7 @@ class StreamGenerator:
         """Release the pending samples with available time ≤ ``due``, then announce ``due``."""
         if self._pending is not None:
             self._release_first(int(np.searchsorted(self._pending.available, due, "right")))
+        # An end is no promise: a later sample may continue the stream.
         if due != TIME_MAX:
             self._announce(due)
 
@@ -528,6 +536,7 @@ class StreamGenerator:
             self._release(pending.take(slice(0, count)))
 
     def _release(self, batch: SampleBatch) -> None:
+        # Rows that equal one of an earlier instant are late by now, so only the last is remembered.
         if batch.available[-1] != self._stream.last_available:
             self._duplicates.forget()
         self._stream.append(batch)
@@ -542,6 +551,7 @@ class StreamGenerator:
             receiver.receive(self, batch if names is None else batch.select(names))
         for listener in tuple(self._listeners):
             listener.receive(self, batch)
+        # Between two batches no call holds codes of this stream, so its pools may be replaced.
         self.forget_texts()
         self._announce(int(batch.available[-1]))
 

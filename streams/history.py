@@ -65,6 +65,7 @@ class FluentStream(Runs):
 
     @retention.setter
     def retention(self, retention: Retention) -> None:
+        # Texts that were worth keeping may not be so under another retention.
         self._looked_for.clear()
         self._least.clear()
         self._keep(retention)
@@ -74,6 +75,7 @@ class FluentStream(Runs):
         number ``first``. Without ``complete_since`` (`complete_since`) the oldest instant counts as
         whole. Contract: this one is unused."""
         if first > self._first:
+            # The valid times of samples before ``first`` are not known, so they may be any.
             self._gone_valid = TIME_MIN, TIME_MAX
             if complete_since is None and len(batch):
                 complete_since = int(batch.available[0])
@@ -90,6 +92,7 @@ class FluentStream(Runs):
             if field.type is FieldType.STRING:
                 self.pools.setdefault(field.name, StringPool())
         self.schema = schema
+        # New fields change the bytes of each sample.
         self._last_sums = None
         for i, run in enumerate(self._runs):
             batch = widened(run.batch, schema, self.pools)
@@ -114,6 +117,7 @@ class FluentStream(Runs):
         }
         if not lost:
             return held
+        # Batches that others keep still read from the old pool, so it must not change.
         for name in lost:
             self.pools[name] = StringPool()
         for i, run in enumerate(self._runs):
@@ -137,6 +141,7 @@ class FluentStream(Runs):
         if ghosts is None or ghosts.share(pool) < _AGAIN:
             self._least.pop(name, None)
             return False
+        # Readers would read these texts again and again, so the field may have twice as many.
         self._least[name] = 2 * len(pool)
         self._looked_for[name] = pool.characters
         return True
@@ -150,6 +155,7 @@ class FluentStream(Runs):
         found = {
             name: column
             if column.pool is None
+            # A field without a pool takes that of its first batch, whose codes stay as they are.
             else column.recoded(self.pools.setdefault(name, column.pool))
             for name, column in columns.items()
         }
@@ -162,6 +168,7 @@ class FluentStream(Runs):
         Contract: the pools of ``batch`` are its own, without other texts. May run in another thread
         than that of the stream: it changes nothing else (law: tests/laws/converters).
         """
+        # Other batches may add texts meanwhile. After some tries `encoded` does the work itself.
         for _ in range(_TRIES):
             lacking = [
                 (column.pool, self.pools[name])
@@ -220,6 +227,7 @@ class FluentStream(Runs):
         for run in reversed(self._runs[: bisect_left(self._runs, end, key=FIRST)]):
             if run.low > time or (found is not None and run.high <= best):
                 continue
+            # The oldest run may begin with samples that retention has forgotten.
             start = max(0, self._first - run.first)
             valid = run.batch.valid[start : end - run.first]
             if run.high > time:
@@ -234,6 +242,7 @@ class FluentStream(Runs):
                 row = int(np.flatnonzero(valid == greatest)[-1])
                 found = run.first + start + (row if rows is None else int(rows[row]))
                 best = greatest
+                # No valid time can be greater, and older runs lose where valid times are equal.
                 if best == time:
                     break
         return self._part(0, 0) if found is None else self._part(found, found + 1)

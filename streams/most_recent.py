@@ -39,12 +39,14 @@ def rows_in_use(
     ``begins`` ≤ query, -1 for none; ``queries`` are nondecreasing, ``available`` increases."""
     if not len(available):
         return np.full(len(queries), -1, np.int64)
+    # In order of both, the last row that has come into use is the most recent one.
     if bool(np.all(valid[1:] >= valid[:-1])) and bool(np.all(begins[1:] >= begins[:-1])):
         return np.searchsorted(begins, queries, "right").astype(np.int64) - 1
     by_news = np.lexsort((available, valid)) if order is None else order
     rank = np.empty(len(valid), np.int64)
     rank[by_news] = np.arange(len(valid))
     by_begin = np.argsort(begins, kind="stable")
+    # A row stays in use, so the answer is the greatest rank up to then.
     best = np.maximum.accumulate(rank[by_begin])
     last = np.searchsorted(begins[by_begin], queries, "right") - 1
     found = by_news[best[np.maximum(last, 0)]]

@@ -136,6 +136,7 @@ class Runs:
     def forgotten_valid(self) -> tuple[int, int] | None:
         """The least and the greatest valid time of all samples that retention has forgotten; None
         if there is none. Cost: O(samples of one run)."""
+        # Retention forgets single samples but frees whole runs: the oldest may have forgotten ones.
         if self._runs and (gone := self._first - self._runs[0].first):
             valid = self._runs[0].batch.valid[:gone]
             return _span(self._gone_valid, int(valid.min()), int(valid.max()))
@@ -243,6 +244,7 @@ class Runs:
             parts = runs[start:]
             if len(parts) > 1:
                 weights = [part.weight for part in parts]
+                # Weighing is a pass over the rows, so it waits until a limit in bytes asks for it.
                 weight = None if None in weights else sum(filter(None, weights))
                 joined = _run(parts[0].first, concatenate([part.batch for part in parts]))
                 runs[start:] = [joined._replace(weight=weight)]
@@ -261,6 +263,7 @@ class Runs:
                 break
             start -= 1
         heaviest = self._heaviest
+        # The bound by the longest text mostly suffices, and needs no pass over the rows.
         if heaviest is not None and not self._fits(rows, heaviest):
             weight = self._weigh(len(runs) - 1)
             for i in reversed(range(start, len(runs) - 1)):
@@ -312,6 +315,7 @@ class Runs:
     def _sums(self, run: _Run) -> NDArray[np.int64]:
         """Bytes of the last samples of a run: of one, of two … Cached for the last run."""
         known, rows = self._last_sums, len(run.batch)
+        # Batches never change, so the first number and the length identify a run.
         if known is None or known[:2] != (run.first, rows):
             known = self._last_sums = run.first, rows, np.cumsum(run.batch.sizes()[::-1])
         return known[2]
@@ -333,6 +337,7 @@ class Runs:
         most = kept.bytes
         if most is not None and first < newest and not self._fits(self._next - first, most):
             first = max(first, self._within(most))
+        # The newest batch stays whole, even if it alone exceeds the retention.
         self._first = first = min(first, newest)
         gone = 0
         while gone + 1 < len(self._runs) and self._runs[gone + 1].first <= first:
@@ -343,6 +348,7 @@ class Runs:
                 self._gone_available = run.end
             del self._runs[:gone]
         oldest = self._runs[0]
+        # A small run soon goes as a whole; a large one would keep forgotten samples for long.
         if 2 * (first - oldest.first) >= len(oldest.batch) and self._is_oldest_large():
             self._cut()
 
@@ -357,8 +363,10 @@ class Runs:
         """Leave of the oldest run what is kept."""
         oldest = self._runs[0]
         if gone := self._first - oldest.first:
+            # After the cut the times of these samples cannot be read any more.
             self._gone_valid = self.forgotten_valid
             self._gone_available = int(oldest.batch.available[gone - 1])
+            # Indices, not a slice: a view would keep the whole run in memory.
             kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
             self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
 

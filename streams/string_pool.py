@@ -39,6 +39,7 @@ class Place(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether it is still so."""
+        # Codes never change meaning, so only the fresh ones depend on texts that others add.
         return not self.fresh or len(self.pool) == self.start
 
 
@@ -94,6 +95,7 @@ class StringPool:
     def code(self, string: str) -> int:
         """The code of ``string``, given now if it is new."""
         if self._late:
+            # Each call moves a few late strings, so that no single call pays for a large batch.
             self._move(_FEW)
             late = self._late.get(string)
             if late is not None:
@@ -108,6 +110,7 @@ class StringPool:
         return self._codes.get(string, -1) if not self._late else self._find_late(string)
 
     def _find_late(self, string: str) -> int:
+        # Another thread may move a string from `_late` to `_codes` meanwhile, so `_late` is first.
         found = self._late.get(string)
         return self._codes.get(string, -1) if found is None else found
 
@@ -171,6 +174,7 @@ class StringPool:
         they are in `_codes`, so a string that ``pool`` has is always found.
         """
         self._place = None
+        # The length is read before the search: the place does not hold if the pool grows meanwhile.
         start = len(pool)
         codes = np.fromiter(map(pool.find, self._strings), np.int32, len(self))
         lacking = np.flatnonzero(codes < 0)
@@ -190,6 +194,7 @@ class StringPool:
         if place is None or place.pool is not pool or not place.holds:
             return pool.encode(self._strings)
         if place.fresh:
+            # A pool has one table of late strings, so the earlier ones are moved first.
             pool._move(len(pool._late))
             pool._late, pool._moved = place.late, len(pool)
             pool._strings.extend(place.fresh)
@@ -201,6 +206,7 @@ class StringPool:
         part = self._strings[self._moved : end]
         self._codes.update(zip(part, range(self._moved, end), strict=True))
         self._moved = end
+        # `_late` is emptied last: another thread finds each string in one of the two at any time.
         if end == len(self._strings):
             self._late = {}
 

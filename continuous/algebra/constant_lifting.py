@@ -110,6 +110,7 @@ class _Lifting:
                 return replace(plan, subject=self.position(subject), object=self.position(object))
             case TypeScan(subject):
                 return replace(plan, subject=self.position(subject))
+            # An implicit group exists without rows; with a key it would not.
             case Aggregate(keys, _, child, implicit) if not implicit:
                 # A constant is equal in all rows of a group, so its variable can be a key.
                 below = named_variables(child)

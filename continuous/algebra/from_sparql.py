@@ -154,6 +154,7 @@ class _Translation:
             def change(node: object) -> object:
                 if isinstance(node, ast.Exists):
                     return node
+                # Beside aggregates a variable that is no key is any value of its group (§18.2.4).
                 if isinstance(node, Variable) and node.value in sampled:
                     node = ast.Aggregate("SAMPLE", node)
                 if isinstance(node, ast.Aggregate):
@@ -171,6 +172,7 @@ class _Translation:
             aggregations.append(
                 Aggregation(variable.value, one.function, argument, one.distinct, separator)
             )
+        # A bound parameter is constant, but still a key: without rows there is no group.
         free = tuple(key for key in keys if key not in self.bindings)
         return Aggregate(free, tuple(aggregations), plan, implicit=not keys), expressions
 
@@ -255,6 +257,7 @@ class _Translation:
         return f"\0{self.hidden}"
 
     def _position(self, term: ast.Place) -> Position:
+        # A blank node of a pattern is a variable that no result can show.
         return Var(f"_:{term.value}") if isinstance(term, BlankNode) else self._term(term)
 
     def _term(self, term: Variable | NamedNode | Literal) -> Position:
@@ -280,6 +283,7 @@ class _Translation:
     def _graph(self, name: NamedNode | Variable, group: ast.Group) -> Plan:
         place = self._term(name)
         if isinstance(place, Const):
+            # A literal names no graph, and neither does the empty name.
             value = place.term.value if isinstance(place.term, NamedNode) else ""
             return self._in_graph(value, group)
         windows = place.name in self.graphs.window_variables
@@ -287,12 +291,14 @@ class _Translation:
             Join((Values((place.name,), ((NamedNode(iri),),)), self._in_graph(iri, group)))
             for iri in (self.graphs.windows if windows else self.graphs.static)
         ]
+        # Without a graph there is no solution, but the names of the group stay in scope.
         return Union(tuple(parts)) if parts else self._in_graph("", group)
 
     def _in_graph(self, name: str, group: ast.Group) -> Plan:
         before, self.graph = self.graph, name
         plan = self.group(group)
         self.graph = before
+        # The group was translated all the same, since its names are known only then.
         if name not in self.graphs.windows and name not in self.graphs.static:
             return Values(tuple(sorted(outputs(plan))), ())
         return plan
@@ -316,6 +322,7 @@ class _Translation:
 
     def exists(self, group: ast.Group) -> Expression:
         """Translate EXISTS to a variable; the caller must bind it by `marked`."""
+        # Expressions of the pattern bind their own EXISTS, which must not take those of this one.
         waiting, self.waiting = self.waiting, []
         pattern = self.group(group)
         mark = self.fresh()

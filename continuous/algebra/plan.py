@@ -400,6 +400,7 @@ def certain(plan: Plan) -> frozenset[str]:
     """Return the variables that every solution of ``plan`` binds."""
     match plan:
         case Scan() | TypeScan() | Closure() | AnyScan():
+            # Static triples have no time, so a time may be unbound.
             times = frozenset() if isinstance(plan, TypeScan | Closure) else plan.times.names
             return outputs(plan) - times
         case Values(variables, rows):

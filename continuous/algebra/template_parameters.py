@@ -123,6 +123,7 @@ def build_joint(query: Query, names: Sequence[str]) -> Joint:
             raise Unfit(name, f"an expression is bound to ?{name}")
     if isinstance(core, Aggregate):
         inner = named_variables(core.child) | used_variables(core)
+        # A parameter that is a key only has one term in an instance, so it groups nothing.
         core = replace(core, keys=tuple(k for k in core.keys if k in inner or k not in names))
     in_core = named_variables(core)
     joined = tuple(name for name in names if name in in_core)
@@ -135,6 +136,7 @@ def build_joint(query: Query, names: Sequence[str]) -> Joint:
             # The join adds the compared parameters, and needs the joined ones.
             kept = dict.fromkeys((*step.variables, *joined))
             shared = Project(tuple(name for name in kept if name not in compared), shared)
+        # From the first step that needs a term of an instance on, steps come after the join.
         elif not used_variables(step).isdisjoint(compared):
             break
         else:
@@ -160,6 +162,7 @@ def _search(
 ) -> tuple[tuple[Step, ...], Search | None]:
     """Return the steps with the condition that can be searched for in front, if there is one."""
     for i, step in enumerate(steps):
+        # Only filters may change places, so none moves in front of another step.
         if not isinstance(step, Filter):
             break
         match step.condition:
@@ -255,6 +258,7 @@ def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
         case Join(parts):
             return Join(tuple(also(part) for part in parts))
         case Union(parts):
+            # Each branch has to bind it: else its solutions would belong to no instance.
             return Union(tuple(below(part) for part in parts))
         case Extend(variable) if variable == name:
             raise unfit("is bound to an expression")
@@ -263,10 +267,12 @@ def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
         case Project(names, child):
             return Project(tuple(dict.fromkeys((*names, name))), below(child))
         case Aggregate(keys, _, child):
+            # Grouped by the parameter, each instance has groups of its own.
             if name not in keys:
                 raise unfit("is aggregated over")
             return replace(plan, child=below(child))
         case LeftJoin(child, optional):
+            # Rows without a partner are solutions, too, so the left side has to bind it.
             return replace(plan, child=below(child), optional=also(optional))
         case Minus(child, removed):
             if removed in places:
@@ -303,6 +309,7 @@ def is_confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -
                 return any(map(is_empty, parts))
             case Union(parts):
                 return bool(parts) and all(map(is_empty, parts))
+            # An implicit group is one row even without any solution.
             case Aggregate(implicit=True):
                 return False
             case LeftJoin(child) | Minus(child) | Exists(_, _, child):

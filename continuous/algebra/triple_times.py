@@ -103,6 +103,7 @@ class _Times:
                 case Minus() | Exists():
                     # Only the child's bindings are visible outside.
                     return replace(plan, child=go(plan.child))
+                # Sub-queries and aggregates give solutions, and only stream elements have a time.
                 case Project() | Distinct() | Aggregate() | _:
                     return plan
 
@@ -111,6 +112,7 @@ class _Times:
     def _column(self, accessor: Call, scan: Scan | AnyScan) -> tuple[Scan | AnyScan, str]:
         times = scan.times
         known = times.available if accessor.name == _AVAILABLE else times.valid
+        # Accessors of one time share its column.
         if known is not None:
             return scan, known
         name = f"\0t{next(self.numbers)}"

@@ -130,6 +130,7 @@ class FloatTotals(Totals):
         if len(self._state) < len(self.counts):
             self._state = np.zeros((len(self.counts), width), np.float64)
             self._state[:, 2:] = np.inf
+        # The pane adds one term at most to each group.
         self._carry(1)
         at, columns = np.empty(rows, np.int32), np.empty((width, rows), np.float64)
         groups.used, touched, fits = fold_pane(
@@ -176,6 +177,7 @@ class FloatTotals(Totals):
                 part = slice(first, first + _TERMS)
                 self.add(at[part], values[part], None if numbers is None else numbers[part], sign)
             return
+        # All rows may be of one group if groups are given.
         self._carry(1 if at is None else len(values))
         start = 0
         while True:

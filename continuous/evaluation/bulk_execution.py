@@ -65,11 +65,13 @@ class BulkPlan:
             bulk, aggregated = found
             relation = run(self.steps, aggregated, terms)
             windows = relation.columns[END].values
+            # The limit is that of one window, so the largest one decides.
             rows = int(np.bincount(windows, minlength=1).max())
             terms.budget.check_result(rows)
         except (NeedsOxigraph, BudgetExceeded):
             # The window that is concerned raises it again, by itself.
             return None
+        # Until here the state is unchanged, so that the windows may close one by one instead.
         execution.follow(bulk)
         spans = [execution.windows.span(end) for end in bulk.ends]
         return finish_batch(self.head, relation, windows, spans, static.terms)

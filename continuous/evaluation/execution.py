@@ -156,6 +156,7 @@ class Execution:
         assert window.range is not None
         low, _ = window.bounds(ends[0])
         folded = low if self._folded is None else max(low, self._folded)
+        # Extremes of folded panes cannot be read back, so their rows are read again.
         since = low if self.incremental.has_extremes else folded
         tables = self._rows(since, ends[-1])
         if sum(map(len, tables)) > most * len(ends):
@@ -175,6 +176,7 @@ class Execution:
             return None
         ends = ends[:count]
         tables = self._rows(since, ends[-1])
+        # A pattern without rows in these windows has the same solutions in each.
         relations = [self._solved(part, ends if part in moving else ends[:1]) for part in rest]
         panes = Grid(pane, window.grid.origin)
         bulk = BulkAggregate(self.incremental, ends, window.range, panes, folded, tables)

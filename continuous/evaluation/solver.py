@@ -173,6 +173,7 @@ class Solver:
         if self._difference is not None:
             batch = self._difference.of_batch(batch)
             sizes, contents = batch.sizes, self.windows.contents
+            # A window without content is reported only if its difference has something.
             batch = batch.of([i for i in range(count) if sizes[i] or contents.has_content(ends[i])])
         return count, batch
 
@@ -182,6 +183,7 @@ class Solver:
         execution = self.execution
         if execution is not None and self.translated is not None:
             head, plan = self.translated.head, execution.plan
+            # The short way records no cost of an operator, so a profile does without it.
             found = execution.solutions() if self.profile is None else None
             if found is not None:
                 return self._finished(head, found, start, shown)

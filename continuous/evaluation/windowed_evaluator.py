@@ -131,6 +131,7 @@ class WindowedEvaluator(ABC, Generic[Result]):
         try:
             return self._windows.close_next(self._close_window, self._in_bulk(), most)
         except Quarantined:
+            # The window that caused the quarantine has closed, too.
             return 1
         finally:
             self._stopped = ""
@@ -165,6 +166,7 @@ class WindowedEvaluator(ABC, Generic[Result]):
             if self._in_a_row == OVERRUNS:
                 self.quarantine = f"{OVERRUNS} windows in a row needed too much: {exceeded}"
                 raise Quarantined(self.quarantine) from exceeded
+            # The rows may not have been folded, so they stay as long as the window needs them.
             return True
         self._in_a_row = 0
         return retains

@@ -119,6 +119,7 @@ def _try(
         return "subject and object are one variable"
     others = [leaf for leaf in leaves if leaf is not scan]
     elsewhere = frozenset().union(*map(outputs, others))
+    # A fold keeps no single values, so none is left to join or group by.
     if value is not None and (value in elsewhere or value in aggregate.keys):
         return f"?{value} is joined or grouped by"
     wanted: dict[Expression | None, bool] = {}
@@ -129,8 +130,10 @@ def _try(
             return f"{one.function} is not over the folded pattern alone"
         extreme = one.function in ("MIN", "MAX")
         wanted[one.argument] = wanted.get(one.argument, False) or extreme
+    # The rows of any other argument, errors included, are those of COUNT(*).
     if len(wanted) > 1 and None in wanted:
         del wanted[None]
+    # Groups without aggregates still have to be known, so their rows are counted.
     if not wanted:
         wanted[None] = False
     filters = tuple(c for c in conditions if variables(c) <= own)
@@ -148,6 +151,7 @@ def _try(
             sorts.append(leaf.sort.term)
         else:
             rest.append(leaf)
+    # Folded rows may go only if no window of the query can need another way.
     certain = (
         not rest
         and not filters

@@ -108,6 +108,7 @@ class IncrementalAggregate:
         found = [(t.subject, t.objects[predicate]) for t in tables if predicate in t.objects]
         if not (self._is_simple and self._fold_at_once(end, found)):
             self._fold_by_kind(end, found)
+        # A group may come into the result by a fact of its sort, without a new row.
         for changed in self.sorts.fold(end, tables):
             self._touched.mark(changed)
 
@@ -137,6 +138,7 @@ class IncrementalAggregate:
         for partial in self.partials:
             partial.evict(until, self._touched)
         if self.distinct is not None:
+            # Under set semantics sums follow the distinct pairs, not the panes.
             for pairs in self.distinct.leave(until):
                 self._count(pairs, -1)
         for changed in self.sorts.evict(until):
@@ -211,6 +213,7 @@ class IncrementalAggregate:
         else:
             rows = self._alive(tested)
             relation = self._direct(rows)
+        # The shape has the outermost filter first, but the innermost applies first.
         for filter in reversed(self.shape.having):
             kept = np.flatnonzero(
                 holds(filter.condition, relation.columns, relation.rows, self.terms)
@@ -219,6 +222,7 @@ class IncrementalAggregate:
         self._passing[rows] = True
         # Clear only now: after an error the same groups must be tested again.
         self._touched.clear()
+        # Groups without a change keep their aggregates to the last bit, so they pass as before.
         return relation if test_all else self._direct(np.flatnonzero(self._passing[:used]))
 
     def _present(self, used: int) -> tuple[NDArray[np.int64], Relation]:
@@ -269,6 +273,7 @@ class IncrementalAggregate:
         row = ObjectColumn(Kind.INTEGER, np.arange(subjects.rows))
         joined, waiting = Relation({_ROW: row, **subjects.columns}, subjects.rows), list(rest)
         while waiting:
+            # A lone window has no `END`, so it must not link relations: the order would differ.
             names = joined.columns.keys() - {END}
             linked = [relation for relation in waiting if not names.isdisjoint(relation.columns)]
             chosen = (linked or waiting)[0]
@@ -334,6 +339,7 @@ class IncrementalAggregate:
         """Return the aggregated values of these pairs, a column per argument."""
         columns, rows = _named(self.shape.scan, pairs), len(pairs[0])
         return [
+            # COUNT(*) reads no value: one zero stands for all rows without memory for each.
             ObjectColumn(Kind.INTEGER, np.broadcast_to(np.int64(0), (rows,)))
             if argument is None
             else columns[argument.name]
@@ -366,6 +372,7 @@ class IncrementalAggregate:
             pairs = _take(static, self.selected(static))
             self.groups.reach(len(self.terms.dictionary))
             columns = self.arguments(pairs)
+            # Static rows never leave, so their extremes are held beside those of the panes.
             for partial, column in zip(self.partials, columns, strict=True):
                 partial.hold(pairs[0].values, column, self.groups, self.terms)
             self._static_pairs = pairs
@@ -397,6 +404,7 @@ class IncrementalAggregate:
                 partial.keep(kept, new)
             self._touched.all = True
             self._passing[:] = False
+        # The next search waits until the groups have doubled, so it is O(1) for a new group.
         self._compact_at = max(COMPACT, 2 * len(kept))
 
 

@@ -106,6 +106,7 @@ class BulkAggregate:
         present = rows if spans is None else spans.rows
         groups = self._groups(present, folded[0] or ())
         column = np.full(aggregate.groups.used + 1, -1, np.int64)
+        # The last place stays -1: it answers for group -1, a subject without a group.
         column[groups] = np.arange(len(groups))
         ends = self._pane_ends(folded[0] or (), spans)
         runs = PaneRuns(
@@ -127,6 +128,7 @@ class BulkAggregate:
                 changes = spans, known, len(numbers)
                 numbers.append(DistinctNumbers(key, cells, wanted, self._ends, *changes))
             numbers[-1].add(at, values.values)
+        # Differences of prefix sums need digits, and an infinite sum has none.
         if not all(each.is_finite for each in numbers):
             return None
         self._numbers = numbers
@@ -149,6 +151,7 @@ class BulkAggregate:
         pairs have a state of their own. Law: the aggregate is then as if it had folded them."""
         if self._aggregate.has_extremes or self._aggregate.distinct is not None:
             return False
+        # Earlier panes leave before the next window, so the aggregate never needs them.
         after = max(self._until, int(self._ends[-1]) - self._window)
         for partial, numbers in zip(self._aggregate.partials, self._numbers, strict=True):
             partial.append(numbers.key, *numbers.panes_after(after))
@@ -170,6 +173,7 @@ class BulkAggregate:
             return []
         low = int(self._ends[0]) - self._window
         kept = [pane for pane in panes if pane[0] > low]
+        # A sum beyond 64 bits has a second part, for which a table has no column.
         return kept if all(high is None for _, _, _, high in kept) else None
 
     def _spans(self, rows: SelectedRows, distinct: DistinctPairs) -> Spans | None:
@@ -198,6 +202,7 @@ class BulkAggregate:
         if found is None or [c.kind for c in found.arguments] != [c.kind for c in rows.arguments]:
             return None
         until = ends + self._window
+        # A pair that comes again counts from its new pane on, so its earlier span ends there.
         until[:-1][again] = np.minimum(until[:-1], ends[1:])[again]
         return Spans(found, until)
 
@@ -253,6 +258,7 @@ class BulkAggregate:
             for ends, subjects in self._stated(facts.stated(self._tables, static), facts.panes):
                 groups = aggregate.groups.group_of[subjects]
                 places = cells.column[groups]
+                # A fact about a subject without rows has no cell.
                 known = (groups >= 0) & (places >= 0) & (ends > cells.ends[0] - 1)
                 stated[cells.of(ends[known], groups[known])] = 1
             alive &= always | (cells.runs.sums(stated) > 0)

@@ -62,6 +62,7 @@ class DistinctPairs:
             fresh.append(new if isinstance(rows, slice) else rows[new])
         if len(fresh) == 1:
             return fresh[0]
+        # New subjects get their groups in the order of rows, not of kinds.
         return np.sort(np.concatenate([np.zeros(0, np.int64), *fresh]))
 
     def leave(self, until: int) -> Iterator[Pairs]:

@@ -82,8 +82,10 @@ def _find(index: Any, numbers: Any, entries: Any, home: Any, tag: Any, key: Any,
                 high = high & (high - one)
             entry = np.uint64(numbers[(chunk << np.uint64(4)) + np.uint64(4) + at])
             first, last_seen = entry << one, entries[entry << one | one]
+            # A free entry is 0 and would look like subject 0, so its last word is tested, too.
             if entries[first] == key and last_seen >> 32 == who and last_seen != 0:
                 return np.int64(entry)
+        # No pair has overflowed this chunk, so no later chunk has a pair of it.
         if index[chunk << np.uint64(3) | one] >> np.uint64(32) == 0:
             return np.int64(-1)
         chunk = (chunk + one) & mask
@@ -102,6 +104,7 @@ def _place(index: Any, numbers: Any, home: Any, tag: Any, entry: Any) -> None:
             index[first | upper] |= (tag & np.uint64(255)) << (at << np.uint64(3))
             numbers[(chunk << np.uint64(4)) + np.uint64(4) + at + (upper << np.uint64(3))] = entry
             return
+        # The count of overflows tells `_find` to search the next chunk.
         index[first | one] += np.uint64(2**32)
         chunk = (chunk + one) & mask
 
@@ -144,6 +147,7 @@ def _enter(
     rows = subjects.shape[0]
     idle = np.uint64(0)
     for begin in range(start, rows, _BLOCK):
+        # This is tested once a block: a block never needs more room than that.
         if left < _BLOCK or placed > most:
             return begin, left, placed, logged, count, int(idle & one)
         some = np.uint64(0)
@@ -168,8 +172,10 @@ def _enter(
                     entries[np.uint64(entry) << one] = key
                     found[count] = i
                     count += 1
+                # A pair that only the old index has is placed, too: that index is dropped first.
                 _place(young, young_numbers, home, tag, np.uint32(entry))
                 placed += 1
+            # The log of a pane has each pair once.
             elif entries[np.uint64(entry) << one | one] & last == pane:
                 continue
             entries[np.uint64(entry) << one | one] = who << 32 | pane
@@ -187,6 +193,7 @@ def _leave(
     for i in range(np.uint64(0), np.uint64(log.shape[0])):
         first = np.uint64(log[i]) << one
         last_seen = entries[first | one]
+        # A pair that came again belongs to a later pane, and leaves with that one.
         if last_seen & last == pane:
             subjects[count], bits[count] = last_seen >> 32, entries[first]
             entries[first | one] = 0
@@ -311,6 +318,7 @@ class PairIndex:
             )
             if row == rows:
                 break
+            # Stale numbers may have filled an index with few pairs: its size suffices then.
             crowded = 2 * self._left < len(self._free)
             self._rebuild(self._chunks * (2 if crowded else 1), log[:logged])
         if logged:

@@ -61,6 +61,7 @@ class CellNumbers:
         np.add.at(self._sums, at, values)
         self.counts += np.bincount(at, minlength=len(self.counts))
         if self._ends is not None:
+            # This turns -0.0 into 0.0, as the fold of a single pane does.
             values = values + self._sums.dtype.type(0)
             np.minimum.at(self._ends[:, 0], at, values)
             np.minimum.at(self._ends[:, 1], at, mirror(values))
@@ -136,6 +137,7 @@ class DistinctNumbers(CellNumbers):
         first, after = (np.searchsorted(windows, each) for each in (rows.times, spans.until))
         values, places = rows.arguments[argument].values, cells.column[groups]
         for at, sign in ((first, 1), (after, -1)):
+            # A pair in no window of the pass changes nothing.
             some = np.flatnonzero((first < after) & (at < count))
             self._changes.add(at[some] * width + places[some], values[some], None, sign)
 

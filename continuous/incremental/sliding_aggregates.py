@@ -123,6 +123,7 @@ class SlidingNumbers:
         if sliding is not None:
             sliding.reserve(groups.used)
             sliding.push(end, at, columns[2:].T.copy())
+            # This is a copy, since a view would keep the extremes as long as the pane.
             columns = columns[:2].copy()
         self.panes.append((end, at, columns, None))
         return True
@@ -168,6 +169,7 @@ class SlidingNumbers:
         while self.panes and self.panes[0][0] <= until:
             _, at, columns, high = self.panes.popleft()
             touched.mark(at)
+            # Sums are exact, so the rest is the sum without the pane to the last bit.
             self._add(at, columns, high, -1)
         if self._sliding is not None:
             for at in self._sliding.evict(until):
@@ -206,6 +208,7 @@ class SlidingNumbers:
         self._sliding.reserve(used)
         ends = self._sliding.ends(rows)
         if self._held is not None:
+            # Groups that are newer than the held rows have none of them.
             covered = rows < len(self._held)
             ends[covered] = np.minimum(ends[covered], self._held[rows[covered]])
         return ends
@@ -217,6 +220,7 @@ class SlidingNumbers:
             if at is not None:
                 renamed.append((end, new[at], columns, high))
                 continue
+            # The pane has groups 0, 1, 2 …; as ``kept`` ascends, the remaining ones are so again.
             still = kept[kept < columns.shape[1]]
             renamed.append((end, None, columns[:, still], None if high is None else high[still]))
         self.panes = renamed
@@ -266,6 +270,7 @@ class SlidingPartial:
         for part in parts_of(subjects, column, skip, terms, by_value=self._distinct):
             if part.key is not None and not part.single:
                 self._of(part.key).fold(part, groups)
+            # Under set semantics `add` counts these rows when their pair enters the window.
             elif not self._distinct:
                 self._odd.append((groups.groups(part.subjects), part))
 
@@ -407,6 +412,7 @@ class SlidingPartial:
         np.add.at(self._others[:, part.column], at, sign)
         if part.key is not None:
             self._singles.add(at, part.key[0], part.values, sign)
+        # While this is 0 no group has other terms, so reads skip them.
         self._odd_rows += sign * len(at)
         touched.mark(at)
 

@@ -51,6 +51,7 @@ class SlidingExtremes:
         _lower(self._back_least, at, ends)
         if not self._middle and not self._front:
             self._promote()
+        # The next front begins half a window ahead, so that two panes a push prepare it in time.
         if not self._middle and not self._turned and len(self._back) >= self._half:
             self._set_aside()
         self._prepare_front(2)
@@ -69,8 +70,10 @@ class SlidingExtremes:
                 if not self._back or self._back[0][0] > until:
                     return evicted
                 self._set_aside()
+            # The oldest pane stays, so the next front need not be ready yet.
             if self._middle and self._middle[0][0] > until:
                 return evicted
+            # Panes of the middle can leave through a front only, so it has to be ready now.
             self._prepare_front(len(self._middle))
             self._promote()
 

@@ -208,6 +208,7 @@ class GroupSorts:
     def holds(self, rows: NDArray[Any] | slice) -> NDArray[np.bool_]:
         """Return whether each of the groups ``rows`` is of all sorts."""
         version, used = self._static.background.version, self._groups.used
+        # New static facts may concern any group.
         if version != self._version:
             self._version, self._covered = version, 0
         if self._covered < used:
@@ -220,6 +221,7 @@ class GroupSorts:
         """Update the groups of these ids, and return them."""
         found = self._groups.group_of[ids[ids < len(self._groups.group_of)]]
         found = found[found >= 0]
+        # Later groups are computed when `holds` first asks for them.
         self._update(found[found < self._covered])
         return found
 

@@ -46,6 +46,7 @@ class PatternNeeds:
         any_class = False
         for node in walk(plan):
             match node:
+                # `p*` relates each node of a graph to itself, so it reads all predicates.
                 case AnyScan() | Closure(zero=True):
                     return cls()
                 case Scan():
@@ -118,6 +119,7 @@ class StreamEntailment(TermTable):
         """Return the rows that these rows entail, without the rows themselves."""
         rules = self._background.rules
         if rules is not self._rules:
+            # Another schema gives other effects; rows that came before keep theirs.
             self._rules, self._effects = rules, {}
         if rules.is_empty:
             return []
@@ -163,6 +165,7 @@ class StreamEntailment(TermTable):
                 yield f"{subject} {name} {object} entails {', '.join(consequences)}"
 
     def _along(self, predicate: NamedNode, found: Consequences) -> list[NamedNode]:
+        # The row itself states its own predicate.
         return self.needs.among(found.along - {predicate})
 
     def _kinds(self, kinds: frozenset[Node]) -> list[NamedNode]:
@@ -170,6 +173,7 @@ class StreamEntailment(TermTable):
         equivalent classes the first by name stands for all."""
         if not self.needs.wants(kinds):
             return []
+        # A sort stands for the sorts above it, so the narrowest ones state all.
         found: list[NamedNode] = []
         above = self._background.rules.above
         for kind in sorted((k for k in kinds if isinstance(k, NamedNode)), key=str):

@@ -189,6 +189,7 @@ def steps_above(plan: Plan, leaf: Plan) -> tuple[Step, ...] | None:
 
 def _projected(relation: Relation, variables: tuple[str, ...]) -> Relation:
     columns = {name: relation.column(name) for name in variables}
+    # Without a variable of its key a relation may have equal rows.
     key = relation.key if relation.key is not None and relation.key <= set(columns) else None
     return Relation(columns, relation.rows, key)
 
@@ -208,6 +209,7 @@ def united(parts: list[Relation], terms: TermValues) -> Relation:
     columns = {}
     for name in names:
         known = [part for part in parts if name in part.columns]
+        # The kind of an empty part must not turn the numbers of others into terms.
         kinds = {part.columns[name].kind for part in known if part.rows}
         kind = kinds.pop() if len(kinds) == 1 else Kind.TERM
         columns[name] = concatenate(
@@ -229,6 +231,7 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
     names = named_variables(pattern) & child.columns.keys()
+    # Else substitution only selects solutions, which a join does without a changed plan.
     if _looks_outside(pattern, names) or _depends(pattern, names):
         found = _substituted(pattern, child, names, source, terms)
     else:
@@ -253,6 +256,7 @@ def _substituted(
         hit = np.zeros(bound.rows, np.bool_)
         if SEED in solved.columns:
             hit[solved.columns[SEED].values] = True
+        # Solutions without a seed hold for every row.
         elif solved.rows:
             hit[:] = True
         found[at] = has_match(part, bound.take(hit), terms)
@@ -327,6 +331,7 @@ def _seeded(plan: Plan, given: Given) -> Plan:
             # Substituted names do not count as shared.
             own = tuple(sorted(named_variables(removed) - frozenset(given.variables)))
             return Minus(_seeded(child, given), Project((*own, SEED), _seeded(removed, given)))
+        # These hide names or read all of their input, so the solutions are joined in above.
         case Project() | Distinct() | Aggregate() | Slice() | Order() | Closure():
             return Join((given, plan))
         case Scan() | TypeScan() | AnyScan() | Values() | Given():
@@ -369,6 +374,7 @@ def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermV
         if isinstance(position, Const):
             same = equals(column, position, terms)
             keep = same if keep is None else keep & same
+    # With one variable at both ends neither is a constant, so there is no mask yet.
     if isinstance(subject, Var) and subject == object:
         left, right = key_codes([[pairs[0], pairs[1]]], terms.dictionary)
         keep = left == right
@@ -386,6 +392,7 @@ def equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray[
     kind, value = split_term(constant.term, terms.dictionary.transient_id)
     if column.kind is Kind.TERM:
         return np.asarray(column.values == terms.dictionary.find(constant.term))
+    # A pattern matches terms, and numbers of two kinds are two terms.
     if column.kind is not kind:
         return np.zeros(len(column), np.bool_)
     return np.asarray(column.values == value)

@@ -61,6 +61,7 @@ def left_join(
     if len(rest):
         at_left = np.concatenate([at_left, rest])
         at_right = np.concatenate([at_right, np.full(len(rest), -1)])
+        # The order is that of the left rows, with or without a partner.
         order = np.argsort(at_left, kind="stable")
         at_left, at_right = at_left[order], at_right[order]
     return _joined(left, right, at_left, at_right, terms)
@@ -69,6 +70,7 @@ def left_join(
 def minus(left: Relation, right: Relation, terms: TermValues, beside: str = "") -> Relation:
     """Return the rows of ``left`` that share no binding with a compatible row of ``right``. The
     variable ``beside`` does not count as shared."""
+    # A solution without a common variable is never removed (SPARQL 1.1 §18.3).
     if not any(name in right.columns for name in left.columns if name != beside):
         return left
     at_left, _ = match_rows(left, right, terms, besides=frozenset({beside}))
@@ -81,6 +83,7 @@ def has_match(left: Relation, right: Relation, terms: TermValues) -> NDArray[np.
     """Return which rows of ``left`` have a compatible row in ``right``."""
     found = np.zeros(left.rows, np.bool_)
     if not any(name in right.columns for name in left.columns):
+        # Solutions without a common variable are always compatible.
         found[:] = right.rows > 0
         return found
     found[match_rows(left, right, terms)[0]] = True
@@ -162,12 +165,14 @@ def _matched(
     lefts = np.arange(left.rows) if at_left is None else at_left
     rights = np.arange(right.rows) if at_right is None else at_right
     if not names:
+        # The check comes first, since the product may not fit into memory.
         terms.budget.check(len(lefts) * len(rights), "a join without a common variable")
         with terms.budget.pauses.released():
             return np.repeat(lefts, len(rights)), np.tile(rights, len(lefts))
     pairs = []
     for name in names:
         a, b = left.columns[name], right.columns[name]
+        # These rows bind all of the names, so the columns need no mask.
         if at_left is not None:
             a = ObjectColumn(a.kind, a.values[lefts])
         if at_right is not None:
@@ -201,6 +206,7 @@ def _joined(
     for name, column in left.columns.items():
         with pauses.released():
             taken = column.take(at_left)
+        # A row may leave a variable unbound that its partner binds.
         if name in right.columns and taken.null is not None:
             taken = coalesce(taken, take_or_null(right.columns[name], at_right), terms.dictionary)
         columns[name] = taken

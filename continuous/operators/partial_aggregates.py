@@ -278,6 +278,7 @@ class Partial:
         partial = Partial(singles=self.singles.merged(groups, rows))
         for key, mine in self.numbers.items():
             sums = mine.sums
+            # Python integers are exact where a merged sum might not fit int64.
             if sums.dtype == np.int64 and len(sums) and magnitude(sums) * len(rows) >= SAFE:
                 sums = sums.astype(object)
             total, counts = np.zeros(count, sums.dtype), np.zeros(count, np.int64)
@@ -409,6 +410,7 @@ class Partial:
         for i, key in enumerate(keys):
             there = self.numbers[key].counts > 0
             value = np.where(there, ends[key].astype(np.float64), worst)
+            # Values that are equal as float64 may still differ as numbers.
             doubtful |= there & (chosen >= 0) & (value == best) & (np.abs(value) >= _CERTAIN)
             better = (value < best) if side == 0 else (value > best)
             # A NaN is the extreme, whatever the other numbers.

@@ -103,6 +103,7 @@ class Difference:
         at = np.minimum(np.searchsorted(values, theirs), len(values) - 1)
         had = np.where(values[at] == theirs, numbers[at], 0)
         compared = (windows + other >= 0) & (windows + other <= count)
+        # Results are bags: the n-th of equal rows is in excess if the other has fewer than n.
         return np.flatnonzero(compared & (nth >= had))
 
     def _triples(

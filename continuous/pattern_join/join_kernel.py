@@ -157,6 +157,7 @@ def _match(
         for p in range(pattern_count):
             slot = patterns[p, 0]
             number = visible[slot] + static_visible[slot]
+            # Patterns before the delta read old rows: without any the round finds nothing.
             if number == 0 or (not from_scratch and p < delta and number == new[slot]):
                 possible = False
         if not possible:
@@ -232,6 +233,7 @@ def _match(
             step[depth, KNOWS_OBJECT] = 1 if o < 0 or bound[o] else 0
             step[depth, ABOVE] = first_new if p == delta and not from_scratch else floors[slot]
             step[depth, BELOW] = first_new if p < delta and not from_scratch else marks[COUNT]
+            # Static rows are never new, so the delta does not read them.
             goes_on = static_visible[slot] > 0 and (p != delta or from_scratch)
             step[depth, GOES_ON] = 1 if goes_on else 0
             if s >= 0:
@@ -246,6 +248,7 @@ def _match(
             if visit_limit >= 0 and visited > visit_limit:
                 return OVERSPENT, OVERSPENT
             if depth == pattern_count:
+                # Solutions beyond the capacity are counted: the caller then makes room for all.
                 if found < capacity:
                     for v in range(variable_count):
                         if shown[v] >= 0:
@@ -302,6 +305,7 @@ def _match(
                     row_subject = np.int64(static_rows[at, SUBJECT])
                     low, high = np.int64(static_rows[at, LOW]), np.int64(static_rows[at, HIGH])
                 else:
+                    # A chain goes from new to old, so all further rows are below the bound, too.
                     if at < above:
                         if step[depth, GOES_ON] == 0:
                             break
@@ -312,6 +316,7 @@ def _match(
                     place = np.int64(rows[at, PLACE])
                     row_subject = np.int64(rows[at, SUBJECT])
                     low, high = np.int64(rows[at, LOW]), np.int64(rows[at, HIGH])
+                # A chain has rows of other slots with the same hash, and rows that are not visible.
                 if place & SEEN_MASK != slot:
                     continue
                 if subject_known and row_subject != value_bits[s]:
@@ -358,6 +363,7 @@ def _match(
                             stack_numbers[top] = 0.0
                         elif tag == 1 or tag == 5:
                             stack_numbers[top] = float(word)
+                            # float64 does not distinguish all integers beyond 2^53.
                             if abs(word) > 9007199254740992:
                                 return DOUBTFUL, DOUBTFUL
                         else:

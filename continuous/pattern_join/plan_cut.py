@@ -110,6 +110,7 @@ def served_parts(plan: Plan) -> Iterator[Plan]:
 def _is_served(plan: Plan) -> bool:
     match plan:
         case Scan():
+            # The loop binds the ends of patterns, not the times of triples.
             return not plan.times.names
         case TypeScan():
             return True
@@ -167,6 +168,7 @@ def needed_outside(plan: Plan, parts: Sequence[Plan]) -> list[frozenset[str]]:
         inside = {id(node) for node in walk(part)}
         own = Counter(chain.from_iterable(uses[number] for number in inside))
         if comparing <= inside:
+            # A variable that is used more often than within the part is used outside of it.
             needed.append(frozenset(n for n in outputs(part) if all_uses[n] > own[n]))
         else:
             needed.append(outputs(part))

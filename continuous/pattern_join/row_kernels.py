@@ -128,6 +128,7 @@ def _select_rows(
         i = swept[w]
         while i < marks[COUNT]:
             if details[i, WINDOW] == w:
+                # Rows of a window are in order of time, so the first that stays ends the sweep.
                 if times[i] > lows[w]:
                     break
                 state = rows[i, PLACE] >> STATE_SHIFT
@@ -139,6 +140,7 @@ def _select_rows(
                     if state == COPY:
                         rows[i, PLACE] = GONE << STATE_SHIFT
                         marks[KEPT] -= 1
+                    # The row has expired but equal rows have not, so it stays visible for them.
                     elif details[root, COPIES] > 0:
                         marks[LASTING] += 1
                         lasting[slot] += 1
@@ -174,9 +176,11 @@ def _select_rows(
             wanted += sort_starts[sort + 1] - sort_starts[sort]
             slot = slot_count
         place = np.int64(w) * 256 + pending[end - 1, 3]
+        # Solutions follow the order of rows, which must not depend on how rows came.
         if time < last_time[slot] or (time == last_time[slot] and place < last_place[slot]):
             return UNORDERED
         last_time[slot], last_place[slot] = time, place
+    # Nothing has been inserted yet, so the caller can make room and call again.
     if marks[COUNT] + wanted > rows.shape[0]:
         return int(wanted)
     for at in range(first, end):
@@ -293,6 +297,7 @@ def _select_rows(
         for w in range(swept.shape[0]):
             if inside[w, slot] > 0:
                 floors[slot] = min(floors[slot], swept[w])
+        # A row that stays for equal ones may be older than the sweep of any window.
         if lasting[slot] > 0:
             floors[slot] = 0
         marks[FLOOR] = min(marks[FLOOR], floors[slot])
@@ -321,6 +326,7 @@ def _pack(rows: Any, times: Any, details: Any, swept: Any, marks: Any, moved: An
             details[kept, k] = details[i, k]
         kept += 1
     for n in range(kept):
+        # A root stays as long as it stands for a row, so it has a new position.
         details[n, ROOT] = moved[details[n, ROOT]]
     marks[COUNT] = kept
     marks[FLOOR] = 0

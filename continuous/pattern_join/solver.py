@@ -100,6 +100,7 @@ class PatternJoin:
         ends = self.patterns[:, 1:].tolist()
         all_ends = [end for pair in ends for end in set(pair)]
         for slot, subject, object in self.patterns.tolist():
+            # A variable at another end, too, may be bound before the loop gets to this pattern.
             by_subject, by_object = (
                 end < 0 or all_ends.count(end) > 1 for end in (subject, object)
             )
@@ -149,6 +150,7 @@ class PatternJoin:
                     self._uniform,
                     self.terms.budget.row_visits,
                 )
+            # The loop has stopped half-way, so its arrays are whole for no window.
             if found == DOUBTFUL:
                 self.reset()
                 return None
@@ -164,6 +166,7 @@ class PatternJoin:
             if found <= self._bits.shape[1]:
                 break
             keeps = found <= most_kept
+            # The old solutions that stay are in place: the next try finds the new ones only.
             self._kept = stayed if keeps else 0
             from_scratch |= not keeps
             self._make_room(2 * found, keeps=keeps)
@@ -187,6 +190,7 @@ class PatternJoin:
             if tag < 0:
                 columns[name] = decode_terms(self._tags[i, :found], words, self.terms.dictionary)
             else:
+                # The next window writes over kept arrays, but callers keep results.
                 column = decode(_KINDS[tag], words)
                 # Values that are not of 64 bits have been copied by `decode`.
                 if copied and column.values.itemsize == words.itemsize:
@@ -253,6 +257,7 @@ class PatternSolver:
             (part, PatternJoin(part, shown, numbered, static.terms)) for part, shown in parts
         ]
         self._joins = _by_identity(self._parts)
+        # Sorts are a set of facts under either semantics.
         once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
         needed = np.where(once, 1 << BY_TRIPLE, 0)
         for join in self._joins.values():
@@ -266,6 +271,7 @@ class PatternSolver:
         self._expanded_sorts: list[HeldTerms] = []
 
     def __getstate__(self) -> dict[str, Any]:
+        # The keys are identities, which are others in the process that reads the state.
         return {**self.__dict__, "_joins": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -59,6 +59,7 @@ class StaticRows:
         counts = np.zeros(len(self.slots), np.int64)
         parts: list[tuple[NDArray[Any], ...]] = []
         for number, slot in enumerate(self.slots):
+            # A named window has nothing static.
             if slot.graph in self.windows:
                 continue
             if slot.predicate == RDF_TYPE:

@@ -285,6 +285,7 @@ class PatternRows:
     def reinsert_rows(self) -> None:
         """Make all rows pending again, since static triples or the meanings of sorts have
         changed."""
+        # Derived rows follow from the sorts again, whose meaning may be another one now.
         at = self._stated_rows()
         rows, times, windows = self.rows[at], self._times[at], self._details[at, WINDOW]
         self._copy()
@@ -295,6 +296,7 @@ class PatternRows:
         self.marks[FIRST_PENDING:] = 0
         ones = np.ones(len(rows), np.int32)
         parts = np.stack([windows, slots, tags, ones], axis=1).astype(np.int64)
+        # The rows of the windows are older than the pending ones, so they go first.
         self._append_pending(parts, np.ascontiguousarray(subjects), _words(rows), times)
         window, slot, subject, tag = places.T
         parts = np.stack([window, slot, tag, np.ones_like(window)], axis=1).astype(np.int64)

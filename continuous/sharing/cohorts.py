@@ -184,6 +184,7 @@ class JoinedCohort:
                 self.terms.budget.check(relation.rows, "a join with the instances")
             except NeedsOxigraph:
                 continue
+            # Columns suffice again, so the plans of single instances can go.
             self._alone = {}
             return (JoinedResults(start, shown, head, relation, numbers, alive, self.terms),)
         return (self._solve_each(rows),)
@@ -215,7 +216,9 @@ class JoinedCohort:
         after: tuple[Step, ...] = ()
         for piece in self._pieces(relation):
             joined, decided = self.table.join(piece)
+            # The searched condition is the first step, and the join may have decided it.
             rest = self.joint.rest[1:] if decided else self.joint.rest
+            # DISTINCT needs the solutions of all pieces; the steps before it do not.
             alone = tuple(takewhile(lambda step: not isinstance(step, Distinct), rest))
             for step in alone:
                 joined = self._step(step, joined)
@@ -223,6 +226,7 @@ class JoinedCohort:
             after = rest[len(alone) :]
         solutions = pieces[0]
         if len(pieces) > 1:
+            # The pieces are parts of one relation, so its key holds for all of them.
             solutions = replace(united(pieces, self.terms), key=solutions.key)
         for step in after:
             solutions = self._step(step, solutions)
@@ -269,6 +273,7 @@ class JoinedCohort:
             if number not in self._alone:
                 columns = self.table.columns.items()
                 query = self._own(number, {name: column.term(row) for name, column in columns})
+                # No panes are folded for this solver, so it computes windows from their rows.
                 self._alone[number] = Solver(query, self.windows, self.static, folds=False)
             results[number] = self._alone[number].solve(rows)
         return SeparateResults(results)
@@ -294,6 +299,7 @@ def find_joint(
         reasons[name] = f"?{name} is a graph"
     try:
         head = body.translate({**before, **arguments}).head
+        # Each round makes at least one more parameter fixed, so the rounds end.
         while True:
             names = [name for name in arguments if name not in reasons]
             if not names:

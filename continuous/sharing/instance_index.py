@@ -79,12 +79,15 @@ class InstanceIndex:
             # Without a condition every row of a group matches.
             number, strict = np.zeros(relation.rows), False
             limits, least = np.zeros(len(self.limits)), np.zeros(len(self._least))
+            # The first entry answers for group -1, and NaN matches nothing.
             least[0] = np.nan
         else:
             number, strict = values.values.astype(np.float64, copy=False), self.search.strict
+            # The limits have the opposite sign, too, so one loop serves both directions.
             if not self.search.greater:
                 number = -number
             limits, least = self.limits, self._least
+            # An unbound value satisfies no condition.
             if values.null is not None:
                 groups = np.where(values.null, -1, groups)
         at, places = find_pairs(groups, number, self.starts, limits, least, strict)

@@ -68,6 +68,7 @@ class InstanceTable:
         if self._removed:
             removed = np.fromiter(self._removed, np.int64)
             self._removed = set()
+            # Results of earlier windows keep the old array.
             alive = self._alive.view.copy()
             alive[np.searchsorted(self._settled.view, removed)] = False
             self._alive.replace(alive)
@@ -94,11 +95,13 @@ class InstanceTable:
         at, rows = parts[0]
         if len(parts) > 1:
             at, rows = (np.concatenate(side) for side in zip(*parts, strict=True))
+        # Removed instances stay in the index until it is built anew.
         if self.live < len(self._settled.view):
             alive = self._alive.view[rows]
             at, rows = at[alive], rows[alive]
         columns = {name: column.take(at) for name, column in relation.columns.items()}
         for name in self.joint.compared:
+            # Terms that no later step reads are not copied for each solution.
             if name in self.joint.used_variables or not decided:
                 columns[name] = self.columns[name].column(rows)
         columns[INSTANCE] = ObjectColumn(Kind.INTEGER, rows)

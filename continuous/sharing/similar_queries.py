@@ -118,9 +118,11 @@ def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
         except Unfit as unfit:
             if not unfit.name:
                 raise Unshared(str(unfit)) from unfit
+            # Each round plans the query, so all parameters that are known to be unfit go at once.
             fixed = {Var(name) for name in (unfit.name, *unfit.also)}
             pattern = [found.constants[i] if one in fixed else one for i, one in enumerate(pattern)]
             continue
+        # The form numbers its parameters as the returned constants stand: without gaps.
         for number, i in enumerate(kept):
             pattern[i] = Var(constant_variable(number))
         return put_constants(found.query, pattern), tuple(found.constants[i] for i in kept)

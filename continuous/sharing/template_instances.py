@@ -122,6 +122,7 @@ class TemplateEvaluator(SharedWindows):
         body = QueryBody.of(bind(self.query, arguments), windows.schedule)
         if own_solutions(body.translate(given)):
             return None
+        # An entailed triple about a term may come from a sample of another object.
         if one_by_one and windows.entailment.entails_of_objects(streamed):
             return None
         # An ASK also reports false, for which no triple about the term is needed.
@@ -136,6 +137,7 @@ class TemplateEvaluator(SharedWindows):
         self._cohort_of[instance] = -1
         self._live -= 1
         cohort.remove(instance)
+        # A cohort without instances would fold each window for nothing.
         if not cohort.live:
             del self._serials[cohort.place.serial], self._cohorts[cohort.place.key]
 
@@ -212,6 +214,7 @@ class TemplateEvaluator(SharedWindows):
     def _evaluate(self, end: int, reports: bool) -> bool:
         """Evaluate every cohort for the window that ends at ``end``."""
         parts: list[CommonResult | SeparateResults | JoinedResults] = []
+        # A stream operator compares with the result before, even if that was not reported.
         if reports or self._windows.differs:
             for cohort in self._cohorts.values():
                 cohort.fold(end)

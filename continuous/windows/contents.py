@@ -81,6 +81,7 @@ class Contents:
         size, in_order = len(rows), ascending(rows.time)
         if after is not None:
             rows = _rows_after(rows, after, in_order)
+        # A row without objects states a sort only, so no triple of the stream is lost.
         late = size - len(rows) if rows.objects else 0
         if not len(rows):
             return late
@@ -120,6 +121,7 @@ class Contents:
         times = [table.time for table in tables]
         moments = times[0] if len(times) == 1 else np.concatenate(times)
         least, greatest = int(moments.min()), int(moments.max())
+        # Late rows are found and counted table by table.
         if after is not None and least <= after:
             return False
         self._cached_next = None
@@ -139,6 +141,7 @@ class Contents:
     def limit(self, input: str, last_end: int) -> int | None:
         """Return the τ up to which rows of ``input`` belong to past evaluations only."""
         ends = [one.bounds(last_end)[1] for one in self.schedule.windows if one.input == input]
+        # A row that some closed window lacks is late, even if another one could still have it.
         return max(ends, default=None)
 
     # -- when an evaluation is due ---------------------------------------------------------
@@ -176,6 +179,7 @@ class Contents:
         for pane in sorted(panes):
             begin = grid.ceil(pane)
             if begin > end:
+                # The first window without content has losses for a stream operator.
                 if leaves and follows and len(ends) < most:
                     ends.append(end)
                 end, follows = begin, False
@@ -208,6 +212,7 @@ class Contents:
             previous_high = one.bounds(last_end)[1]
             following = self.schedule.after(last_end)
             last = panes.last_until(previous_high)
+            # Rows of the last window are still in the next one, which needs no new row to be due.
             if not one.lasts and last is not None and last > one.bounds(following)[0]:
                 return following
         pane = panes.first_after(previous_high)
@@ -255,6 +260,7 @@ class Contents:
             changed |= entered
             if last_end is not None and not one.lasts:
                 before = one.bounds(last_end)
+                # Only a pane of the earlier content can have left it.
                 left = panes.last_until(min(low, before[1]))
                 changed |= left is not None and left > before[0]
         return content, changed
@@ -311,6 +317,7 @@ class Contents:
                 self._counting[i].forget(self._numbers[i])
                 continue
             low, high = one.bounds(following)[0], one.bounds(end)[1]
+            # A lasting window is due by new rows only, so it needs no pane that it has seen.
             self._panes[i].drop(min(low, high) if not one.lasts else high)
             lows[one.input] = min(low, lows.get(one.input, low))
             highs[one.input] = min(high, highs.get(one.input, high))
@@ -322,6 +329,7 @@ class Contents:
                 if low > -TIME_MAX:
                     self.buffers[input].drop(min(low, high) if raw else high, high)
                 else:
+                    # A landmark window drops no row; merged chunks keep its reads cheap.
                     self.buffers[input].settle(high)
 
 

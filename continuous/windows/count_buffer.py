@@ -57,6 +57,7 @@ class CountBuffer:
         waiting = _Triples.joined(self._waiting)
         order = np.argsort(waiting.time, kind="stable")
         ready = order[waiting.time[order] < watermark]
+        # The rest stays in order of arrival, which decides among triples of one time.
         remaining = np.sort(order[len(ready) :])
         self._waiting = [waiting.take(remaining)] if len(remaining) else []
         self._settled = _Triples.joined([self._settled, waiting.take(ready)])
@@ -85,6 +86,7 @@ class CountBuffer:
     def forget(self, number: int) -> None:
         """Drop the triples that no window ending at or after triple ``number`` contains."""
         first = max(0, number - self.window.size)
+        # A drop copies the triples that stay, so it waits until many can go.
         if first - self._first > 2 * (self.window.size + self.window.step):
             self._settled = self._settled.take(slice(first - self._first, None))
             self._first = first

@@ -67,6 +67,7 @@ class InputWindow:
         """Return ``(low, high]`` of this input's latest window at the evaluation ``end``; for a
         counting window, the bounds of all rows that it may contain."""
         grid = self.grid
+        # Between two of its ends a window shows the content at the earlier one.
         high = end if grid is None else grid.floor(end)
         return (self.low if self.range is None else high - self.range), high
 
@@ -147,6 +148,7 @@ def _window(input: str, graph: str, window: Window, origin: int) -> InputWindow:
         case TimeWindow():
             range = window.range
         case LandmarkWindow(start) if start is not None:
+            # Content is open on the left, and a landmark window includes its start.
             low = start - 1
     counted = isinstance(window, CountWindow)
     return InputWindow(input, graph, window, None if counted else grid, low, range, counted)

@@ -70,5 +70,6 @@ class Panes:
         """Drop the panes that end at or before ``until``."""
         at = bisect_right(self._ends, until)
         if at:
+            # `Contents.compare` asks for the last pane of earlier content after its rows are gone.
             self._last = self._ends[at - 1]
             del self._ends[:at]

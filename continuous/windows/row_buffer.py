@@ -131,6 +131,7 @@ def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:
     run: list[_Chunk] = []
     for chunk in [*chunks, None]:
         fits = chunk is not None and chunk.last <= settled and chunk.small
+        # Chunks that overlap in time stay apart: `between` sorts their rows when it reads them.
         if run and not (fits and chunk is not None and run[-1].last <= chunk.first):
             rows = concatenate_rows([one.rows for one in run])
             small = len(rows) < _SMALL
@@ -160,6 +161,7 @@ def _in_order(parts: list[TripleRows]) -> Iterator[TripleRows]:
         return
     waiting: list[TripleRows] = []
     for part in parts:
+        # Large parts go on as views; a copy pays for small ones only.
         if len(part) >= _SMALL:
             if waiting:
                 yield concatenate_rows(waiting)

@@ -95,6 +95,7 @@ class OpenWindows:
         for table in entailed:
             rows = self._relevant(table)
             if rows is not None:
+                # A late row is counted once, and not again for the triples that it entails.
                 self.contents.push(input, rows, limit, entailed=True)
 
     def advance(
@@ -150,6 +151,7 @@ class OpenWindows:
         for one in self.schedule.windows:
             watermark = self._watermarks.get(one.input)
             if one.input not in self._ended and watermark is not None:
+                # A row may still come at the watermark itself.
                 candidates.append(self.schedule.first_end(one, watermark))
         if not candidates:
             return None
@@ -186,6 +188,7 @@ class OpenWindows:
         """Return the τ up to which rows of ``input`` are late, or None if none is."""
         limits = []
         if input in self._watermarks:
+            # A row at the watermark is in time.
             limits.append(self._watermarks[input] - 1)
         if self._last_end is not None:
             closed = self.contents.limit(input, self._last_end)
@@ -214,6 +217,7 @@ class OpenWindows:
         if watermark is None:
             return None
         if watermark != self._settled_watermark:
+            # More triples may come at the watermark, so counting windows see the earlier ones only.
             self.contents.settle(watermark)
             self._settled_watermark = watermark
         # The usual case first: the watermark has not reached the next end on the grid.
@@ -222,11 +226,13 @@ class OpenWindows:
             if watermark <= following - self.schedule.shift:
                 return None
         due = self._due()
+        # A window has the rows at its end, so it waits until the watermark is greater.
         return None if due is None or watermark <= due.end - self.schedule.shift else due
 
     def _due(self) -> DueEvaluation | None:
         """Return the next evaluation: with content, or without if the query's report needs it."""
         due = self.contents.next(self._last_end)
+        # Windows without content count only on a grid, and only after the first content.
         if self._plain or self._last_end is None or self.schedule.ends is None:
             return due
         following = DueEvaluation(self.schedule.after(self._last_end))
@@ -260,6 +266,7 @@ class OpenWindows:
         )
         done = in_bulk(ends) if len(ends) >= FEWEST else None
         if done is None:
+            # Another pass over some of these windows would fail for the same reason.
             self._one_by_one_until = ends[-1]
             return 0
         closed, retains = done
@@ -278,6 +285,7 @@ class OpenWindows:
             wanted = {"non-empty": content, "change": changed, "close": not self._is_over}
             reports = wanted[self.options.report]
             self._had_content = content
+        # A window that exceeds its budget has closed, too: it must not be due again.
         self._last_end = end
         begin = 0 if self.clock is None else self.clock()
         self.contents.select(due)

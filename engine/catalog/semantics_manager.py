@@ -78,6 +78,7 @@ class SemanticsManager:
         try:
             yield
         finally:
+            # Changes before an error have happened, so they are mirrored as well.
             self._deferred = None
             if deferred:
                 self._ontology.mirror(
@@ -222,6 +223,7 @@ class SemanticsManager:
         if self._deferred is None:
             self._ontology.mirror(added, removed)
         else:
+            # The last change of a triple within the context counts.
             self._deferred.update(dict.fromkeys(removed, False) | dict.fromkeys(added, True))
 
 
@@ -283,6 +285,7 @@ def unit_triples(change: Change) -> Iterable[Triple]:
     unit = term(change.unit)
     yield Triple(unit, RDF_TYPE, term(change.role))
     yield Triple(unit, term("hasName"), Literal(change.unit))
+    # The transformation has these inputs; their synchronization is an addition of the engine.
     for source in change.unsynchronized or change.inputs:
         yield Triple(unit, term("hasInput"), term(source))
     if change.synchronization:

@@ -161,9 +161,11 @@ class Configuration:
         if found is None:
             violations = self._violations_named(name)
             if violations is not None or self.late.is_name(name):
+                # Any text may name such a stream, so the service applies its quota of streams here.
                 self.before_demand()
             found = self.late.open(name) if violations is None else violations.stream
             if found is not None:
+                # A read is no command, so only a record in the log lets a replay make this stream.
                 self.on_opened(found.name)
         return found
 
@@ -250,6 +252,7 @@ class Configuration:
         if not generator.is_ended:
             generator.end()  # tells its followers that there are no more samples
         generator.close()
+        # The system gives no reserved name twice, so no client takes its numbers for other samples.
         if generator.stream.last_number and not name.startswith(RESERVED):
             self._removed[name] = generator.stream.last_number
             if len(self._removed) > _MOST_REMOVED:
@@ -406,6 +409,7 @@ class Configuration:
             self.remove_stream(violations.name)
         del self.units[unit.output.name]
         key = self._keys.pop(unit, None)
+        # `share` may have put another unit under the key, since this one failed or lost an input.
         if key is not None and self._shared.get(key) is unit:
             del self._shared[key]
         self.report_unit(ChangeKind.UNIT_STOPPED, unit, self._specified[1])
@@ -500,6 +504,7 @@ class Configuration:
         Cost: O(upstream units).
         """
         todo, visited = [unit], {unit}
+        # The list grows during the loop, so the loop visits near units before distant ones.
         for part in todo:
             if part.failure is not None:
                 return f"{part.name}: {part.failure}"
@@ -513,6 +518,7 @@ class Configuration:
     def release_unused(self) -> None:
         """Stop units without users: those of a request that failed while it started."""
         for unit in list(self.units.values()):
+            # A removal releases the inputs, so units of the copied list may have stopped already.
             if unit.users == 0 and self.units.get(unit.output.name) is unit:
                 self.remove_unit(unit)
 
@@ -602,6 +608,7 @@ class Configuration:
     def _release_inputs(self, inputs: Sequence[StreamGenerator]) -> None:
         for source in inputs:
             producer = self.units.get(source.name)
+            # Since `remove_unit` another unit may make a stream of this name. It has lost no user.
             if producer is not None and producer.output is source:
                 self.release(producer)
 

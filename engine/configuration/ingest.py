@@ -76,6 +76,7 @@ class Intake:
         idempotency_key: str | None,
         digest: bytes,
     ) -> int:
+        # A stream may have several names, and a key counts for the stream.
         name = generator.name
         key = (name, idempotency_key or "")
         if idempotency_key is not None and key in self._keys:
@@ -128,6 +129,7 @@ class Intake:
 
     def forget_keys(self, name: str) -> None:
         """Forget the keys of a removed stream."""
+        # The search below costs O(keys of all streams), so streams without keys skip it.
         if name in self._keyed:
             self._keyed.discard(name)
             for key in [key for key in self._keys if key[0] == name]:

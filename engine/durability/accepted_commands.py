@@ -217,6 +217,7 @@ class AcceptedCommands:
 
     def _put_waiting(self, key: Key, command: Command, reason: str) -> None:
         accepted = self._accepted.get(key)
+        # Each request and subscription has an id of its own; only a query has several users.
         is_shared = key.kind == QUERY and accepted is not None and accepted.is_waiting
         users = accepted.users + 1 if accepted is not None and is_shared else 1
         self._accepted[key] = Accepted(command, True, users, reason)

@@ -250,6 +250,7 @@ def _slots(kind: type) -> tuple[str, ...] | None:
     """The fields of a frozen dataclass with slots; None for other classes."""
     if getattr(kind, "__getstate__", None) is not _DATACLASS_STATE:
         return None
+    # A class with a reduction of its own has to be pickled by that.
     usual = ("__reduce__", "__reduce_ex__")
     if any(getattr(kind, name) is not getattr(object, name) for name in usual):
         return None
@@ -288,6 +289,8 @@ def _set_function(value: FunctionType, state: tuple[Any, Any, dict[str, Any]]) -
 @cache
 def _codes(module: str) -> dict[str, list[CodeType]]:
     """The code objects of a module's functions by qualified name, in order of the source."""
+    # A nested function exists only after a call of its outer one, so its code comes from the
+    # module's source.
     spec = importlib.util.find_spec(module)
     code = None if spec is None else spec.loader.get_code(module)  # type: ignore[union-attr]
     codes: dict[str, list[CodeType]] = {}
@@ -321,6 +324,7 @@ def _set_cell(value: CellType, contents: tuple[object]) -> None:
 
 
 def _reduce_compiled(value: Any) -> str:
+    # Pickle takes a text as the name of a global of the object's module.
     return str(value.py_func.__qualname__)
 
 
@@ -384,6 +388,8 @@ def _run_deep(work: Callable[[], T]) -> T:
         except Exception as error:  # noqa: BLE001  raised again in the calling thread
             errors.append(error)
 
+    # Only a new thread can have a larger stack. Both limits are those of the process, so the old
+    # ones come back afterwards.
     limit, stack = sys.getrecursionlimit(), threading.stack_size(_STACK)
     sys.setrecursionlimit(max(limit, _MAX_FRAMES))
     try:

@@ -179,6 +179,7 @@ class Publish(Command, frozen=True, tag="publish"):
                 # Decoding has put its texts into the stream's pools.
                 generator.forget_texts()
                 raise
+        # A repeated batch has no effect, so its times do not matter.
         if incoming.stamped or engine.intake.is_used(generator, self.key):
             return
         latest = min(self.now + generator.ahead, TIME_MAX)
@@ -578,6 +579,7 @@ AnyCommand: TypeAlias = (
     | ChangeTransformation
     | RemoveTransformation
 )
+# KPL is not among them: the ontology stores declarations that cannot be restored.
 DEFINING = (
     DeclareStream,
     Annotate,

@@ -144,8 +144,10 @@ class RecordedEngine:
             self._accepted, self._needed = recovery.accepted, recovery.needed
             self.engine.on_opened(self._on_opened)
             self.log.commit()
+            # The log has the new epoch on the disk now, so the note about the loss has served.
             self._directory.forget_loss()
             if self._directory.old_store is not None:
+                # Until a checkpoint has the definitions of the old store, no other file has them.
                 self.checkpoint().write()
                 self._directory.forget_old_store()
             elif not self.recovery.is_continued:
@@ -200,6 +202,7 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`, and closes no window then.
         """
         self._log_pending()
+        # Closing a window cannot be undone, so its record needs room before.
         self.log.check_room(_WINDOWS)
         with self._executing(WorkBacklog(), "closing windows") as entry:
             done = self.engine.work_backlog(new=new, begins=begins)
@@ -226,6 +229,7 @@ class RecordedEngine:
             raise CheckpointError(f"the state is undefined since an error: {self.failure}")
         self._try_report_sink_failures()
         if self._runner.tape.outcomes:
+            # The tape is no part of the state, so a start from this checkpoint would lose them.
             raise CheckpointError("failures of sinks could not be logged yet")
         position = self.log.position
         if aside is not None:
@@ -381,6 +385,7 @@ class PendingCheckpoint:
         if self._log.synced < self.position:
             self._log.sync()
         self._checkpoints.keep(self.position)
+        # The newest checkpoint may get damaged, so the log goes back to the older one.
         self._log.drop(min(self._checkpoints.positions()))
 
     def drop(self) -> None:

@@ -106,12 +106,14 @@ def portable_of(
     unkept: Iterable[Unkept],
 ) -> Portable:
     """Return the portable state of ``engine``. Cost: O(samples kept)."""
+    # A stream without fields has had no samples.
     kept = [each for each in engine.published() if each.schema.fields]
     named = dict(engine.ontology.registered.queries)
     unnamed: dict[str, Command] = {}
     waiting: list[tuple[str, int, Command]] = []
     for key, one in accepted.all():
         if one.is_waiting:
+            # At the next start each copy counts as one user again (`add_waiting`).
             waiting += [(key.name, len(unnamed), one.command)] * one.users
         elif key.name not in named:
             unnamed[key.name] = one.command
@@ -143,6 +145,7 @@ def engine_from(
     losses. ``first_reserved``: as for `Engine`, beyond the names of queries that a replay will
     register."""
     engine = Engine(
+        # The clock may have been set back, and the time of an engine never decreases.
         now=max(now, portable.now),
         first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
         ontology=Ontology.from_quads(portable.quads),
@@ -173,6 +176,7 @@ def engine_from(
     for id, command in _commands_of(portable):
         engine.keep_id(id)
         if isinstance(command, RegisterQuery):
+            # Users know an unnamed query by the name that it had.
             command = msgspec.structs.replace(command, name=id)
         reason = accepted.replay(command, engine)
         if reason is not None:
@@ -233,6 +237,7 @@ def _column(column: Column) -> KeptColumn:
     null = None if column.null is None else column.null.tobytes()
     if column.pool is None:
         return KeptColumn(column.type, column.values.tobytes(), null)
+    # The pool of the stream may have many texts that no kept sample has.
     own = column.recoded(StringPool())
     assert own.pool is not None
     return KeptColumn(column.type, own.values.tobytes(), null, list(own.pool.strings()))

@@ -111,6 +111,7 @@ class RecoveryRun:
             if progress is not None and self.report.replayed % 1000 == 0:
                 progress(self.report.replayed, count)
         self._tape.is_replaying = False
+        # If no command follows the checkpoint, no replay has compared the writer.
         self._check_writer()
         for reason, times in self._refused_batches.items():
             note = f"{times} batches could not be replayed: {reason}"
@@ -138,6 +139,7 @@ class RecoveryRun:
                 self.report.notes.append(f"a checkpoint was skipped: {error}")
                 continue
             if position > self._log.position or position + 1 < self._log.first:
+                # Checkpoint and log contradict each other, so acknowledged commands are missing.
                 raise JournalDamaged(
                     f"the checkpoint is of record {position}, the log has records "
                     f"{self._log.first} to {self._log.position}",
@@ -188,6 +190,7 @@ class RecoveryRun:
             modules = process_modules(self._outside.processes)
             begin = Begin(secrets.token_hex(4), now, self._program, modules, INSTANTS)
             self._log.append(encode_command(begin))
+            # `Log.read` returns committed records only, and this one is read below.
             self._log.commit()
             if store is not None:
                 self.report.notes.append(
@@ -250,6 +253,7 @@ class RecoveryRun:
             return
         expected = None
         try:
+            # The execution may use up the id even if it fails, so the key is needed before.
             expected = self.accepted.expected_key(command, engine)
             self.accepted.record(command, self.accepted.do(engine, command))
         except REFUSALS as error:
@@ -273,6 +277,7 @@ class RecoveryRun:
         """Report an accepted command that is refused now, and keep it for another start."""
         match command:
             case Publish(stream=stream):
+                # The log may have thousands of such batches, so `run` notes each reason once.
                 self._refused_batches[f"{stream}: {error}"] += 1
                 self.report.is_continued = False
                 return

@@ -230,6 +230,7 @@ class Application:
                 continue
             if not mediations:
                 self._news.clear()
+                # A mediation that has not emitted yet may need the samples of past lives.
                 self._drop_past_lives()
                 return
             for unit in mediations:
@@ -327,6 +328,7 @@ class Application:
 
     def _start_source(self, name: str, sort: ValueSort) -> None:
         implementation = self._processes.sources.get(name)
+        # A client may have declared the stream, and then it does not belong to KPL.
         if name not in self._configuration.streams:
             self._own_streams.add(name)
             output = self._network.stream(name, sort.schema)
@@ -408,6 +410,7 @@ class Application:
         if unit is not None:
             output = unit.output
             read = [self._configuration.unadapted(source) for source in unit.inputs]
+            # Another generator repeats the results that come from voided samples.
             if any(life.is_void for life in read):
                 output.is_void = True
             if output.ends_at is None:  # it ends with the first of its inputs that has ended
@@ -435,6 +438,7 @@ class Application:
         if key in self._own_streams:
             self._own_streams.discard(key)
             self._configuration.remove_stream(key)
+        # The stream of a source may stay (`release`), and then it keeps its annotation.
         if not self._configuration.has(key):
             self._forget(key)
 

@@ -82,6 +82,7 @@ class KplDeclarations:
         """Remove a declaration (`Application.remove`), or one that was not restored: by its first
         line, or by its name if no other declaration has it."""
         for text in self._not_restored:
+            # Its view shows the first line as its name (`_lost_view`).
             if text.partition("\n")[0] == name:
                 del self._not_restored[text]
                 self._store()
@@ -167,6 +168,7 @@ class KplDeclarations:
             has_unit = specification.unit is not None
             new, _ = check_kpl(specification, text, self._ontology.vocabulary, self.signature, unit)
         except LanguageError:
+            # The next start reads the stored text without the unit of this command.
             lines = [line for line in text.splitlines() if line.strip()]
             return ("\n".join(lines if has_unit else [f"unit {unit}", *lines]),)
         return tuple(format_kpl(declaration) for declaration in new)

@@ -134,6 +134,7 @@ class Network:
                     ),
                     object=declaration.label.objects[0],
                 )
+                # With the pools of its input the output does not encode the texts of samples again.
                 unit.output.stream.pools.update(unit.inputs[0].stream.pools)
             case Aggregate() | Select():
                 unit = self._mediation(declaration, process, after)
@@ -160,6 +161,7 @@ class Network:
             self._configuration.start(unit, Since.START, after=after)
             return unit
 
+        # The key has ``after``: streams that begin at different times have different samples.
         return self._configuration.share((term, self._keys(term), after), build).output
 
     def _start(
@@ -169,6 +171,7 @@ class Network:
         after: int | None = None,
         until: int | None = None,
     ) -> None:
+        # The declaration is a user, so the unit also runs without readers.
         unit.users += 1
         self._configuration.start(unit, Since.START, specification, after, until)
 

@@ -132,6 +132,7 @@ def rehearse(
         configuration,
         processes,
         runner=runner,
+        # The proofs compare whole streams, so no sample may be evicted.
         retention=Retention(samples=2**62),
         # Units may emit late samples: a rehearsal can wait for all, so each gets its place.
         lateness=TIME_MAX,

@@ -104,6 +104,7 @@ class Elaboration:
         chains longer than Python's recursion limit."""
         done: dict[int, bool] = {}
         for top in insertions:
+            # An earlier element may have read this one by its name.
             stack = [] if id(top) in done else [(top, iter(top.inputs))]
             done.setdefault(id(top), False)
             while stack:
@@ -112,6 +113,7 @@ class Elaboration:
                     below = self._element(source)
                     if below is None or done.get(id(below)):
                         continue
+                    # The element is on the stack and not done, so it reads itself.
                     if id(below) in done:
                         raise self._cycle_error([one for one, _ in stack], below, source.span)
                     done[id(below)] = False

@@ -285,6 +285,7 @@ class Plans:
         node: SelectObject | SelectObjects | Synchronize | Compute | Detect,
         since: Beginning,
     ) -> ComputationalUnit:
+        # A query or formula starts and reports its unit itself.
         if isinstance(node, Detect):
             return self._detect(node, since)
         unit: ComputationalUnit
@@ -377,6 +378,7 @@ class Plans:
         """Make a unit that selects samples of ``node`` by the object that ``id_field`` names."""
         source = self.obtain(node, since)
         namespace = self._configuration.namespaces[source.name]
+        # With the pools of its source the output takes samples without encoding their texts again.
         output = self._configuration.reserved_stream(
             source.schema, namespace, dict(source.stream.pools)
         )
@@ -429,6 +431,7 @@ class Plans:
         )
         source = None
         for edge in node.inputs:
+            # There is one edge at most: several streams come as one, from their synchronization.
             source = self.obtain(edge.node, since)
         schema, pools = self._fields_of(node, source)
         namespace = DYKNOW if source is None else self._configuration.namespaces[source.name]

@@ -196,6 +196,7 @@ class QueryStarter:
             break_even = partial(self._plans.queries.break_even, instance, flows)
             return instance, self._sharing.pattern(instance, break_even), ""
         except Unshared as reason:
+            # The query runs alone and counts: sharing begins when enough queries of its form run.
             return instance, None, str(reason)
 
     def _join(

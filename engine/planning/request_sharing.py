@@ -170,6 +170,8 @@ class RequestSharing:
         shareable = self._shareable(template, query, all_objects, selected)
         if shareable is None:
             return None
+        # Units behind a selection remember the samples of an object. An object that comes back
+        # needs another selection: these units would compute over the gap.
         for generation in count():
             together = _with_selections(own, all_objects, generation)
             if together is None:
@@ -333,6 +335,7 @@ class _Selections:
         if isinstance(own, SelectObject):
             selection = SelectObjects(nodes[0], own.id_field, self._generation)
             object = self.objects.setdefault(selection, own.object)
+            # A request has one object in each selection, so it cannot select two from one stream.
             return selection if object == own.object else None
         if len(below_of(own)) != len(below_of(every)):
             return None

@@ -91,8 +91,10 @@ class RunningShapes:
         self._transformations = transformations
         self._broken: set[StreamGenerator] = set()
         named: set[ComputationalUnit] = set()
+        # Units are in the order of starting, so an input has its shape before its readers.
         for unit in configuration.units.values():
             self._add(unit, named)
+        # A unit that some reader names has to be in a text, even if another reader implies it.
         self.implied -= named
 
     def exclude(self, units: Iterable[ComputationalUnit]) -> None:
@@ -163,6 +165,7 @@ class RunningShapes:
             case (SelectObject(_, field, object), Since() | Moment()):
                 parameters = (("field", field), ("object", shorten(object)))
                 return self._shape_over(unit, SELECT_OBJECT, parameters, named)
+            # A specification cannot write a selection whose objects come and go with requests.
             case (Compute() | Synchronize() as node, _) if is_for_some_objects(node):
                 return None
             case (Synchronize(), Since() | Moment()):

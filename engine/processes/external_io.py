@@ -119,6 +119,7 @@ class Tape:
 
     def can_call(self, stream: str, size: int) -> bool:
         """Whether the source of ``stream`` may be called, after ``size`` bytes in this turn."""
+        # A call may block, and the record of that needs room as well.
         return self.can_add(stream, size + max(_BLOCKED_SIZE, self._needs.get(stream, 0)))
 
     def can_add(self, stream: str, size: int) -> bool:
@@ -180,6 +181,7 @@ class ReadingTurn:
         least = self._size + len(self._source.encode())
         if self._is_over or not self._tape.can_call(self._stream, least):
             return None
+        # The call may outlast its deadline, so `end` may come before the next line.
         reading = call()
         size = size_of(reading)
         if self._is_over or not self._tape.can_add(self._stream, self._size + size):

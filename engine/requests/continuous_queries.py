@@ -185,6 +185,7 @@ class RegisteredQueries:
                 ) from error
             raise
         if existing is not None:
+            # The new query takes over the users of the one that it replaces.
             running.users = running.unit.users = existing.users + 1
         if name_of(query) and not any(
             each.name.startswith(RESERVED) for each in running.started.reads
@@ -439,6 +440,7 @@ class RegisteredQueries:
                 if not running.is_named and running.registration.submission == submission:
                     return running.name
             if wanted and not self._configuration.has(wanted):
+                # A replay brings the reserved name of the first run, which no later query may get.
                 self._configuration.skip_reserved(wanted)
                 return wanted
             return self._configuration.reserved_name()

@@ -128,6 +128,7 @@ class EventRequests:
         self, template: AnyTemplate, request: EventRequest, strategy: str, since: Beginning
     ) -> EventView:
         """Start the answer to ``request``. Raises `BadArguments`, `NoPlan` and `Forgotten`."""
+        # A request that leaves defaults out equals one that writes them, and shares its stream.
         request = _completed(template, request)
         plan = None
         if isinstance(since, Moment) and since.before is not None:
@@ -147,6 +148,7 @@ class EventRequests:
             self._running[key] = running
             self._answers[running.unit.output.name] = running
             if running.shareable is not None:
+                # Requests that run alone are counted, so that the next one of their kind shares.
                 self._sharing.add_alone(running.shareable)
             self._annotate(running)
         running.unit.users += 1
@@ -327,6 +329,7 @@ class EventRequests:
             return self._build_reasoning(template, request, query, matches, strategy, since)
         assert isinstance(template, Template)
         shareable = None
+        # A shared query runs already, and cannot give a request its past.
         if since is Since.NOW:
             shareable = self._sharing.find_shareable(template, request, query, matches, strategy)
         if shareable is not None and self._shares_query(shareable):
@@ -434,4 +437,5 @@ def _key(
     arguments = tuple(
         None if isinstance(argument, Variable) else argument for argument in request.arguments
     )
+    # A template may be replaced under its name, and then its requests are different ones.
     return (template.source, arguments, strategy, since)

@@ -70,6 +70,7 @@ class PlanChoice:
         direct = vocabulary.subfeatures(want.feature)
         sorts = Sorts(vocabulary)
         subject = _subject(want, sorts)
+        # Through transformations a stream may serve other objects; only a direct one has to match.
         return any(
             content.feature in reach
             and (
@@ -132,10 +133,12 @@ class PlanChoice:
         if wish.quality > 0:
             bad = self._below_quality(wish.quality)
             match = self._match(subscription, wish.strategy, without, bad)
+            # Qualities multiply along a path, so a plan of good parts may still be below the bound.
             if match.supply is not None and self.quality(match.supply) >= wish.quality:
                 return match
         strategy = str(Kind.QUALITY) if wish.quality > 0 else wish.strategy
         match = self._match(subscription, strategy, without, explained=explained)
+        # The subscriber named this strategy; *quality* only stands in where no plan is good enough.
         return replace(match, strategy=wish.strategy)
 
     def _match(

@@ -105,13 +105,16 @@ class PlanSwitch:
         """Replace the inputs by ``streams``, those of ``supply``; return the new ones."""
         unit = subscription.unit
         before, names = unit.inputs, subscription.source_names
+        # A later plan reads the history of its sources, so that the merge goes on without a gap.
         has_history = subscription.has_begun or subscription.wish.since is not Since.NOW
         if not subscription.has_begun:
             unit.begin_at(subscription.wish.since)
+        # The switch below may emit samples from the history, and these come after the position.
         position = subscription.output.stream.last_number
         subscription.supply, subscription.streams = supply, tuple(streams)
         subscription.has_new_meaning = False
         subscription.has_begun = subscription.has_begun or supply is not None
+        # The merge looks the vocabulary up, since the ontology may change while it runs.
         inputs = (
             []
             if supply is None

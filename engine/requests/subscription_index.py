@@ -151,6 +151,7 @@ def other_readers(
 
     def is_ours(unit: ComputationalUnit) -> bool:
         own = readers.get(unit.output, [])
+        # Users that are no readers, such as requests, need the unit for themselves.
         return unit in merges or (bool(own) and unit.users == len(own) and all(map(is_ours, own)))
 
     ours = {unit.name for unit in readers[configuration.streams[stream]] if is_ours(unit)}

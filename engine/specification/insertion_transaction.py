@@ -109,6 +109,7 @@ class InsertionTransaction:
             if any(other.name == one.name for other in there) or (there and not named):
                 continue
             nameless = next((other for other in there if other.name is None), None)
+            # The text only adds a name, so the unit gets no further user.
             if nameless is not None:
                 now[now.index(nameless)] = there[there.index(nameless)] = one
                 continue
@@ -121,6 +122,7 @@ class InsertionTransaction:
     def undo(self) -> None:
         """Restore the insertions, names and units from before."""
         self._insertions.all = self._before
+        # An alias may change twice, and its first entry has the stream from before the text.
         for alias, before in reversed(self._aliases):
             self._insertions.take_alias(alias, before)
         for unit in self._added:

@@ -169,6 +169,7 @@ class Insertions:
         with_shape = [one for one in self.all if one.unit.output.name in running.shape_of]
         tops = [(running.shape_of[one.unit.output.name], one.name) for one in with_shape]
         shapes = [shape for shape, _ in tops]
+        # Copies make insertions independent, so one that fails at a restart fails alone.
         new_name = None if can_be_copied(shapes, names) else running.stream_of.__getitem__
         writer = Writer(names, new_name)
         # A unit that has lost an input has no shape: store its element as it was written.

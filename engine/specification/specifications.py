@@ -197,6 +197,7 @@ class Specifications:
     # -- applying ----------------------------------------------------------------------------
 
     def _apply(self, specification: Specification, *, restoring: bool = False) -> SpecificationView:
+        # The check already drops the lost insertions that the text removes, and may fail later.
         lost = list(self._insertions.lost)
         try:
             change = self._check(specification, restoring=restoring)
@@ -209,6 +210,7 @@ class Specifications:
         """Check a text and return its change. Raises `LanguageError`."""
         running = self._running_shapes()
         removed = self._units_to_remove(specification, running)
+        # The same text may insert a unit of this shape, and then a new one starts.
         running.exclude(removed)
         ended = tuple(one for one in self._insertions.all if self._is_removed(one, removed))
         elaboration = Elaboration(

@@ -78,6 +78,7 @@ class Writer:
         names: dict[Shape, list[str | None]] = {}
         for shape, name in reversed(own_first):
             names.setdefault(shape, []).append(name)
+        # Shapes keep their places, and only the names of one shape change theirs.
         ordered = [(shape, names[shape].pop()) for shape, _ in tops]
         # The own name of these is written inside a reader, so the readers come first.
         inside = {s: i for i, s in enumerate(shapes) if self._own_name(s) == self._inner.get(s, "")}

@@ -141,6 +141,7 @@ class Backlog:
         """Add ``unit``, which has work to do; without effect if it is there."""
         if unit not in self._units:
             self._units.append(unit)
+            # The command that made this work due gives the unit a turn before its answer.
             self._new.append(unit)
 
     def discard(self, unit: Backlogged) -> None:
@@ -158,9 +159,11 @@ class Backlog:
         assert self.turns is not None
         done: list[TurnRecord] = []
         for unit in tuple(self._new) if new else self.units:
+            # A unit that works without the turn needs none, and would only use up the time.
             if (begins or unit.is_mid_window) and unit.is_ready:
                 done += unit.work(self.turns, begins=begins)
                 self._rotate(unit)
+            # Without ``begins`` a command waits for all half-done windows, whatever their time.
             if begins and self.turns.is_over:
                 break
         return done

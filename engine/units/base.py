@@ -120,6 +120,7 @@ class ComputationalUnit(ABC):
 
     def connect(self, source: StreamGenerator) -> None:
         """Subscribe to an input; handle its end if it has ended already."""
+        # If the unit failed on the history, `_leave_inputs` has run and will not run again.
         if self.failure is not None:
             return
         self._subscribed.append(source)
@@ -146,6 +147,7 @@ class ComputationalUnit(ABC):
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Process samples of an input."""
+        # A batch is in order of available time, so its first and last rows decide.
         if self._after is not None and batch.available[0] <= self._after:
             batch = batch.take(batch.available > self._after)
         if self._until is not None and len(batch) and batch.available[-1] > self._until:
@@ -223,6 +225,7 @@ class ComputationalUnit(ABC):
         self._guarded(lambda: self.finish(source))
         for late in self.late_streams_of(source):
             late.end()
+        # The unit goes past its idle inputs as far as the others, and one of these has gone.
         if self._idle:
             self._advance_idle()
 
@@ -334,6 +337,7 @@ class ComputationalUnit(ABC):
             else:
                 self.busy_time.run(self, work)
         except Exception as error:  # noqa: BLE001  isolation: only this unit fails
+            # An error of the system has a text for users. Other texts say little without a type.
             kind = "" if isinstance(error, DyknowError) else f"{type(error).__name__}: "
             self.failure = f"{kind}{error}"
             self.counters.note(self.failure, None)

@@ -143,6 +143,7 @@ class ConfigurationProcess:
         if self._is_subscribed:
             self.inputs[0].unsubscribe(self)
             self._is_subscribed = False
+        # Generators start after those that they read, so the reversed order stops readers first.
         for life in reversed([*self._leaving.values(), *self._running.values()]):
             self._generators.stop(life.declaration)
         self._pending.clear()
@@ -176,6 +177,7 @@ class ConfigurationProcess:
     def resumed(self, source: StreamGenerator) -> None:
         """Wait for sets again."""
         last = source.stream.last_available
+        # Without a gap between samples, further sets of the last instant may come.
         self.complete_until = NOTHING_KNOWN if last is None else last - 1 + source.rules.gap
 
     def idleness_changed(self, source: StreamGenerator) -> None:

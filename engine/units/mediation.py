@@ -171,6 +171,7 @@ class MediationUnit(ComputationalUnit):
             missing = self._kernel.wanted.difference(self._labels)
         for label in missing:
             self._read_past(label)
+        # The order of a set may differ at replay, and `_stream_of` starts units.
         found = {label: self._stream_of(label) for label in sorted(missing)}
         self.missing = tuple(label for label, generator in found.items() if generator is None)
         gained = {label: stream for label, stream in found.items() if stream is not None}

@@ -140,6 +140,7 @@ class MergeUnit(ComputationalUnit):
             self._leave(source)
         new = [source for source in wanted if source not in self._feeds]
         begins = {source: self._left.pop(source, None) for source in new}
+        # A new source takes the place of the removed ones, so none of these goes on where it was.
         if None in begins.values():
             self._left.clear()
         forgotten = False
@@ -171,6 +172,7 @@ class MergeUnit(ComputationalUnit):
         self._begun[source] = self._clock(), after
         forgotten = False
         if history and stream.first_available is not None:
+            # A stream whose history begins with number 1 has evicted nothing.
             forgotten = TIME_MIN < after < stream.first_available and stream.first_number > 1
             for segment in stream.since(0 if number is None else number + 1):
                 batch = segment.batch
@@ -192,6 +194,7 @@ class MergeUnit(ComputationalUnit):
         del self._begun[source]
         self._ended.discard(source)
         self._watermarks.pop(source, None)
+        # A unit that has failed has left all of its inputs already.
         if source in self._subscribed:
             self._subscribed.remove(source)
             source.unsubscribe(self)
@@ -304,6 +307,7 @@ class ObjectCodes(TermTable):
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """See `dictionary.TermTable`."""
+        # The dictionary gives the freed ids to other terms, for which these codes are wrong.
         self._codes = {id: code for id, code in self._codes.items() if not freed[id]}
 
     def encode(self, batch: SampleBatch) -> tuple[Codes, Mask]:

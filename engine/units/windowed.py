@@ -103,13 +103,16 @@ class WindowUnit(ComputationalUnit):
     def start(
         self, since: Beginning = Since.NOW, after: int | None = None, until: int | None = None
     ) -> None:
+        # The history and the first watermarks may make windows due, so this comes before them.
         self.evaluator.defers = self.backlog.turns is not None
         super().start(since, after, until)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        # Without turns there are no calls of `Backlog.work`, so no part would ever be taken.
         if len(batch) > 2 * _PART and self.backlog.turns is not None:
             for start in range(0, len(batch), _PART):
                 part = batch.take(slice(start, start + _PART))
+                # The parts wait behind earlier deferred calls, so the input stays in order.
                 self._deferred.append((_TAKE, (source, part)))
             self.backlog.add(self)
         elif not self._defers("receive", source, batch):
@@ -150,6 +153,7 @@ class WindowUnit(ComputationalUnit):
         self._advance_output()
 
     def finish(self, source: StreamGenerator) -> None:
+        # The end makes the last windows due. The output ends after them (`_advance_output`).
         self._pending_end = True
         self.emit(self.evaluator.end(source.name))
         self._advance_output()
@@ -167,6 +171,7 @@ class WindowUnit(ComputationalUnit):
         self.output.advance(watermark)
 
     def set_output_idle(self, is_idle: bool) -> None:
+        # Readers do not wait for an idle stream, so results of due windows would be late for them.
         if self._has_due_windows:
             self._pending_idle = is_idle
         else:
@@ -281,6 +286,7 @@ class WindowUnit(ComputationalUnit):
         if task is None and begins and self.evaluator.is_due:
             task = turns.start(partial(self.evaluator.close_next, most=AT_ONCE), self._emitting)
         if task is not None and (not begins or self._spent > turns.limit):
+            # Beyond the limit only the half-done window closes. Then the unit is cut off.
             task.stop_early()
         before = 0.0 if task is None else task.spent
         try:
@@ -296,6 +302,7 @@ class WindowUnit(ComputationalUnit):
             done += closed
             took = turns.time(lambda: self.emit(self.evaluator.take_results()))
             if count := sum(each.windows for each in closed):
+                # The next task leaves as much of its turn for the results of each window.
                 self._emitting = took / count
         self.report_overruns()
         # A deferred call may make further windows due, so an empty schedule alone does not say
@@ -352,6 +359,7 @@ class WindowUnit(ComputationalUnit):
         """Do the deferred calls whose windows have closed."""
         while self.failure is None and not self.is_mid_window and not self.evaluator.is_due:
             self._guarded(self._advance_output)
+            # A part takes some milliseconds, so it waits for a turn (`work`).
             if not self._deferred or self._deferred[0][0] == _TAKE:
                 break
             what, given = self._deferred.popleft()

@@ -75,6 +75,7 @@ class Search:
     @property
     def enough(self) -> float:
         """A plan of this weight is no better than the best so far."""
+        # A better plan weighs a step less at least, and bounds are whole numbers.
         return self.weight - self._step + 1
 
     def offer(self, producers: Integers) -> None:
@@ -100,6 +101,7 @@ class Search:
                 return bound
             heapq.heappop(open_parts)
             for each in self._split(_compact(part)):
+                # Parts have no order, so ``made`` decides between equal bounds.
                 heapq.heappush(open_parts, (each.bound, made, each))
                 made += 1
             self._exchange(root)

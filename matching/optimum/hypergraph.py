@@ -173,6 +173,7 @@ def _indexed(goals: int, derives: Ids, owners: Integers, inputs: Integers) -> Ne
     np.cumsum(np.bincount(owners, minlength=len(derives)), out=starts[1:])
     by_starts, by = _grouped(derives, numbers, goals)
     use_starts, use = _grouped(inputs, owners.astype(np.int32), goals)
+    # The compiled loops take arrays of exactly this type (`signature`).
     narrow = np.array(inputs, np.int32)
     whose = np.array(derives, np.int32)
     return Net(goals, (whose, starts, narrow, by_starts, by, use_starts, use))

@@ -33,6 +33,7 @@ def _knuth(net: Any, alive: Any, own: Any, kind: int, value: Any, picks: Any) ->
     final = np.zeros(value.shape[0], np.bool_)
     total = -own if kind == PRODUCT else own.copy()
     left = starts[1:] - starts[:-1]
+    # The compiler takes the type of the items from this one.
     heap = [(0.0, np.int64(0))]
     heap.pop()
     for producer in range(derives.shape[0]):

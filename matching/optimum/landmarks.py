@@ -56,6 +56,7 @@ def _owed(
     lowered = np.empty(producers, np.int32)
     waiting = 0
     is_waiting = np.zeros(producers, np.bool_)
+    # The compiler takes the type of the items from this one.
     heap = [(0.0, np.int64(0))]
     heap.pop()
     owed, steps, found = 0.0, float(producers), 0
@@ -115,6 +116,7 @@ def _owed(
                 choice = -1
                 for other in range(starts[producer], starts[producer + 1]):
                     needed = inputs[other]
+                    # The producer has an input in the zone, so the landmark leaves it out anyway.
                     if mark[needed] == found:
                         choice = -1
                         break

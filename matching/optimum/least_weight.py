@@ -62,6 +62,7 @@ def least_weight(graph: Hypergraph, roots: Sequence[int], effort: int = DEFAULT)
         # Their trees weigh something, but their whole weights are 0: take trees of such producers.
         picks[given] = trees(net, everything, whole)[1][given]
     keep = ~given[net.derives]
+    # The room is exclusive: with 1 more, plans as good as the first one stay.
     spared(net, keep, wanted, whole, far, whole[first].sum() + 1)
     part, numbers, goals = restricted(net, keep, given)
     needed = goals[wanted[~given[wanted]]]

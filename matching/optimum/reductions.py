@@ -27,6 +27,7 @@ def _spared(net: Any, alive: Any, wanted: Any, cost: Any, far: Any, room: float)
         for place in range(starts[producer], starts[producer + 1]):
             below = max(below, far[inputs[place]])
         through[producer] += below
+    # The compiler takes the type of the items from this one.
     heap = [(0.0, np.int64(0))]
     heap.pop()
     for place in range(wanted.shape[0]):
@@ -98,12 +99,14 @@ def _dominated(net: Any, alive: Any, weights: Any) -> int:
         for place in range(by_starts[goal], by_starts[goal + 1]):
             producer = by[place]
             for needed in range(starts[producer], starts[producer + 1]):
+                # Each producer has its own mark, so old marks need no reset.
                 mark[inputs[needed]] = producer
             for other_place in range(by_starts[goal], by_starts[goal + 1]):
                 other = by[other_place]
                 if not (alive[producer] and alive[other]) or weights[other] > weights[producer]:
                     continue
                 more = starts[producer + 1] - starts[producer] - starts[other + 1] + starts[other]
+                # A producer does not replace itself, and of two equal ones the lower number stays.
                 if weights[other] == weights[producer] and (more, producer) <= (0, other):
                     continue
                 within = True

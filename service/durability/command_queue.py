@@ -265,6 +265,7 @@ class CommandQueue:
     async def _commit_once(self) -> None:
         assert self._recorded is not None
         output = self._output
+        # The commit covers all commands up to now, and perhaps none of those that follow.
         pending = None if output is None else output.take_pending()
         size, failures = self._recorded.log.written, self._journal_failures
         try:
@@ -360,6 +361,7 @@ class CommandQueue:
         try:
             unsaved = await loop.run_in_executor(self._checkpoint_thread, unwritten.put)
             await self.wait_durable()
+            # This syncs and shortens the log, so it must not run beside a commit.
             await self._in_journal_thread(unwritten.keep)
         except (CheckpointError, JournalError, OSError):
             await loop.run_in_executor(self._checkpoint_thread, unwritten.drop)

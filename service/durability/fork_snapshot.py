@@ -95,14 +95,17 @@ class Snapshots:
         try:
             assert self._prctl is not None
             self._prctl(_DIES_WITH_PARENT, signal.SIGKILL)
+            # The parent may have ended before the call above, which then sends no signal.
             if os.getppid() != parent:
                 os._exit(1)
             # The directory's lock and all connections must close with the service, not later.
             last = max(map(int, os.listdir("/proc/self/fd")))
             os.closerange(3, writer)
             os.closerange(writer + 1, last + 1)
+            # A terminal signals both processes, and the service kills the fork when it stops.
             for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 signal.signal(each, signal.SIG_IGN)
+            # A collection writes to objects everywhere, and the kernel would copy their pages.
             gc.disable()
             os.nice(_NICE)
             be_dispensable()
@@ -145,6 +148,7 @@ class Snapshots:
                 _, status = os.waitpid(child, 0)
             except ChildProcessError:  # the parent process set SIGCHLD to be ignored
                 status = 0
+            # The id is free for other processes now. The lock keeps `kill` from using it.
             self._child = 0
         return os.waitstatus_to_exitcode(status)
 

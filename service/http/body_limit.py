@@ -47,6 +47,7 @@ class Body:
     def add(self, count: int) -> None:
         """Count ``count`` bytes that have arrived. Raises `Problem` 413 or 429, but not for a live
         body: its bytes may be published at once (`keep`)."""
+        # The end of the request subtracts ``size``, so both are counted before a refusal.
         self.size += count
         self._limit.under_way.bytes += count
         if not self.live:
@@ -91,6 +92,7 @@ class BodyLimit:
         body = Body(self, scope["path"].endswith(LIVE))
         try:
             length = checked_length(scope["headers"])
+            # A declared length lets the service refuse a body before it reads any of it.
             if length and not body.live:
                 self.check(length, length)
         except Problem as problem:

@@ -114,6 +114,7 @@ class ConnectionLimits:
                 continue
             transport = connection.transport
             left = transport.get_write_buffer_size()
+            # A change of any of these is progress, so the wait begins anew.
             phase = (connection.cycle, connection.is_answered, connection.resumed)
             idle = connection.idle
             if idle is None or idle.phase != phase:
@@ -257,6 +258,7 @@ class LimitedProtocol(HttpToolsProtocol):
             others = [header for header in self.headers if header[0] != b"host"]
             self.headers[:] = [*others, (b"host", host)]
         super().on_headers_complete()
+        # A connection may live long, so its complete requests must not pile up.
         self._cycles = [cycle for cycle in self._cycles if not cycle.response_complete]
         self._cycles.append(self.cycle)
 

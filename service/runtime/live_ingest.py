@@ -194,6 +194,7 @@ class LiveLines(LiveSamples):
             # The lines before it may have an error that decoding checks later; that one counts.
             if before := b"".join(rows[: (error.line or 1) - 1]):
                 self._take_part(before)
+            # The lines before this one are counted in `_before`, so it is the first of the rest.
             error.line = 1
             raise self._placed(error) from None
         self._before += lines.count(b"\n")
@@ -362,6 +363,7 @@ class LiveBodies:
                     under_way.wait = None
         except TimeoutError:
             if self._closing or not self._may_go_on(under_way):
+                # The caller looks again whether the body may go on, and raises the right problem.
                 return {"type": "http.request", "body": b"", "more_body": True}
             raise Problem(
                 408,

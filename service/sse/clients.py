@@ -63,6 +63,7 @@ class EventClient:
         """Why the client was cut off; None if it was not."""
         self._timeout: asyncio.Timeout | None = None
         self._wake_up: asyncio.Future[None] | None = None
+        # Messages may be there before the first `wait`, which therefore returns at once.
         self._awake = True
         self._is_heartbeat_due = False
 
@@ -162,6 +163,7 @@ class Rounds:
             if not self._round:
                 self._is_scheduled = False
                 return
+            # Clients that are awake already cost nothing, so they do not count.
             woken += self._round.pop().wake()
         self._is_scheduled = True
         asyncio.get_running_loop().call_soon(self._wake_slice)

@@ -113,6 +113,7 @@ class Cursor:
             until = self.until(newest)
             if until < number:
                 return None
+            # A piece ends at the next switch, which is a message between two samples.
             mark = self._markers.next
             until = until if mark is None else min(until, mark)
             last, data = self.piece(feed, number, until)

@@ -106,6 +106,7 @@ class Feed:
         """The reason why no sample follows `newest`; None while one may follow."""
         if self.is_removed:
             return "removed"
+        # Samples that are not durable yet come before the end.
         if self.newest != self.generator.stream.last_number:
             return None
         visible = self.visible or self.state()
@@ -117,10 +118,12 @@ class Feed:
         self._mark_changed()
 
     def ended(self, source: StreamGenerator) -> None:
+        # A unit that its rule stops ends its stream, and clients get the failure as the reason.
         self.failure = self._engine.failure_of(self.generator)
         self._mark_changed()
 
     def _mark_changed(self) -> None:
+        # Without a data directory nothing can become durable, so clients see it at once.
         if self._pending is None:
             self.wake()
         else:

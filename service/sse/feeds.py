@@ -112,6 +112,7 @@ class Feeds:
         else:
             reason = "the stream has begun anew since: numbers count from 1 again"
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
+        # The number means no sample of this stream, so the client begins with the oldest kept one.
         return Start(1, message("gap", lost), last=last)
 
     def join(self, name: str, last: int, client: EventClient, projection: Projection) -> Feed:
@@ -253,6 +254,7 @@ def respond(
     """Return the response that sends ``messages`` after the id ``position``. Raises `Problem` 429
     and 503 if there are too many clients."""
     headers = {POSITION: position}
+    # A HEAD request sends no events, so it takes no place of a client.
     if request.scope.get(HEAD):
         return Response(headers=headers, media_type=EVENT_STREAM)
     client = feeds.all.admit(key, request.scope.get(CALLER))

@@ -91,6 +91,7 @@ class Blocks:
             i += 1
         room = BLOCK_SAMPLES - len(block.messages)
         if i < len(self._firsts):
+            # The next block already has the messages from there on.
             room = min(room, self._firsts[i] - number)
         return block, room
 
@@ -129,6 +130,7 @@ class MessageCache:
         self._blocks.move_to_end(block)
         self.size += count
         while self.size > self._limit:
+            # This may evict ``block`` itself, and the caller can still read it.
             self.drop(next(iter(self._blocks)))
 
     def drop(self, block: Block) -> None:

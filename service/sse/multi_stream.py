@@ -145,6 +145,7 @@ class MultiCursor:
                 self._numbers[cursor.name] = int(own.rpartition(b"-")[2])
                 text = b"id: %b\n%b" % (str(self.position).encode(), rest)
             messages.append(text)
+        # A gap moves the position, too, and brings no sample.
         self._numbers[cursor.name] = cursor.number - 1
         return _END.join(messages) + _END
 

@@ -108,6 +108,7 @@ class EventStream(EventSourceResponse):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         client, reason = self._client, "failed"
         state = scope.get("state", {})
+        # `EventClients` limits how long this client may stall, so `ConnectionLimits` does not.
         state[EVENTS] = True
         transport: asyncio.Transport | None = state.get(TRANSPORT)
         _limit_buffer(transport)

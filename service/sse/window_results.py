@@ -44,6 +44,7 @@ class WindowCursor(Cursor):
         for segment in feed.generator.stream.since(number, until + 1 - number):
             valid = segment.batch.valid
             end = int(valid[0]) if end is None else end
+            # All samples of a window are valid at its end, so another time begins the next window.
             others = np.flatnonzero(valid != end)
             last += int(others[0]) if len(others) else len(valid)
             if len(others):

@@ -70,14 +70,17 @@ class BacklogTask:
         use `windows_closed` first. Raises `JournalError`."""
         if self._backlog.is_mid_window and not isinstance(command, ANYTIME):
             self._backlog.finish_windows()
+            # The windows have closed; this only emits and logs their results, so it needs no time.
             self._work_for(0.0, begins=False)
 
     def after_command(self) -> None:
         """Close for a moment what a command made due, and leave the rest to the task."""
+        # While a command waits for the half-done windows, no other window may begin.
         if self._backlog.has_new and not self._holding:
             with suppress(JournalError):  # `CommandQueue` reports it, and the task tries again
                 self._work_for(FIRST, new=True)
         if self._backlog and self._task is None:
+            # The task serves all requests. An empty context keeps the id of this one from its logs.
             self._task = asyncio.get_running_loop().create_task(self._catch_up(), context=Context())
         self._woken.set()
 
@@ -120,6 +123,7 @@ class BacklogTask:
             return False
         if stream.stamped is not False:
             return False
+        # Publishers have to wait before the unit reaches its limit and is cut off.
         most = min(_PATIENCE, turns.limit / 4)
         return any(unit.spent >= most for unit in self._engine.backlog_of(stream.name))
 
@@ -151,6 +155,7 @@ class BacklogTask:
                 if self._backlog.is_waiting:
                     await self._woken.wait()
                 self._woken.clear()
+                # `windows_closed` is about to return, and its command comes before the next window.
                 if self._holding and not self._backlog.is_mid_window:
                     continue
                 try:

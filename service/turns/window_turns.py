@@ -192,6 +192,7 @@ class WindowTask:
             self._thread.task = self
         thread = self._thread
         thread.turn.release()
+        # A thread that is beyond its time and not released cannot pause now, so this waits.
         while not thread.back.acquire(timeout=self._turns.left + FURTHER):
             with self._lock:
                 if self._is_released:
@@ -214,8 +215,10 @@ class WindowTask:
 
     def pause(self) -> None:
         """See `Pauses`."""
+        # A released block has no turn to hand back.
         if self._is_released:
             return
+        # Processor time is independent of other programs, so a busy machine stops no window.
         self._turns.check(time.thread_time() - self._began)
         self._count()
         if self._turns.is_over and not self._to_end:
@@ -245,6 +248,7 @@ class WindowTask:
 
     def _close_windows(self) -> None:
         """Close windows until none is due, or the time that is left is needed to emit results."""
+        # Threads run several tasks, so the time of one does not begin at 0.
         self._begun = time.thread_time()
         to_emit = 0.0
         try:

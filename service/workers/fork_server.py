@@ -117,6 +117,7 @@ class ForkServer:
 
     def forget(self) -> None:
         """Leave the server to the process whose fork this one is."""
+        # Another thread may have held the lock at the fork, and nothing releases it here.
         self._lock = threading.Lock()
         if self._socket is not None:
             self._socket.close()
@@ -140,6 +141,8 @@ class ForkServer:
             "LC_ALL": "C.UTF-8",
             "OPENBLAS_NUM_THREADS": "1",  # A process with threads cannot be forked.
         }
+        # This kind of socket keeps messages apart, so each reply arrives whole, with its
+        # descriptors.
         here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         here.settimeout(START_DEADLINE)
         try:

@@ -281,6 +281,7 @@ def _check_rows(body: bytes, format: QueryResultsFormat, most: int) -> None:
     elif format is QueryResultsFormat.TSV:
         rows = body.count(b"\n") - 1  # line feeds in terms are escaped
     else:
+        # A literal may be longer than the 131,072 characters that the module takes by default.
         csv.field_size_limit(len(body))
         rows = sum(1 for _ in csv.reader(io.StringIO(body.decode(), newline=""))) - 1
     if rows > most:

@@ -49,6 +49,7 @@ class IsolatedAsking:
     def ask(self, sparql: str, kept: StoredQuads, content: Sequence[Quad]) -> SparqlResult:
         """Implement `OxigraphPort.ask`."""
         try:
+            # `Pool.call` waits for no worker, and would start more of them than there may be.
             with self._slots:
                 answer = self._pool.call(lambda worker: self._send(worker, sparql, kept, content))
             return _result(answer)

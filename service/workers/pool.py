@@ -94,6 +94,7 @@ class Pool:
             if place in self._waiting:
                 self._waiting.remove(place)
             else:
+                # The turn came while the caller gave up, so the next caller gets the worker.
                 self._leave(sender)
             if isinstance(error, TimeoutError):
                 raise Busy from error
@@ -116,6 +117,7 @@ class Pool:
 
     def _leave(self, sender: str) -> None:
         self._running[sender] -= 1
+        # The addition drops senders without a worker, whose names would pile up.
         self._running += Counter()
         self._admit()
 

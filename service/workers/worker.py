@@ -183,6 +183,7 @@ class Worker:
 
     def _receive(self, until: float, most: int) -> bytes:
         size = int.from_bytes(self._receive_exactly(PREFIX, until), "big")
+        # A malicious text may have taken over the worker, so its lengths are not to be trusted.
         if size > most:
             raise Died(f"its answer has {size} bytes, more than allowed")
         return self._receive_exactly(size, until)

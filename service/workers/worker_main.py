@@ -142,6 +142,7 @@ def restrict(memory: int) -> None:
 
 def _limit_processor_time(seconds: float) -> None:
     """Allow ``seconds`` more processor time; beyond it the system kills the process."""
+    # The system counts the whole life of the process, in whole seconds.
     soft = int(time.process_time() + seconds) + 2
     resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.RLIM_INFINITY))
 

@@ -108,10 +108,12 @@ class Join(Joining):
         for i, new in enumerate(news):
             last = self._last[i]
             if new is None:
+                # An input without a sample so far is no_sample; the tuple is given all the same.
                 batches.append(self._inputs[i].empty() if last is None else last)
                 rows.append(np.full(len(times), -1 if last is None else 0, np.int64))
                 continue
             batch = new
+            # Only tuples before the first new sample take the last one of before.
             if last is not None and new.available[0] != times[0]:
                 batch = concatenate([last, new])
             batches.append(batch)
@@ -164,6 +166,7 @@ def distinct(runs: Times) -> Times:
 
 def _last_rows(available: Times, times: Times) -> Rows:
     """last_avail at each of ``times`` as a row, -1 for no_sample."""
+    # `union` returns the times of a lone input as they are: a tuple for each of its rows.
     if available is times:
         return np.arange(len(times))
     return np.searchsorted(available, times, "right") - 1

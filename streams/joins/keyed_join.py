@@ -93,8 +93,10 @@ class KeyedJoin(Joining):
             return None
         news = {i: self._news(i, concatenate(own)) for i, own in enumerate(parts) if own}
         news = {i: new for i, new in news.items() if len(new.batch)}
+        # `has` needs room for objects numbered just now, and for object 0 of a constant input.
         for latest in self._latest:
             latest.reserve(max(1, len(self._objects)))
+        # Tuples read the latest samples of before, so the new ones are put afterwards.
         made = self._tuples(news)
         for i, new in news.items():
             self._latest[i].put(new.objects, new.batch)
@@ -117,12 +119,14 @@ class KeyedJoin(Joining):
         if moments is None:
             return None
         for i, new in news.items():
+            # A constant input brings no tuple about: each moment takes its last sample by then.
             if not self._brings[i]:
                 moments.rows[i] = np.searchsorted(new.batch.available, moments.times, "right") - 1
         moments = self._complete(moments)
         available = leaving(moments.times, self._left, self._rules.gap)
         if not len(available):
             return None
+        # `leaving` stops at the end of 64-bit time: the other tuples have no available time.
         if len(available) < len(moments.times):
             moments = moments.take(np.arange(len(available)))
         self._left = int(available[-1])
@@ -160,6 +164,7 @@ class KeyedJoin(Joining):
         if len(news) == 1:
             ((input, new),) = news.items()
             times = new.batch.available
+            # Without two samples of one instant each is a moment by itself.
             if bool((times[1:] > times[:-1]).all()):
                 return _Moments(times, new.objects, {input: np.arange(len(times))})
         times = np.concatenate([new.batch.available for new in news.values()])
@@ -185,7 +190,9 @@ class KeyedJoin(Joining):
         of_object = np.maximum.accumulate(np.where(np.concatenate((edge, is_other)), places, 0))
         rows = {}
         for k, input in enumerate(news):
+            # The last sample of an instant counts, so the last place of each moment is read.
             place = np.maximum.accumulate(np.where(origin == k, places, -1))[last]
+            # An earlier place belongs to another object: then the latest sample of before counts.
             rows[input] = np.where(place >= of_object[last], row[place], -1)
         # Back into the order of (time, input): by the place of the first of equal time there.
         moment = np.full(len(times), -1)

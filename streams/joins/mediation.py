@@ -105,6 +105,7 @@ class Mediation:
                 self._since.pop()
                 replaced = self._sets.pop()
                 self._sets[-1] |= replaced
+            # The new set may no longer have the object that held the others back.
             self._blocker = None
             self._since.append(time)
             self._sets.append(labels)
@@ -155,6 +156,7 @@ class Mediation:
         whole = self._inputs[label][-1] = Input()
         for batch in input.take(until):
             whole.push(batch)
+        # Promises of the stream stay, but reach no further than the end of this life.
         whole.advance(min(input.known, until) + 1)
         whole.end()
 
@@ -181,12 +183,14 @@ class Mediation:
             return None
         parts: list[tuple[str, SampleBatch]] = []
         since = np.array(self._since[: bisect_right(self._since, known)], np.int64)
+        # `_merged` orders the samples of an instant by their place here.
         for label in sorted(self._inputs):
             batches = [batch for input in self._inputs[label] for batch in input.take(known)]
             if not batches:
                 continue
             within = np.array([label in labels for labels in self._sets[: len(since)]], np.bool_)
             for batch in batches:
+                # A set holds for the samples of its own instant, too.
                 place = np.searchsorted(since, batch.available, "right") - 1
                 chosen = batch.take(within[place])
                 if len(chosen):
@@ -206,8 +210,10 @@ class Mediation:
             if own >= known:
                 continue
             stays = self._stays(label)
+            # A set that another one of its instant replaced never held: its objects delay nothing.
             if not stays:
                 continue
+            # Only samples from its entry to its leaving count, so the stream is awaited no further.
             entered, left = stays[0][0], stays[-1][1]
             own = max(own, entered - 1)
             if own < min(known, left - 1):
@@ -231,14 +237,18 @@ class Mediation:
         lives = self._inputs.get(label or "")
         if lives is None or lives[-1].ended_at is not None:
             return self.promised
+        # A stream that is there but has not begun may still have samples of any time.
         return min(lives[-1].known, self.promised) if lives[-1].begun else NOTHING_KNOWN
 
     def _forget(self, known: int) -> None:
         """Let go of sets that no sample to come was available under, and of their objects."""
         for label, lives in self._inputs.items():
             if len(lives) > 1:
+                # Earlier lives stay for their samples only: `_after` has given their promises to
+                # the last one.
                 waiting = [life for life in lives[:-1] if life.waiting]
                 self._inputs[label] = [*waiting, lives[-1]]
+        # The set that holds at ``known`` also holds for the samples after it.
         first = bisect_right(self._since, known) - 1
         if not first:
             return

@@ -89,6 +89,7 @@ class Adaptation(ABC):
         if delay is not None:
             too_late = earlier(batch.available, delay) > batch.valid
             reasons[too_late] = CODES[Constraint.DELAY]
+        # The duration is written last, since it is the reason where a sample breaks both.
         if duration.first > TIME_MIN:
             reasons[batch.valid < duration.first] = CODES[Constraint.DURATION]
         if duration.last < TIME_MAX:
@@ -150,6 +151,7 @@ class Filtering(Adaptation):
 
     def _kept(self, batch: SampleBatch) -> SampleBatch:
         reasons = self._inadmissible(batch)
+        # `change by` decides on order, too, as both depend on the last sample that was sent.
         if isinstance(self.policy.change, ChangeBy):
             self._drop_without_news(batch, reasons, self.policy.change.difference)
         elif self.policy.order is not Order.ANY:
@@ -183,6 +185,7 @@ class Filtering(Adaptation):
             np.maximum(before, self._greatest, out=before)
             before[0] = self._greatest
         wrong = valid < before if monotone else valid <= before
+        # No sample was sent before the first one, so it breaks no order.
         if first:
             wrong[0] = False
         reasons[rows[wrong]] = CODES[Constraint.ORDER]
@@ -226,6 +229,7 @@ class Filtering(Adaptation):
         # One that is dropped equals the last sent, so each is compared with the one before it.
         unchanged = repeats(candidates, self._last)
         reasons[rows[unchanged]] = CODES[Constraint.CHANGE]
+        # If the last one was dropped, it equals the last one sent, so either will do.
         self._last = batch.take(rows[-1:])
 
 

@@ -85,6 +85,7 @@ class Approximating(Adaptation):
             return batch
         else:
             usable = (batch.available <= last + self._delay) & (batch.valid <= last)
+        # A sample that is too new for the grid shows that the grid is needed up to its end.
         self._goes_to_the_end = True
         why = Constraint.AVAILABLE if self.policy.duration.to_oo else Constraint.DURATION
         reasons = np.where(usable, KEPT, CODES[why]).astype(np.int8)
@@ -118,6 +119,7 @@ class Approximating(Adaptation):
         if not parts:
             return []
         known = joined(parts)
+        # The best sample may have come after one that still waits for its time.
         if len(known) > 1 and known.available[0] > known.available[1]:
             known = known.take(np.argsort(known.available, kind="stable"))
         begins = self._begins(known)
@@ -126,6 +128,7 @@ class Approximating(Adaptation):
         made: list[SampleBatch] = []
         if first <= last:
             if last - first >= self._limit:
+                # The error loses no samples: they wait as before.
                 self._next = first
                 self._waiting = joined(waiting) if waiting else None
                 raise PolicyError(

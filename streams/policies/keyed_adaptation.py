@@ -98,13 +98,16 @@ class KeyedAdapting:
             sent += [(number, part) for part in adaptation.push(batch.take(rows))]
             if isinstance(adaptation, Filtering):
                 kept.append(rows if adaptation.kept is None else rows[adaptation.kept])
+        # Samples that leave on arrival keep the order in which they came.
         if not self._waits:
             chosen = np.sort(np.concatenate(kept))
             return [batch.take(chosen)] if len(chosen) else []
+        # Time passes for all objects, also for those without a sample in this batch.
         return _in_order(sent + self._asked(lambda each: each.advance(int(batch.available[-1]))))
 
     def advance(self, watermark: int) -> list[SampleBatch]:
         """Promise that later samples have available time ≥ ``watermark``; returns those to send."""
+        # A filter holds nothing back, so a watermark releases nothing.
         return self._of_all(lambda each: each.advance(watermark)) if self._waits else []
 
     def end(self) -> list[SampleBatch]:

@@ -97,6 +97,7 @@ def addable(
         kept.update(content for _, content in part)
     for row in rows:
         available, content = whole[row]
+        # Under `any change` a copy counts at its own place only: `_addable_copy` tries these.
         if content in kept or alone(available, content[0], policy) is not None:
             continue
         moment = _moment((available, row), content[0], policy, taken, valids)
@@ -190,6 +191,7 @@ def _copies(
             spare[content] += 1
             if alone(time, content[0], policy) is None:
                 found[content].append(row)
+    # Samples sent after the last row use up copies, too.
     send_before((TIME_MAX + 1, 0))
     return sorted(row for rows in found.values() for row in rows)
 
@@ -200,12 +202,14 @@ def _moment(
     """An available time at which a sample could stand in a satisfying stream; None if none.
     ``own`` is its place in the whole, ``taken`` are those of the stream."""
     available, row = own
+    # A sample is sent no earlier than it came (Def. 5.36).
     low, high = available, TIME_MAX
     then: int | None = None
     """The sample before which it has to stand."""
     if policy.max_delay is not None:
         high = min(high, valid + policy.max_delay)
     if policy.period is not None and taken:
+        # A chain of samples one period apart grows at its ends only.
         if valid == valids[0] - policy.period:
             then = 0
         elif valid == valids[-1] + policy.period:

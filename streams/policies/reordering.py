@@ -52,6 +52,7 @@ class Reordering(Adaptation):
         assert policy.max_delay is not None
         self._delay = policy.max_delay
         self._strict = policy.order is Order.STRICT
+        # In strict order valid times differ, so no two samples that are sent are equal.
         self._drops_repeated = isinstance(policy.change, AnyChange) and not self._strict
         self._known = TIME_MIN
         self._held: SampleBatch | None = None
@@ -61,6 +62,7 @@ class Reordering(Adaptation):
         self.counters.received += len(batch)
         if not len(batch):
             return []
+        # More samples of the last instant may come.
         self._known = max(self._known, int(batch.available[-1]) - 1)
         reasons = self._inadmissible(batch)
         admitted = batch if bool((reasons == KEPT).all()) else batch.take(reasons == KEPT)
@@ -72,9 +74,11 @@ class Reordering(Adaptation):
         if self._are_certain(everything, order, moments):
             sent = int(np.searchsorted(moments, self._known, "right"))
         else:
+            # The simulation decides anew, so the reasons noted so far do not hold.
             why[:], at[:] = KEPT, everything.available
             order, moments, sent = self._simulate(everything, why, at)
         refused = reasons != KEPT
+        # A report is in order of the moments of decision, so both go into one.
         if bool(refused.any()):
             self._drop(
                 joined([batch.take(refused), everything]),
@@ -116,9 +120,11 @@ class Reordering(Adaptation):
         if self._strict and bool(tied.any()):
             replaced = np.flatnonzero(tied) - 1
             why[order[replaced]] = _ORDER
+            # The decision fell when the newer sample of that valid time arrived.
             at[order[replaced]] = batch.available[order[replaced + 1]]
             order = np.delete(order, replaced)
         elif self._drops_repeated and len(order):
+            # Samples repeat each other in the order in which they are sent, not in which they came.
             same = repeats(batch.take(order), self._last)
             why[order[same]] = _CHANGE
             order = order[~same]
@@ -192,6 +198,7 @@ class Reordering(Adaptation):
 
         for row in range(held, len(batch)):
             now = available[row]
+            # Samples that leave at ``now`` may still be preceded by one that comes then.
             send_until(now - 1)
             if last_valid is not None and (
                 valid[row] < last_valid or (self._strict and valid[row] == last_valid)
@@ -206,6 +213,7 @@ class Reordering(Adaptation):
                     queue.remove(entry)
                     why[entry[2]], at[entry[2]] = _ORDER, now
             insort(queue, (valid[row], now, row))
+            # With this sample one of the queue would have to leave in the past.
             if first_moment() < now:
                 queue.remove((valid[row], now, row))
                 why[row] = _AVAILABLE

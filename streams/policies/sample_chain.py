@@ -67,6 +67,7 @@ class Chain(Adaptation):
         return self._settle()
 
     def end(self) -> list[SampleBatch]:
+        # No more samples of the last instant come.
         self._known = max(self._known, self._newest)
         return self._settle(ended=True)
 
@@ -107,6 +108,7 @@ class Chain(Adaptation):
         crowded = len(fresh) > 0 and (
             int(batch.available[fresh[0]]) < self._last[0] + self._rules.gap
         )
+        # Samples leave as they come only if each one is just the next.
         if held or crowded or bool((behind | (turn != wanted)).any()):
             rows, times = self._out_of_turn(batch, held, fresh, behind, why, at)
         else:
@@ -143,6 +145,7 @@ class Chain(Adaptation):
         why[rows[repeated]] = _ORDER
         why[fresh[behind]] = _ORDER
         if self._delay is not None:
+            # A sample from after the deadline shows that the expected one cannot come any more.
             after = fresh[batch.available[fresh] > self._deadline()]
             why[after] = _PERIOD
             self._broken = len(after) > 0
@@ -175,6 +178,7 @@ class Chain(Adaptation):
         left = why == KEPT
         left[rows] = False
         why[left] = _PERIOD
+        # The chain decides when it breaks; a sample that comes later is decided on arrival.
         moment = known if self._delay is None else self._deadline()
         at[left] = np.maximum(batch.available[left], moment)
 

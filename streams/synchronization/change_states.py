@@ -33,6 +33,7 @@ class ChangeStates(OrderedStates):
         first = max(self._last, self._duration.first)
         if self._delay is None:
             return first
+        # A later sample that keeps the delay is valid after ``_done - delay``, as is its state.
         least = int(self._waiting[0]) if len(self._waiting) else TIME_MAX
         return max(first, min(least, self._done + 1 - self._delay))
 
@@ -44,7 +45,9 @@ class ChangeStates(OrderedStates):
         last, news = self._last, News(inputs)
         inside = within(self._duration, news.valid)
         over = self._over(news, inside)
+        # A sample after the deadline of its state begins none: that state should have left.
         begins = self._begin(inputs, news, inside if over is None else inside & ~over)
+        # Later states cannot leave yet, so their completion is not computed.
         count = self._reached(inputs, until)
         if begins is not None:
             begins = begins[:count]
@@ -56,8 +59,10 @@ class ChangeStates(OrderedStates):
             late += news.of_inputs(np.flatnonzero(over), Constraint.DELAY)
         after = self._after(news, last, made)
         if after is not None:
+            # Each sample is reported once, and a missed deadline is the reason that counts.
             if over is not None:
                 after &= ~over
+            # Without approximation no state could have used a sample outside the duration.
             if self._exact:
                 after &= inside
             late += news.of_inputs(np.flatnonzero(after), Constraint.AVAILABLE)
@@ -82,6 +87,7 @@ class ChangeStates(OrderedStates):
     def _begin(self, inputs: Sequence[InputSamples], news: News, timely: Mask) -> Times | None:
         """Add the states that ``timely`` new samples begin to those that wait. If inputs are in any
         order: the moment at which each begins, `TIME_MIN` for an earlier one."""
+        # States leave in order of their times, so none begins for an earlier time.
         timely = timely & (news.valid > self._last)
         times = np.concatenate([self._waiting, news.valid[timely]])
         if all(one.is_monotone for one in inputs):
@@ -89,6 +95,7 @@ class ChangeStates(OrderedStates):
             return None
         earlier = np.full(len(self._waiting), TIME_MIN)
         begins = np.concatenate([earlier, news.available[timely]])
+        # The first sample of a time begins its state.
         order = np.lexsort((begins, times))
         times = times[order]
         first = np.ones(len(times), np.bool_)
@@ -113,6 +120,7 @@ class ChangeStates(OrderedStates):
             return None
         after: Mask = valid <= last if last >= TIME_MIN else np.zeros(len(valid), np.bool_)
         for leaves, times, _, _ in made:
+            # A state that leaves at the moment of the arrival still uses the sample.
             gone = np.searchsorted(leaves, news.available, "left")
             after |= (gone > 0) & (valid <= times[gone - 1])
         return after

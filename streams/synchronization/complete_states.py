@@ -68,7 +68,9 @@ class CompleteStates(States):
         return made, never
 
     def of_use(self, one: InputSamples) -> SampleBatch:
+        # A state may begin for any time, so no sample is too old to be of use.
         table = of_use_in_any_order(one, NOTHING_KNOWN, self._duration.last)
+        # Without approximation a sample serves the state of its own time only, and goes with it.
         if self._exact:
             times = np.sort(np.concatenate([self._waiting, self._ready[1]]))
             return table.take(_is_in(table.valid, times))
@@ -77,12 +79,14 @@ class CompleteStates(States):
     def _begin(self, inputs: Sequence[InputSamples], news: News) -> None:
         """Add the states that new samples begin; those that are complete now are ready."""
         begun = distinct(news.valid[within(self._duration, news.valid)])
+        # A sample whose state has left is late; it begins no second one.
         known = self._gone.contain(begun) | _is_in(begun, np.sort(self._ready[1]))
         times = distinct(np.concatenate([self._waiting, begun[~known]]))
         moment, complete = completion(times, inputs)
         self._waiting = times[~complete]
         moment, times = moment[complete], times[complete]
         order = np.lexsort((times, moment))
+        # A sample or an end of this run completes these, so they come after those that are ready.
         due, ready = self._ready
         self._ready = (
             np.concatenate([due, moment[order]]),
@@ -102,6 +106,7 @@ class CompleteStates(States):
             made.append((at, valid, chosen, np.ones(len(at), np.bool_)))
         if going:
             self._left = int(leaves[going - 1])
+            # These are copies, since views would keep the times of all earlier states in memory.
             self._ready = due[going:].copy(), times[going:].copy()
         return made
 
@@ -128,6 +133,7 @@ class CompleteStates(States):
     def _late(self, news: News, made: Sequence[Made]) -> Rows:
         """The new samples that came after their own state had left."""
         after = self._gone.contain(news.valid)
+        # States of this run are in `_gone` already, but the sample may have come before they left.
         for leaves, times, _, _ in made:
             order = np.argsort(times)
             place = order[np.minimum(np.searchsorted(times[order], news.valid), len(times) - 1)]
@@ -146,6 +152,7 @@ class _Times:
     def add(self, times: Times) -> None:
         """Add times that are not in it."""
         new = np.sort(times)
+        # Sizes at least double from part to part, so the parts are O(log n).
         while self._parts and len(self._parts[-1]) <= 2 * len(new):
             new = np.sort(np.concatenate([self._parts.pop(), new]))
         self._parts.append(new)

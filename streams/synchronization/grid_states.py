@@ -46,11 +46,13 @@ class GridStates(OrderedStates):
         self._hear(inputs)
         bound = sure = 0 if delay is None else self._index(until - delay)
         bound = max(bound, self._reached(inputs))
+        # Only a deadline is sure to pass: an input in any order may lack the state's own sample.
         if all(one.is_monotone for one in inputs):
             sure = bound
         if until >= TIME_MAX and delay is not None:
             # Sums of times stop there, so one more state is due.
             bound = min(self._total, max(bound, self._next) + 1)
+        # States leave at least 1 ns apart, so no more than these can leave by ``until``.
         room = max(0, until - max(self._left, self._done))
         self._guard(min(sure - self._next, room))
         made = self._make(bound, inputs, until)
@@ -65,7 +67,10 @@ class GridStates(OrderedStates):
         else:
             valid = max(valid for valid, _ in self._news.values())
             available = max(available for _, available in self._news.values())
+            # The newest sample is in the first state at or after its valid time, hence rounding up.
             bound = self._index(valid + self._period - 1)
+            # The grid goes on until a state has left that could use the newest sample
+            # of each input.
             seen = self._next and self._last >= valid and self._left >= available
             bound = self._next if seen else max(bound, self._next + 1, 1)
         bound = min(bound, self._total)
@@ -95,6 +100,7 @@ class GridStates(OrderedStates):
             if self._delay is not None:
                 # A state for an earlier time would be late before anything was there.
                 start = max(start, at - self._delay)
+            # Without `from` the grid has the multiples of the period.
             self._begin(start + -start % self._period)
 
     def _reached(self, inputs: Sequence[InputSamples]) -> int:
@@ -127,6 +133,7 @@ class GridStates(OrderedStates):
         made: list[Made] = []
         while self._next < bound:
             count = min(CHUNK, bound - self._next)
+            # The steps together may not fit signed 64 bits, so they are unsigned; each time fits.
             first = np.uint64(self._time(self._next) % 2**64)
             steps = np.arange(count, dtype=np.uint64)
             times = (first + steps * np.uint64(self._period)).view(np.int64)
@@ -134,6 +141,7 @@ class GridStates(OrderedStates):
             gone, _ = self._leave(times, inputs, until)
             made += gone
             self._next += sum(len(part[0]) for part in gone)
+            # A state that waits holds back all later ones.
             if self._next < before + count:
                 break
         return made
@@ -154,6 +162,8 @@ class GridStates(OrderedStates):
             else:
                 rows = np.flatnonzero(one.valid <= self._last)
             if self._exact:
+                # Without approximation a sample serves the state of its own time only,
+                # and there is none before the grid.
                 rows = rows[one.valid[rows] >= self._first]
             if not len(rows):
                 continue
@@ -163,6 +173,7 @@ class GridStates(OrderedStates):
             if self._exact:
                 rows, index = rows[~off], index[~off]
             else:
+                # With approximation the first state at or after its valid time could have used it.
                 index += off
             gone = index < np.uint64(before)
             if len(leaves):

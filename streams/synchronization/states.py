@@ -90,6 +90,7 @@ class InputSamples:
         Cost: O(m log n) for m times; where valid times are in no order also O(n log n) once.
         """
         if self.is_monotone:
+            # Earlier samples satisfy the states up to ``reached``, at moments that are over.
             known = up_to(times, self.reached)
             count = max(known, up_to(times, self.newest))
             if count > known:
@@ -104,11 +105,13 @@ class InputSamples:
         if not len(valid):
             own, has = moment, np.zeros(len(times), np.bool_)
         else:
+            # Of equal valid times the first sample to arrive completes the state.
             place = np.minimum(np.searchsorted(valid, times, "left"), len(valid) - 1)
             own, has = available[place], valid[place] == times
         if self.ended is None:
             complete &= has
         else:
+            # States wait for an input until the moment after its last promise, not longer.
             own = np.where(has, own, self.ended)
         np.maximum(moment, own, out=moment)
 
@@ -117,6 +120,7 @@ class InputSamples:
         with ``exact`` only if it is valid then. ``times`` and ``known`` do not decrease."""
         table = self.table
         if self.is_monotone:
+            # Neither time decreases, so the last row that is known and valid by then is the one.
             by_then = np.searchsorted(table.available, known, "right")
             rows = np.minimum(by_then, np.searchsorted(table.valid, times, "right")) - 1
         else:
@@ -212,6 +216,7 @@ class OrderedStates(States):
             return [], times
         moment, complete = completion(times, inputs)
         if self._delay is None:
+            # Without a deadline the first incomplete state holds back all later ones.
             count = len(times) if complete.all() else int(np.argmin(complete))
             due = moment[:count]
         else:
@@ -228,7 +233,9 @@ class OrderedStates(States):
         for start in range(0, going, CHUNK):
             rows = slice(start, min(start + CHUNK, going))
             at, valid = leaves[rows], times[rows]
+            # The values are those known when the state leaves, not when it is complete.
             chosen = tuple(one.most_recent(valid, at, self._exact) for one in inputs)
+            # A state that left at its deadline stays incomplete, even if its samples came later.
             made.append((at, valid, chosen, complete[rows] & (moment[rows] <= at)))
         if going:
             self._left, self._last = int(leaves[going - 1]), int(times[going - 1])
@@ -257,6 +264,7 @@ def timely_states(begins: Times, due: Times, left: int) -> Mask | None:
     with some that may not be timely O(m log m) in a compiled loop.
     """
     earliest = np.minimum.accumulate(due[::-1])[::-1]
+    # If no later state is due before an earlier one begins, none can have left by then.
     if left >= TIME_MAX or bool((begins[:-1] <= earliest[1:]).all()):
         return None
     order = np.argsort(begins, kind="stable")
@@ -269,6 +277,7 @@ def timely_states(begins: Times, due: Times, left: int) -> Mask | None:
 def _mark_late(order: Any, begins: Any, due: Any, soonest: int, timely: Any) -> None:
     """Clear ``timely`` of each state, an index into ``due``, that begins after a later one has
     left. ``order`` are the states in order of ``begins``; none leaves before ``soonest``."""
+    # Numba infers the type of this empty list from `order`.
     waiting = [order[0] for _ in range(0)]
     last = -1
     for event in range(len(order)):
@@ -310,10 +319,12 @@ def of_use_in_order(one: InputSamples, floor: int, last: int) -> SampleBatch:
     table, valid = one.table, one.table.valid
     start, stop = 0, len(valid)
     if floor >= TIME_MIN:
+        # The last sample valid by the floor stays: it may be the most recent one there.
         start = max(0, int(valid.searchsorted(floor, "right")) - 1)
     if stop and valid[-1] > last:
         stop = max(start, int(valid.searchsorted(last, "right")))
     if stop - start > 1:
+        # All of these are available when a later state leaves: of equal times the last one counts.
         repeated = valid[start + 1 : stop] == valid[start : stop - 1]
         if bool(repeated.any()):
             return table.take(np.append(np.flatnonzero(~repeated) + start, stop - 1))

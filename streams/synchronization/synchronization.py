@@ -94,6 +94,7 @@ class Synchronization:
         self._states: States
         if policy.period is not None:
             self._states = GridStates(policy, limit)
+        # Without a deadline and an order a state may wait for ever: it must hold back no other.
         elif policy.max_delay is None and not all(self._monotone):
             self._states = CompleteStates(policy)
         else:
@@ -161,6 +162,7 @@ class Synchronization:
         finishing = all(input.ended_at is not None for input in self._inputs)
         if finishing:
             known = max(input.known for input in self._inputs)
+            # The states after the end have been given; only a resumed input leads to more.
             if self._finished:
                 return []
         elif known <= self._done:
@@ -229,6 +231,7 @@ class Synchronization:
         moments = np.concatenate([each.at for each in told])
         source = np.repeat(np.arange(len(told)), [len(each.at) for each in told])
         place = np.concatenate([np.arange(len(each.at)) for each in told])
+        # The order of reports must not depend on how the inputs were cut.
         order = np.lexsort((np.array([each.input for each in told])[source], moments))
         source, place = source[order], place[order]
         cuts = np.flatnonzero(np.diff(source)) + 1
@@ -247,6 +250,7 @@ class Synchronization:
             unknown = int(absent.sum())
             counters.unknown += unknown
             if len(table):
+                # A row of -1 reads the last sample here, so it has to be masked.
                 other = (table.valid[chosen] != valid) & ~absent
                 counters.approximated += int(other.sum())
         return TupleBatch(available, valid, tuple(tables), rows)

@@ -79,6 +79,7 @@ class _Known:
 
     def __init__(self, one: TupleInput) -> None:
         batch = one.samples
+        # A sample that decreases is dropped before anything else is decided.
         if one.is_monotone:
             batch = batch.take(batch.valid >= np.maximum.accumulate(batch.valid))
         self.is_monotone, self.ended = one.is_monotone, one.ended
@@ -87,6 +88,7 @@ class _Known:
         )
         self.nothing: Values = (None,) * len(one.names)
         values = _values(batch, list(batch.columns)) or [self.nothing] * len(batch)
+        # The key has the times alone, as values of several types cannot be compared.
         named = sorted(
             zip(batch.valid.tolist(), batch.available.tolist(), values, strict=True),
             key=lambda each: each[:2],
@@ -159,6 +161,7 @@ class _States:
         due = self.due(time)
         if due is None:
             return Constraint.DELAY, f"the state for {time} left though it was never complete"
+        # Each state has an available time of its own.
         expected = due if last is None else max(due, last[0] + 1)
         if leaves != expected:
             return Constraint.AVAILABLE, f"the state for {time} left at {leaves}, not at {expected}"
@@ -179,6 +182,7 @@ class _States:
         arrivals = [arrival for one in self._inputs for arrival in one.arrivals]
         if not arrivals:
             return None
+        # Of the first instant the sample with the least valid time begins the grid.
         available, valid = min(arrivals)
         if policy.max_delay is not None:
             valid = max(valid, available - policy.max_delay)
@@ -221,6 +225,7 @@ class _States:
                 if policy.max_delay is not None and available > valid + policy.max_delay:
                     continue
                 before = bisect_left(leaves, available)
+                # A state of a later time had left when it came, so the sample is late.
                 if self._in_order and before and self._left[before - 1][1] >= valid:
                     continue
                 yield valid

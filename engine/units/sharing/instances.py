@@ -98,6 +98,7 @@ class SharingUnit(ComputationalUnit, Generic[Instance]):
         super().end_output()
         if self.all_ended:
             for instance in tuple(self._instances.values()):
+                # An instance without followers has had no watermarks so far.
                 self.promise_to(instance)
                 instance.output.end()
 

@@ -96,6 +96,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             self._separate.add(number)
 
     def remove(self, number: int) -> None:
+        # The results that wait name the instance by its number, which it loses now.
         self.deliver()
         self._on_result.pop(number, None)
         self._separate.discard(number)
@@ -107,6 +108,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
 
     def set_read(self, number: int, instance: QueryInstance, is_read: bool) -> None:
         """Emit the results of an instance at once while its stream has readers."""
+        # A stream with readers gets its results at once, and must first get those that wait.
         self.deliver()
         if is_read:
             self._read[number] = instance
@@ -117,6 +119,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         """Emit what waits for a reader."""
         for number, batch in self._log.take():
             instance = self._instances.get(number)
+            # The log has the samples of all instances, and those with readers got theirs at once.
             if instance is not None and number not in self._read:
                 instance.take(batch)
 
@@ -148,11 +151,13 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         self.promise_to_followed()
 
     def end_output(self) -> None:
+        # A sample after the end would let the stream of its instance go on.
         self.deliver()
         super().end_output()
 
     def set_output_idle(self, is_idle: bool) -> None:
         if self.output.is_idle != is_idle:
+            # A later sample would wake the stream of its instance.
             self.deliver()
         super().set_output_idle(is_idle)
 
@@ -169,6 +174,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         if converted is None:
             return False
         ends = np.array([end for _, end in results.spans], np.int64)
+        # In place of the valid time, `batch` puts instance and window into one number.
         numbers, windows = np.divmod(converted.valid, len(ends))
         self._emit_samples(numbers, _stamped(converted, ends[windows]))
         last = np.append(converted.valid[1:] != converted.valid[:-1], True)[: len(windows)]
@@ -211,6 +217,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
             answered = np.array([n for n in answered.tolist() if n in self._separate], np.int64)
         if not len(answered):
             return
+        # These instances get their results at once, and must first get those that wait.
         self.deliver()
         for number in answered.tolist():
             instance = self._instances.get(number)
@@ -222,6 +229,7 @@ class TemplateUnit(SharingUnit["QueryInstance"], WindowUnit):
         """Convert the results of several instances in one pass, to samples in the order of
         `batch`. Return None where each result has to be converted by itself: to report which one
         has a value that no field holds, for instance."""
+        # With a gap the samples of one result differ in time, as only `ResultEmitter` makes them.
         if self._converter is None or self.output.rules.gap:
             return None
         batch = results.batch()

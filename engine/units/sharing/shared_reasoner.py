@@ -252,6 +252,7 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
         self.promise_to_followed()
 
     def ended(self, source: StreamGenerator) -> None:
+        # A unit for one object alone reads a selected stream, which ends with this watermark.
         if source.stream.last_available is not None:
             self.advance(source, end_of(source))
         super().ended(source)
@@ -315,6 +316,7 @@ class SharedReasoner(SharingUnit[Instance], SampleReasoner, Generic[Instance]):
             instance = self._instances.get(number)
             if instance is None:
                 continue  # a result of another instance has made it leave
+            # No sample is stamped before the watermark, which instances without followers lack.
             self.promise_to(instance)
             instance.emit(of_instance(rows, instance))
         (last,) = self.output.stamps_at(available.max(keepdims=True))
