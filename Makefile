@@ -70,8 +70,9 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy -p dyknow
 	$(BIN)/lint-imports
 
-kernels: $(VENV)/installed-dev ## compile the loops of numba into its cache
-	@$(BIN)/python -c 'import dyknow.service.app; from dyknow.streams.jit import compile_all; compile_all()'
+kernels: $(VENV)/installed-dev ## compile the loops of numba into its cache, by two processes
+	@$(COMPILE) compile_all(backwards=True)' & $(COMPILE) compile_all()' && wait $$!
+COMPILE := $(BIN)/python -c 'import dyknow.service.app; from dyknow.streams.jit import compile_all;
 
 bench: $(VENV)/installed-dev ## the performance tables of docs/explanation/performance.md
 	$(BIN)/python bench/run.py

@@ -239,7 +239,8 @@ class WindowUnit(ComputationalUnit):
         return done
 
     def replay(self, turn: Sequence[TurnRecord]) -> None:
-        """Do what `work` did. Raises ``ValueError`` where there is no such work to do."""
+        """Do what `work` did. Raises ``ValueError`` where there is no such part of a batch to take;
+        without such a window the unit fails."""
         self._guarded(lambda: self._replay_windows(turn))
         self._catch_up()
         for _ in range(turn[-1].parts):
