@@ -189,8 +189,7 @@ def engine_from(
 def _query_streams(engine: Engine) -> list[str]:
     """Return the result streams of the registered queries, which have the names of the queries."""
     named = dict(engine.ontology.registered.queries)
-    streams = (view.stream for view in engine.queries.views() if view.name in named)
-    return [name for name in streams if name is not None]
+    return [name for name in engine.queries.names() if name in named and engine.queries.has(name)]
 
 
 def _commands_of(portable: Portable) -> Iterator[tuple[str, AnyCommand]]:

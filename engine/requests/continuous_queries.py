@@ -3,6 +3,8 @@
 A query names its streams (FROM STREAM), or matching finds them from the features that it needs, as
 for events. Its results are a stream of its name; the last windows are kept too, with their terms.
 The ontology stores registrations with a name over a restart; `accepted_commands` keeps the others.
+
+The class is long, since names, registrations and running queries change together.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ from ..units.reasoning.monitor import MonitorUnit
 from ..units.reasoning.pattern import PatternUnit
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers
-from .empty_reasons import NO_WINDOW, why_empty
+from .empty_reasons import NO_WINDOW, note_query, why_empty
 
 
 @dataclass(slots=True, eq=False)
@@ -458,9 +460,10 @@ class RegisteredQueries:
     def _start(self, name: str, registration: Registration, query: AnyQuery) -> _Running:
         started = self._starter.start(name, query, registration.submission)
         started.unit.users += 1
-        running = _Running(name, bool(name_of(query)), registration, started)
-        self._running[name] = running
-        return running
+        if isinstance(query, ContinuousQuery):
+            note_query(started.unit, query, self._ontology)
+        self._running[name] = _Running(name, bool(name_of(query)), registration, started)
+        return self._running[name]
 
     def _get(self, name: str) -> _Running:
         found = self._running.get(name)

@@ -6,9 +6,11 @@ They are derived from counters, annotations and the ontology only.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
+from weakref import WeakKeyDictionary
 
 from ...languages.csparql import parse_query
+from ...languages.csparql.ast import ContinuousQuery
 from ...languages.errors import LanguageError
 from ...languages.kpl import format_policy
 from ...languages.ssl.annotation import Content
@@ -31,11 +33,25 @@ from ..units.windowed import WindowUnit
 NO_WINDOW: Final = "no window has closed yet"
 
 
+class _Wants(NamedTuple):
+    """The features that a query needs, and reports on its unknown terms, by a version of the
+    ontology."""
+
+    version: int
+    features: tuple[Want, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+
+_WANTS: Final[WeakKeyDictionary[ComputationalUnit, _Wants]] = WeakKeyDictionary()
+"""Those of units: a long query takes 0.1 s to parse, and lists of requests ask for all of them."""
+
+
 def why_empty(
     configuration: Configuration, unit: ComputationalUnit, ontology: Ontology
 ) -> str | None:
     """Return a text like ``12,000 samples read, 0 triples: no stream that it reads is annotated
-    with …``; None once the unit has a result. Cost: O(units behind it), and parsing its query."""
+    with …``; None once the unit has a result. Cost: O(units behind it), and parsing its query at
+    the first call after a change of the ontology."""
     evaluating = unit.template if isinstance(unit, QueryInstance) else unit
     # Numbers go on from an earlier stream of the name.
     has_given = unit.output.stream.last_available is not None
@@ -48,7 +64,7 @@ def why_empty(
     if not isinstance(evaluating, WindowUnit):
         return None
     vocabulary = ontology.vocabulary
-    wants, unknown = _wants(unit, ontology)
+    _, wants, unknown = _wants(unit, ontology)
     if any(source.name in configuration.statements for source in evaluating.reads):
         # RDF may have any predicate, also one that the ontology does not know.
         wants, unknown = (), ()
@@ -99,15 +115,28 @@ def _without_matches(unit: PatternUnit | PatternInstance) -> str:
     return f"{counts}: no events match{waits}"
 
 
-def _wants(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:
-    """Return the features that the query needs, and reports on its unknown terms; both are empty if
-    they cannot be determined."""
+def _wants(unit: ComputationalUnit, ontology: Ontology) -> _Wants:
+    """Return what the query of a unit needs; empty if that cannot be determined."""
+    found = _WANTS.get(unit)
+    if found is None or found.version != ontology.version:
+        try:
+            query = parse_query(unit.parameters["query"])
+        except (KeyError, LanguageError):
+            return _Wants(ontology.version)
+        return note_query(unit, query, ontology)
+    return found
+
+
+def note_query(unit: ComputationalUnit, query: ContinuousQuery, ontology: Ontology) -> _Wants:
+    """Note what the ``query`` of a unit needs, for callers that have it parsed; return it."""
+    vocabulary = ontology.vocabulary
     try:
-        query = parse_query(unit.parameters["query"])
-        unknown = unknown_terms(query, ontology.vocabulary, is_static_in(ontology.static_store))
-        return needs(query, ontology.vocabulary).wants, unknown
-    except (KeyError, LanguageError, NeedsError):
-        return (), ()
+        unknown = unknown_terms(query, vocabulary, is_static_in(ontology.static_store))
+        found = _Wants(ontology.version, needs(query, vocabulary).wants, unknown)
+    except (LanguageError, NeedsError):
+        found = _Wants(ontology.version)
+    _WANTS[unit] = found
+    return found
 
 
 def _lacking(want: Want, contents: tuple[Content, ...], vocabulary: Vocabulary) -> str | None:

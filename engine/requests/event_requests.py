@@ -62,7 +62,7 @@ from ..units.sharing.shared_monitor import MonitorInstance
 from ..units.sharing.shared_pattern import PatternInstance
 from ..units.sharing.shared_query import QueryInstance, TemplateUnit
 from . import reasoning_answers
-from .empty_reasons import why_empty
+from .empty_reasons import note_query, why_empty
 
 Body: TypeAlias = ContinuousQuery | Bound
 """What a template says, with the arguments of a request."""
@@ -147,6 +147,8 @@ class EventRequests:
                 raise
             self._running[key] = running
             self._answers[running.unit.output.name] = running
+            if isinstance(query, ContinuousQuery):
+                note_query(running.unit, query, self._ontology)
             if running.shareable is not None:
                 # Requests that run alone are counted, so that the next one of their kind shares.
                 self._sharing.add_alone(running.shareable)

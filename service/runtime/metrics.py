@@ -178,7 +178,7 @@ class _Service(Collector):
             "Units with a backlog of windows",
             len(engine.backlog.units),
         )
-        yield _gauge("dyknow_event_requests", "Running event requests", len(engine.events()))
+        yield _gauge("dyknow_event_requests", "Running event requests", len(engine.event_ids()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
         yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
         answers = self._answers.all

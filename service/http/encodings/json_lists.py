@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, TypeVar
 
@@ -14,8 +15,8 @@ from ...config.media_types import JSON
 
 T = TypeVar("T")
 
-PIECE: Final = 50
-"""Members of a part: some 2 ms of work."""
+PART: Final = 0.002
+"""Seconds of work on a part. A member may take long by itself."""
 
 
 async def listed(
@@ -32,16 +33,17 @@ async def listed(
     """
     included = None if members is None else set(members)
     written: list[bytes] = []
-    for begin in range(0, len(items), PIECE):
-        if begin:
+    until = time.monotonic() + PART
+    for item in items:
+        if time.monotonic() >= until:
             await asyncio.sleep(0)
-        for item in items[begin : begin + PIECE]:
-            try:
-                model = told(item)
-            except UNKNOWN:
-                continue
-            if model is not None:
-                written.append(_written(model, included))
+            until = time.monotonic() + PART
+        try:
+            model = told(item)
+        except UNKNOWN:
+            continue
+        if model is not None:
+            written.append(_written(model, included))
     written += [_written(model, included) for model in rest]
     return Response(b"[" + b",".join(written) + b"]", media_type=JSON)
 

@@ -45,7 +45,7 @@ async def read_status(service: Context) -> StatusModel:
         now=format_time(service.clock()),
         streams=len(streams),
         templates=len(engine.templates()),
-        requests=len(engine.events()),
+        requests=len(engine.event_ids()),
         queries=len(engine.queries),
         clients=service.feeds.clients,
         accepted=sum(stream.counters.accepted for stream in streams),

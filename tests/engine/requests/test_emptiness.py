@@ -4,6 +4,8 @@ import pytest
 from feeding import feed
 
 from dyknow.engine.model.views import StreamDeclaration
+from dyknow.engine.requests import empty_reasons
+from dyknow.languages.csparql import parse_query
 from dyknow.streams.sample import Field, FieldType
 
 FIELDS = (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT))
@@ -106,3 +108,25 @@ def test_a_query_of_an_earlier_name_says_why_it_is_empty(flying):
     feed(flying, "s", rows)
     assert flying.queries.view(name).empty.endswith("no member of dyknow:Car seen")
     assert flying.generator(name).stream.last_number > 0
+
+
+def test_views_parse_no_query_but_after_a_change_of_the_ontology(flying, monkeypatch):
+    parsed = []
+
+    def parse(text):
+        parsed.append(text)
+        return parse_query(text)
+
+    monkeypatch.setattr(empty_reasons, "parse_query", parse)
+    texts = [QUERY.format(f"{SPEED} FILTER (?v > {limit})") for limit in (100, 200)]
+    names = [
+        flying.queries.register(text.replace("QUERY q", f"QUERY q{i}")).name
+        for i, text in enumerate(texts)
+    ]
+    for name in names:
+        assert flying.queries.view(name).empty == "no sample read yet from s"
+    assert not parsed
+    flying.load_ontology("dyknow:Kite rdfs:subClassOf dyknow:Thing .", name="kites")
+    for name in [*names, *names]:
+        assert flying.queries.view(name).empty == "no sample read yet from s"
+    assert len(parsed) == len(names)

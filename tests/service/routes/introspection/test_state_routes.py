@@ -7,6 +7,7 @@ import logging
 from typing import Any
 
 import httpx
+import pytest
 from pydantic import SecretStr
 
 from dyknow.engine.engine import Engine
@@ -161,6 +162,16 @@ def test_the_vocabulary_has_sorts_as_a_tree_and_features_with_units(http: httpx.
     assert features["dyknow:altitude"]["doc"]
     assert found["events"] == []
     assert found["prefixes"]["dyknow"] == "http://www.ida.liu.se/dyknow/"
+
+
+def test_numbers_of_requests_make_no_views(
+    http: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A view of a request may take 0.1 s, and a scraper asks every few seconds.
+    monkeypatch.setattr(Engine, "events", None)
+    monkeypatch.setattr(Engine, "event", None)
+    assert http.get("/status").json()["requests"] == 0
+    assert "\ndyknow_event_requests 0" in http.get("/metrics").text
 
 
 def test_the_status_tells_the_load(http: httpx.Client) -> None:
