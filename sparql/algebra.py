@@ -40,25 +40,36 @@ def most_bound_first(triples: Iterable[Triple]) -> list[Triple]:
     The names of streams made for a request depend on this order, and so do the results of
     GROUP_CONCAT and SAMPLE. It must not change: replaying a log has to give the same names.
     """
-    remaining = list(triples)
-    counts = Counter(term for triple in remaining for term in _open_places(triple))
+    given = list(triples)
+    opens = [_open_places(triple) for triple in given]
+    counts = Counter(term for open in opens for term in open)
+    orders = [
+        (
+            -sum(counts[term] for term in open),
+            not isinstance(triple.object, Literal),
+            _order(triple),
+        )
+        for triple, open in zip(given, opens, strict=True)
+    ]
+    places = {order: place for place, order in enumerate(sorted(set(orders)))}
+    remaining = [
+        (places[order], open, triple)
+        for order, open, triple in zip(orders, opens, given, strict=True)
+    ]
     bound: set[Variable | BlankNode] = set()
     found: list[Triple] = []
 
-    def rank(triple: Triple) -> tuple[int, int, bool, tuple[tuple[int, str], ...]]:
-        open = _open_places(triple)
-        free = sum(1 for term in open if term not in bound)
-        shared = -sum(counts[term] for term in open)
-        places = (triple.subject, triple.predicate, triple.object)
-        return free, shared, not isinstance(triple.object, Literal), tuple(map(_order, places))
+    def free(open: list[Variable | BlankNode]) -> int:
+        return sum(term not in bound for term in open)
 
     # Quadratic, but a query has at most some hundred patterns.
     while remaining:
-        remaining = [one for _, _, one in sorted((rank(t), n, t) for n, t in enumerate(remaining))]
-        least = rank(remaining[0])[0]
-        block = [triple for triple in remaining if rank(triple)[0] == least]
-        bound.update(term for triple in block for term in _open_places(triple))
-        found.append(remaining.pop(0))
+        # Equal patterns keep the order that they have.
+        remaining.sort(key=lambda each: (free(each[1]), each[0]))
+        least = free(remaining[0][1])
+        block = [open for _, open, _ in remaining if free(open) == least]
+        bound.update(term for open in block for term in open)
+        found.append(remaining.pop(0)[2])
     return found
 
 
@@ -67,7 +78,11 @@ def _open_places(triple: Triple) -> list[Variable | BlankNode]:
     return [place for place in places if isinstance(place, Variable | BlankNode)]
 
 
-def _order(term: object) -> tuple[int, str]:
+def _order(triple: Triple) -> tuple[tuple[int, str], ...]:
+    return tuple(map(_term_order, (triple.subject, triple.predicate, triple.object)))
+
+
+def _term_order(term: object) -> tuple[int, str]:
     kinds = (BlankNode, Variable, NamedNode, Literal)
     kind = next((number for number, one in enumerate(kinds) if isinstance(term, one)), len(kinds))
     return kind, getattr(term, "value", "") or str(term)
