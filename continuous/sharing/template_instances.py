@@ -18,7 +18,7 @@ from ...languages.csparql.ast import ContinuousQuery
 from ...rdf.dictionary import Term, TermDictionary
 from ..algebra.options import Options
 from ..algebra.plan import Ask
-from ..algebra.template_parameters import describe_parameters, is_confined
+from ..algebra.template_parameters import Joint, describe_parameters, is_confined
 from ..columns.budget import UNLIMITED, Budget
 from ..evaluation.solver import QueryBody
 from ..operators.background import Background
@@ -81,9 +81,10 @@ class TemplateEvaluator(SharedWindows):
         of a cohort plans the query.
         """
         names = tuple(arguments)
-        family = self._families.get(names)
+        family, joint = self._families.get(names), None
         if family is None:
-            family = self._families[names] = self._family(arguments)
+            family, joint = self._family(arguments)
+            self._families[names] = family
         given: dict[str, Term] = {}
         for variable, term in arguments.items():
             if isinstance(term, BlankNode):
@@ -92,7 +93,7 @@ class TemplateEvaluator(SharedWindows):
         key: tuple[object, ...] = (family.names, *[given[name] for name in family.fixed])
         cohort = self._cohorts.get(key)
         if cohort is None:
-            cohort = self._cohort(family, key, given)
+            cohort = self._cohort(family, key, given, joint)
         number = len(self._cohort_of)
         cohort.add(number, given)
         self._cohort_of.append(cohort.place.serial)
@@ -169,22 +170,28 @@ class TemplateEvaluator(SharedWindows):
             lines += [f"    {line}" for line in cohort.explain().splitlines()]
         return "\n".join(lines)
 
-    def _family(self, arguments: Mapping[Variable, Term]) -> _Family:
-        """Return the family of the arguments, in any order of theirs."""
+    def _family(self, arguments: Mapping[Variable, Term]) -> tuple[_Family, Joint | None]:
+        """Return the family of the arguments, in any order of theirs; and of a new one how
+        instances that agree with these arguments are computed together."""
         bind(self.query, arguments)
         ordered = sorted(arguments.items(), key=lambda item: item[0].value)
         given = {variable.value: term for variable, term in ordered}
         for family in self._families.values():
             if family.names == tuple(given):
-                return family
-        return _Family(tuple(given), find_joint(self._windows, self.query, given)[1])
+                return family, None
+        joint, fixed = find_joint(self._windows, self.query, given)
+        return _Family(tuple(given), fixed), joint
 
     def _cohort(
-        self, family: _Family, key: tuple[object, ...], given: Mapping[str, Term]
+        self,
+        family: _Family,
+        key: tuple[object, ...],
+        given: Mapping[str, Term],
+        joint: Joint | None,
     ) -> SingleCohort | JoinedCohort:
+        """Make the cohort of the ``given`` terms. ``joint`` as `_family` returned it for them."""
         fixed = tuple(family.fixed)
-        joint = None
-        if len(fixed) < len(family.names):
+        if joint is None and len(fixed) < len(family.names):
             joint, reasons = find_joint(self._windows, self.query, given, fixed)
             if len(reasons) > len(fixed):
                 joint = None
