@@ -39,7 +39,7 @@ ROWS: Final = 64
 """The least number of states that there is room for."""
 CELLS: Final = 1 << 12
 """Words of a table that are filled at once: some dozens of such tables fit into a core's cache."""
-_COUNTS: Final = [layout.EMITTED, layout.TRUES, layout.UNKNOWNS]
+_COUNTS: Final = slice(layout.EMITTED, layout.UNKNOWNS + 1)
 
 
 def bits_of_state(monitor: CheckedMonitor) -> int:
@@ -90,11 +90,18 @@ class SlicedEvaluator:
         self._control[layout.LOOKS_BACK] = self._looks_back
         self._control[layout.REPORTS_ALL] = monitor.report is not Report.VIOLATIONS
         self._control[layout.ROOT_DOMAIN] = self._compiler.root_domain
-        self._out = np.empty((256, 5), np.int64)
+        self._out = np.empty((256, 6), np.int64)
         self._none = no_verdicts(len(monitor.parameters))
         self._programs = [self._compiler.program(has_two_readings=each) for each in (False, True)]
         self._has_two_readings = False
         self._make_tables(ROWS, np.ones(len(self._objects), np.int64))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_bytes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bytes = self._tables.view(np.uint8)
 
     @property
     def terms(self) -> frozenset[Term]:
@@ -219,7 +226,7 @@ class SlicedEvaluator:
     def _put(self, table: int, rows: slice, bits: Mask) -> None:
         """Write truths, shape ``(states, objects)``, into rows of a table."""
         packed = np.packbits(bits, axis=1, bitorder="little")
-        self._tables[table, rows].view(np.uint8)[:, : packed.shape[1]] = packed
+        self._bytes[table, rows, : packed.shape[1]] = packed
 
     def _matters(self, domain: int, states: States) -> Mask:
         """At which states and objects it matters whether an atom is known: of those that were there
@@ -250,6 +257,8 @@ class SlicedEvaluator:
             lower.true, lower.false, upper.true, upper.false,
         )  # fmt: skip
         self._tables = np.zeros((tables + 2 * atoms + domains + 2, rows, wide), np.uint64)
+        # A view: pickle would make a copy of it.
+        self._bytes = self._tables.view(np.uint8)
         # A closed formula is about something that is always there.
         self._tables[tables + 2 * atoms, :, 0] = 1
         self._valid, self._horizon, self._left = np.zeros((3, rows), np.int64)
@@ -406,15 +415,15 @@ class SlicedEvaluator:
                 none.part, none.start_time, none.decided_time, none.left, none.value, none.binding,
                 none.witness_time, unreported=unreported,
             )  # fmt: skip
-        start, decided, place, value, witness = self._out[:count].T
+        start, decided, witness, row, place, value = self._out[:count].T.copy()
         return Verdicts(
             np.zeros(count, np.int64),
-            self._valid[start],
-            self._valid[decided],
-            self._left[decided],
+            start,
+            decided,
+            self._left[row],
             value.astype(np.int8),
-            place.reshape(-1, 1)[:, : len(self._monitor.parameters)].copy(),
-            np.where(witness < 0, TIME_MIN, self._valid[witness]),
+            place.reshape(-1, 1)[:, : len(self._monitor.parameters)],
+            witness,
             unreported=unreported,
         )
 

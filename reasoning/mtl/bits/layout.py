@@ -12,8 +12,8 @@
 ``closed``    int64 (nodes,): the first row whose interval may still get states
 ``spare``     uint64 (4, words): for a loop's own use; ``fresh`` int64 (2 rows,): the same
 ``control``   int64: numbers, at the places below
-``out``       int64 (n, 5): verdicts: the row of the start, of the deciding state, the object, the
-              value, the row of the witness or -1
+``out``       int64 (n, 6): verdicts: the valid times of the start, of the deciding state and of the
+              witness or `TIME_MIN`, the row of the deciding state, the object, the value
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from ....streams.jit import Kernel
-from ....streams.time import TIME_MAX
+from ....streams.time import TIME_MAX, TIME_MIN
 from ..programs import (
     ATOM,
     BY_LEFT,
@@ -262,16 +262,18 @@ def _emit(
                         continue
                     is_true = tables[lower_t, row, word] & low != 0
                     is_false = tables[upper_f, row, word] & low != 0
-                    out[at, 0] = row
-                    out[at, 1] = count - 1
-                    out[at, 2] = place
-                    out[at, 3] = 1 if is_true else 0 if is_false else -1
-                    out[at, 4] = -1
+                    witness = -1
                     if is_true or is_false:
-                        out[at, 4] = _witness_of_verdict(
+                        witness = _witness_of_verdict(
                             tables, nodes, words, lower_t if is_true else upper_f, row, place,
                             count, valid, horizon, control,
                         )  # fmt: skip
+                    out[at, 0] = valid[row]
+                    out[at, 1] = valid[count - 1]
+                    out[at, 2] = TIME_MIN if witness < 0 else valid[witness]
+                    out[at, 3] = count - 1
+                    out[at, 4] = place
+                    out[at, 5] = 1 if is_true else 0 if is_false else -1
                     at += 1
     control[EMITTED] = at
     control[WAITING] = 0
