@@ -34,7 +34,8 @@ from pyoxigraph import (
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import OWL, PREFIXES
 from . import graphs
-from .entailment.closure import cached_closure, closure_key, shipped_closure
+from .entailment.closure import cached_closure, shipped_closure
+from .entailment.closure_key import closure_key
 from .entailment.closure_queries import QueryResults, answer
 from .entailment.rules import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused

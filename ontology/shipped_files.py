@@ -14,7 +14,7 @@ from .texts.reading import read_triples
 _HERE = Path(__file__).parent
 SHIPPED_CLOSURE = _HERE / "closure.nt"
 """The triples that the shipped ontologies entail. The first line is a comment with their key
-(`closure.closure_key`)."""
+(`closure_key`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,17 +6,11 @@ with the package. `rules` maintain the closure of the live stream space instead.
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
-from collections.abc import Mapping
 from functools import cache, lru_cache
 
 from pyoxigraph import RdfFormat, Triple, parse
 
 from ..shipped_files import SHIPPED_CLOSURE
-
-_FORM = "3"
-"""The version of the closures' form. A new value makes stored closures invalid."""
 
 
 @lru_cache(maxsize=4)
@@ -41,11 +35,3 @@ def _shipped() -> tuple[str, frozenset[Triple]]:
     """The first line of the file, and its triples."""
     first, _, lines = SHIPPED_CLOSURE.read_text(encoding="utf-8").partition("\n")
     return first, frozenset(quad.triple for quad in parse(lines, RdfFormat.N_TRIPLES))
-
-
-def closure_key(hashes: Mapping[str, str]) -> str:
-    """Return a key of the closure of these texts: graph IRI -> hash of its text."""
-    digest = hashlib.sha256(f"{_FORM} owlrl {importlib.metadata.version('owlrl')}\n".encode())
-    for graph, text_hash in sorted(hashes.items()):
-        digest.update(f"{graph} {text_hash}\n".encode())
-    return digest.hexdigest()

@@ -19,7 +19,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from ...rdf.namespaces import OWL, RDFS, XSD
 from ..errors import OntologyError
 from ..shipped_files import SHIPPED_CLOSURE, shipped_hashes, shipped_ontologies
-from .closure import closure_key
+from .closure_key import closure_key
 from .deep_hierarchies import MARKERS, is_standard
 from .separation import Separation
 

@@ -10,16 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Coroutine, Generator
 from dataclasses import dataclass, field
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, overload
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload
 
 import httpx
 
 from ..config.media_types import JSON
 from .errors import ServiceError, check
 from .event_streams import AsyncEvents, Events, EventSource
-
-if TYPE_CHECKING:
-    from .connection import AsyncConnection, Connection
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -40,6 +37,20 @@ Flow = Generator[Request, httpx.Response, T]
 it."""
 
 
+class Blocking(Protocol):
+    """What runs flows with blocking calls (`Connection`)."""
+
+    def _run(self, flow: Flow[T]) -> T: ...
+    def _follow_source(self, source: EventSource) -> Events: ...
+
+
+class Awaited(Protocol):
+    """What runs flows with awaited calls (`AsyncConnection`)."""
+
+    def _run(self, flow: Flow[T]) -> Coroutine[Any, Any, T]: ...
+    def _follow_source(self, source: EventSource) -> AsyncEvents: ...
+
+
 class verb(Generic[P, T]):  # noqa: N801  a decorator
     """Makes a method that returns a flow the verb of both clients: it returns the flow's result in
     `Client`, and a coroutine of it in `AsyncClient`."""
@@ -51,12 +62,10 @@ class verb(Generic[P, T]):  # noqa: N801  a decorator
     def __get__(self, client: None, owner: type) -> Callable[Concatenate[Any, P], Flow[T]]: ...
 
     @overload
-    def __get__(self, client: Connection, owner: type) -> Callable[P, T]: ...
+    def __get__(self, client: Blocking, owner: type) -> Callable[P, T]: ...
 
     @overload
-    def __get__(
-        self, client: AsyncConnection, owner: type
-    ) -> Callable[P, Coroutine[Any, Any, T]]: ...
+    def __get__(self, client: Awaited, owner: type) -> Callable[P, Coroutine[Any, Any, T]]: ...
 
     def __get__(self, client: Any, owner: type) -> Any:
         if client is None:
@@ -80,10 +89,10 @@ class feed(Generic[P]):  # noqa: N801  a decorator
     def __get__(self, client: None, owner: type) -> Callable[Concatenate[Any, P], EventSource]: ...
 
     @overload
-    def __get__(self, client: Connection, owner: type) -> Callable[P, Events]: ...
+    def __get__(self, client: Blocking, owner: type) -> Callable[P, Events]: ...
 
     @overload
-    def __get__(self, client: AsyncConnection, owner: type) -> Callable[P, AsyncEvents]: ...
+    def __get__(self, client: Awaited, owner: type) -> Callable[P, AsyncEvents]: ...
 
     def __get__(self, client: Any, owner: type) -> Any:
         if client is None:

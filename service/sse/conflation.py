@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from ...engine.requests.adaptive_subscription import Rematch
 from ...streams.time import SECOND
-from .cursor import Cursor, Start
+from .cursor import Cursor, Joining, Start
 from .delivery import Projection
 from .feed import Feed
-
-if TYPE_CHECKING:
-    from .feeds import Feeds
 
 PIECE_MESSAGES: Final = 64
 """The greatest number of messages in a piece. Those beyond `message_cache.PIECE_BYTES` are encoded
@@ -41,7 +38,7 @@ class ConflatedCursor(Cursor):
 
     def __init__(
         self,
-        feeds: Feeds,
+        feeds: Joining,
         name: str,
         start: Start,
         switches: Sequence[Rematch] | None,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import msgspec
 
@@ -16,9 +16,6 @@ from .clients import EventClient
 from .delivery import WHOLE, Projection
 from .feed import Feed
 from .switch_markers import SwitchMarkers
-
-if TYPE_CHECKING:
-    from .feeds import Feeds
 
 
 @dataclass(slots=True)
@@ -32,6 +29,13 @@ class Start:
     number: int
     opening: bytes = b""
     last: int = 0
+
+
+class Joining(Protocol):
+    """Where clients join and leave feeds (`Feeds`)."""
+
+    def join(self, name: str, last: int, client: EventClient, projection: Projection) -> Feed: ...
+    def leave(self, feed: Feed, client: EventClient) -> None: ...
 
 
 def _is_visible(feed: Feed, switch: Rematch) -> bool:
@@ -48,7 +52,7 @@ class Cursor:
 
     def __init__(
         self,
-        feeds: Feeds,
+        feeds: Joining,
         name: str,
         start: Start,
         switches: Sequence[Rematch] | None = None,

@@ -8,7 +8,8 @@ import pytest
 from pyoxigraph import Literal, NamedNode, Store, Triple
 
 from dyknow.continuous.operators.background import Background
-from dyknow.ontology.entailment.closure import closure_key, shipped_closure
+from dyknow.ontology.entailment.closure import shipped_closure
+from dyknow.ontology.entailment.closure_key import closure_key
 from dyknow.ontology.entailment.owlrl_closure import closure_of
 from dyknow.ontology.errors import OntologyError, QueryRefused
 from dyknow.ontology.ontology import Ontology
