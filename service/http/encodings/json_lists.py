@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Iterable, Sequence
+from time import monotonic
 from typing import Final, TypeVar
 
 from fastapi import Response
@@ -33,11 +33,11 @@ async def listed(
     """
     included = None if members is None else set(members)
     written: list[bytes] = []
-    until = time.monotonic() + PART
+    until = monotonic() + PART
     for item in items:
-        if time.monotonic() >= until:
+        if monotonic() >= until:
             await asyncio.sleep(0)
-            until = time.monotonic() + PART
+            until = monotonic() + PART
         try:
             model = told(item)
         except UNKNOWN:

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from dyknow.engine.model.errors import UnknownStream
 from dyknow.service.http.encodings import json_lists
-from dyknow.service.http.encodings.json_lists import PIECE, listed
+from dyknow.service.http.encodings.json_lists import listed
 
 TEXT = {"Content-Type": "text/plain"}
 
@@ -20,9 +20,12 @@ class Member(BaseModel):
     number: int
 
 
-def test_others_have_their_turn_in_between() -> None:
+def test_others_have_their_turn_in_between(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[int] = []
     made: list[int] = []
+    # A member takes a second, and a part four of them.
+    monkeypatch.setattr(json_lists, "monotonic", lambda: len(made))
+    monkeypatch.setattr(json_lists, "PART", 4)
 
     def told(number: int) -> Member:
         made.append(number)
@@ -31,17 +34,17 @@ def test_others_have_their_turn_in_between() -> None:
         return Member(number=number)
 
     async def other() -> None:
-        while len(made) < 10 * PIECE:
+        while len(made) < 40:
             heard.append(len(made))
             await asyncio.sleep(0)
 
     async def both() -> bytes:
-        answer, _ = await asyncio.gather(listed(range(10 * PIECE), told), other())
+        answer, _ = await asyncio.gather(listed(range(40), told), other())
         return bytes(answer.body)
 
     numbers = [member["number"] for member in json.loads(asyncio.run(both()))]
-    assert numbers == [number for number in range(10 * PIECE) if number != 1]
-    assert heard == [PIECE * turn for turn in range(1, 10)]
+    assert numbers == [number for number in range(40) if number != 1]
+    assert heard == [4 * turn for turn in range(1, 10)]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +62,7 @@ def test_others_have_their_turn_in_between() -> None:
 def test_lists_are_whole_and_in_order(
     http: httpx.Client, monkeypatch: pytest.MonkeyPatch, path: str, made: list[str] | None
 ) -> None:
-    monkeypatch.setattr(json_lists, "PIECE", 1)
+    monkeypatch.setattr(json_lists, "PART", 0)
     for number in (1, 2):
         said = f"stream s{number} contains speed(UAV) = v for every UAV = id"
         http.post("/annotations", content=said, headers=TEXT).raise_for_status()
