@@ -25,7 +25,7 @@ serve: $(VENV)/installed ## leave the service running with the same flights repl
 PYTEST := $(BIN)/pytest -n $$(( $$(nproc) + 2 )) --dist worksteal
 
 # How much of each law's examples: CI has a quarter of an hour. `make soak` draws all, several times.
-SHARE ?= 0.2
+SHARE ?= 0.15
 
 # The loops are compiled once, and the assertions of the tests rewritten once, before each worker would do it.
 test: $(VENV)/installed-dev ## everything that CI runs

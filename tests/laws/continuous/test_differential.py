@@ -1,7 +1,7 @@
 """Random continuous queries against a fresh Oxigraph store a window.
 
 `differential_drawing` draws a case from a seed, `differential_oracle` says what each of its windows
-must give, from SPEC and SPARQL 1.1 alone. ``DYKNOW_QUERY_WINDOWS`` (20,000) is how many windows
+must give, from SPEC and SPARQL 1.1 alone. ``DYKNOW_QUERY_WINDOWS`` (10,000) is how many windows
 are compared, ``DYKNOW_QUERY_SEED`` (0) where the seeds begin; ``make soak`` compares 200,000 of new
 seeds. A failure prints the seed, for `draw`, and the case made small.
 
@@ -54,7 +54,7 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, Store
 from standard_values import XSD
 from standard_values import Term as RdfTerm
 
-WINDOWS = int(os.environ.get("DYKNOW_QUERY_WINDOWS", "20000"))
+WINDOWS = int(os.environ.get("DYKNOW_QUERY_WINDOWS", "10000"))
 FIRST = int(os.environ.get("DYKNOW_QUERY_SEED", "0"))
 PARTS = 16
 

@@ -41,8 +41,7 @@ UNNAMED = """[...document.querySelectorAll('button, a, input, select, svg[role],
 """Elements without a name for people who do not see them."""
 
 
-@pytest.mark.parametrize("width", [1400, 390])
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(("theme", "width"), [("light", 1400), ("dark", 390)])
 def test_no_page_complains_or_asks_outside_or_scrolls_sideways(
     flying: str, open_page: OPEN, theme: str, width: int
 ) -> None:

@@ -193,8 +193,7 @@ def test_a_service_without_positions_has_a_line_for_the_map(
     assert page.complaints == []
 
 
-@pytest.mark.parametrize("width", [1400, 390])
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(("theme", "width"), [("light", 1400), ("dark", 390)])
 def test_axe_finds_nothing_after_a_recording(
     recorded: httpx.Client, open_page: OPEN, theme: str, width: int
 ) -> None:
