@@ -71,8 +71,8 @@ lint: $(VENV)/installed-dev
 	$(BIN)/lint-imports
 
 kernels: $(VENV)/installed-dev ## compile the loops of numba into its cache, by two processes
-	@$(COMPILE) compile_all(backwards=True)' & $(COMPILE) compile_all()' && wait $$!
-COMPILE := $(BIN)/python -c 'import dyknow.service.app; from dyknow.streams.jit import compile_all;
+	@$(call COMPILE,backwards=True) & $(call COMPILE) && wait $$!
+COMPILE = $(BIN)/python -c 'import dyknow.service.app; from dyknow.streams.jit import compile_all; compile_all($(1))'
 
 bench: $(VENV)/installed-dev ## the performance tables of docs/explanation/performance.md
 	$(BIN)/python bench/run.py

@@ -99,42 +99,35 @@ class TermTexts(TermTable):
     """The N-Triples of terms, by their ids.
 
     Cost: one gather a batch, and a text once per distinct term; the text of a long term each time.
-    Memory: 9 bytes per id of the dictionary, and the texts that were asked for.
+    Memory: 8 bytes per id of the dictionary, and the texts that were asked for.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:
         self._dictionary = dictionary
         self._texts: NDArray[np.object_] = np.empty(0, np.object_)
-        self._is_known: NDArray[np.bool_] = np.empty(0, np.bool_)
+        """None: not known."""
         dictionary.follow(self)
 
     def __getstate__(self) -> dict[str, object]:
         # A checkpoint needs no texts: they are made again.
-        return {**self.__dict__, "_texts": self._texts[:0], "_is_known": self._is_known[:0]}
+        return {**self.__dict__, "_texts": self._texts[:0]}
 
     def of_ids(self, ids: Ids) -> list[str]:
         """The texts of these terms."""
-        if len(self._is_known) < len(self._dictionary):
-            more = 2 * len(self._dictionary) - len(self._is_known)
-            self._texts = np.append(self._texts, np.empty(more, np.object_))
-            self._is_known = np.append(self._is_known, np.zeros(more, np.bool_))
-        known = self._is_known[ids]
-        found: list[str]
-        if known.all():
+        if len(self._texts) < len(self._dictionary):
+            larger = np.empty(2 * len(self._dictionary), np.object_)
+            larger[: len(self._texts)] = self._texts
+            self._texts = larger
+        found: list[str] = self._texts[ids].tolist()
+        if None in found:
+            new = {id for id, text in zip(ids.tolist(), found, strict=True) if text is None}
+            texts = {id: str(self._dictionary.term(id)) for id in new}
+            self._texts[list(texts)] = list(texts.values())
             found = self._texts[ids].tolist()
-            return found
-        new = np.unique(ids[~known])
-        texts = [str(self._dictionary.term(id)) for id in new.tolist()]
-        is_short = np.array([len(text) <= _SHORT for text in texts])
-        self._texts[new] = texts
-        self._is_known[new] = is_short
-        found = self._texts[ids].tolist()
-        self._texts[new[~is_short]] = None
+            self._texts[[id for id, text in texts.items() if len(text) > _SHORT]] = None
         return found
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """See `dictionary.TermTable`."""
-        size = min(len(freed), len(self._is_known))
-        gone = np.flatnonzero(freed[:size])
-        self._texts[gone] = None
-        self._is_known[gone] = False
+        size = min(len(freed), len(self._texts))
+        self._texts[:size][freed[:size]] = None

@@ -40,36 +40,29 @@ def most_bound_first(triples: Iterable[Triple]) -> list[Triple]:
     The names of streams made for a request depend on this order, and so do the results of
     GROUP_CONCAT and SAMPLE. It must not change: replaying a log has to give the same names.
     """
-    given = list(triples)
-    opens = [_open_places(triple) for triple in given]
-    counts = Counter(term for open in opens for term in open)
-    orders = [
-        (
-            -sum(counts[term] for term in open),
-            not isinstance(triple.object, Literal),
-            _order(triple),
-        )
-        for triple, open in zip(given, opens, strict=True)
-    ]
-    places = {order: place for place, order in enumerate(sorted(set(orders)))}
-    remaining = [
-        (places[order], open, triple)
-        for order, open, triple in zip(orders, opens, given, strict=True)
-    ]
+    given = [(_open_places(triple), triple) for triple in triples]
+    counts = Counter(term for open, _ in given for term in open)
     bound: set[Variable | BlankNode] = set()
     found: list[Triple] = []
 
     def free(open: list[Variable | BlankNode]) -> int:
         return sum(term not in bound for term in open)
 
+    def order(each: tuple[list[Variable | BlankNode], Triple]) -> tuple[object, ...]:
+        open, triple = each
+        shared = sum(counts[term] for term in open)
+        places = (triple.subject, triple.predicate, triple.object)
+        return -shared, not isinstance(triple.object, Literal), tuple(map(_order, places))
+
+    # What does not change decides among patterns with as few free variables.
+    remaining = sorted(given, key=order)
     # Quadratic, but a query has at most some hundred patterns.
     while remaining:
-        # Equal patterns keep the order that they have.
-        remaining.sort(key=lambda each: (free(each[1]), each[0]))
-        least = free(remaining[0][1])
-        block = [open for _, open, _ in remaining if free(open) == least]
-        bound.update(term for open in block for term in open)
-        found.append(remaining.pop(0)[2])
+        least = min(free(open) for open, _ in remaining)
+        block = [each for each in remaining if free(each[0]) == least]
+        bound.update(term for open, _ in block for term in open)
+        found.append(block[0][1])
+        remaining.remove(block[0])
     return found
 
 
@@ -78,11 +71,7 @@ def _open_places(triple: Triple) -> list[Variable | BlankNode]:
     return [place for place in places if isinstance(place, Variable | BlankNode)]
 
 
-def _order(triple: Triple) -> tuple[tuple[int, str], ...]:
-    return tuple(map(_term_order, (triple.subject, triple.predicate, triple.object)))
-
-
-def _term_order(term: object) -> tuple[int, str]:
+def _order(term: object) -> tuple[int, str]:
     kinds = (BlankNode, Variable, NamedNode, Literal)
     kind = next((number for number, one in enumerate(kinds) if isinstance(term, one)), len(kinds))
     return kind, getattr(term, "value", "") or str(term)
